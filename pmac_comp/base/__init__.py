@@ -1,0 +1,1 @@
+"""Errors, units, arrays, clock, atomic files. Imports nothing of ours."""

@@ -1,0 +1,1 @@
+"""Typer commands: parse, call workflow, render. No logic, no numbers."""

@@ -1,0 +1,1 @@
+"""Capture files (HDF5, CSV, MAT), bench configs and model files. Imports ``base`` only."""

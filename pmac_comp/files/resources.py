@@ -1,0 +1,35 @@
+"""Where the bundled bench files and firmware files are: in a checkout and in an installed wheel."""
+
+from pathlib import Path
+
+from pmac_comp.base.errors import ConfigError
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def data_folder(name: str) -> Path:
+    """Folder ``configs`` or ``firmware_plc``.
+
+    Raises
+    ------
+    ConfigError
+        The installation lacks the folder.
+    """
+    for folder in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
+        if folder.is_dir():
+            return folder
+    raise ConfigError(
+        f"The folder {name} is missing from this installation.",
+        code="PC-CFG-001",
+        hint="Install pmac-comp again from a wheel or a full checkout.",
+    )
+
+
+def config_path(name: str) -> Path:
+    """Path of a bundled bench file such as ``paper.toml``."""
+    return data_folder("configs") / name
+
+
+def firmware_path(name: str) -> Path:
+    """Path of a bundled firmware file such as ``comp_guard.plc``."""
+    return data_folder("firmware_plc") / name

@@ -1,0 +1,1 @@
+"""The controller: counts and registers; knows no physics."""

@@ -1,0 +1,1 @@
+"""One conversation done right: deadlines, resynchronisation, retry of reads only."""

@@ -1,0 +1,1 @@
+"""What a PMAC has: variables, motors, tables, gather, open servo, backup, upload."""

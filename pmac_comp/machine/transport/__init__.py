@@ -1,0 +1,1 @@
+"""Byte carriers: TCP, UDP, serial, SSH, in-process pair, fault-injecting tap."""

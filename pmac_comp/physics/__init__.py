@@ -1,0 +1,1 @@
+"""The drive: pure numerics in SI, no I/O; knows no PMAC."""

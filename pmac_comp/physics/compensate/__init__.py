@@ -1,0 +1,1 @@
+"""Lead table, dynamic law, trajectory pre-compensation and limiting; all in SI."""

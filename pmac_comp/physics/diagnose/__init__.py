@@ -1,0 +1,1 @@
+"""Residual localisation, hypotheses, growth loop and verdict."""

@@ -1,0 +1,1 @@
+"""Linear start, output-error refinement, uncertainty, identifiability, next experiment."""

@@ -1,0 +1,1 @@
+"""Parameters, effects, assembly, compiled kernel and quasi-static closed forms."""

@@ -1,0 +1,1 @@
+"""Trajectories, filters, spectra and metrics."""

@@ -1,0 +1,1 @@
+"""The simulated Turbo PMAC: memory, interpreter, servo, tables, gather, plant, servers."""

@@ -1,0 +1,1 @@
+"""The mechanics behind the simulated card, written from the equations a second time."""
