@@ -1,0 +1,341 @@
+"""Where the feed-forward law lives in P-variables: one layout for host, PLC 0 and open servo.
+
+What lives here: the exact indices, the two banks of coefficients with their seal, and the law as
+arithmetic on counts and servo cycles, written once more so that every form of it can be held
+against this one. What may not: physics (SI), sockets, files. Imports ``base`` only.
+
+Block (first variable ``P7000`` unless the bench says otherwise), offsets from the first variable::
+
+    0  signature   written by the running algorithm every pass: 20261 PLC 0, 20262 open servo
+    1  bank        index of the bank in use (0 or 1), written by the host only
+    2  target      gain the algorithm ramps to (0 off .. 1 on), host
+    3  gain        present gain, algorithm
+    4  clamp       largest correction in counts, host
+    5  heartbeat   -1 not used; > 0 servo cycles left, counted down; at 0 the target becomes 0
+    6  slew        change of the gain per servo cycle, host
+    7  motor       number of the motor concerned, host
+    8  out scale   units of the master word (X:$10F8) per count = 32 Ixx08 / Ixx07, host
+    9  in scale    counts per unit of the commanded position register = 1 / (32 Ixx08), host
+    10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
+    70..79  manifest of the last upload     80..89  lease and guard (``upload`` has the meaning)
+    100..129  working variables of the PLC 0 form, 130..159 of the open servo
+    160..199  free
+
+The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
+(register D:$88, before any compensation)::
+
+    x = r - X0           v = dr        a = dv        j = da        (differences over dn cycles)
+    u = v dn S_INV       s = (s + u) / (1 + |u|)          friction state, follows distance
+    w = v dn T_INV       t = (t + w) / (1 + |w|)          the same for the torque
+    c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
+    y = c + D1 dc + D2 ddc                                 lead that undoes the loop's lag
+    correction = gain clamp(y)         is ADDED to the command (positive moves the motor up)
+    q = TJ a + TB v + (TC + TE |a| + TS / (1 + |v| TV_INV)) t + T0
+    torque = gain limit(q + TL dq)     16-bit DAC units, added to the servo output
+
+The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
+logic, holds its value at standstill and never overshoots.
+"""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.errors import ConfigError, VerifyMismatch
+
+SIGNATURE_PLC: Final = 20261
+SIGNATURE_SERVO: Final = 20262
+SEAL: Final = 20261
+BANK_SIZE: Final = 30
+BLOCK_SIZE: Final = 200
+DEFAULT_FIRST: Final = 7000
+MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
+MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
+RESTART_GAP_SC: Final = 16  # a pause of more cycles than this restarts the differences
+HEARTBEAT_OFF: Final = -1
+
+
+class Index(IntEnum):
+    """Offsets of the head of the block."""
+
+    SIGNATURE = 0
+    BANK = 1
+    TARGET = 2
+    GAIN = 3
+    CLAMP = 4
+    HEARTBEAT = 5
+    SLEW = 6
+    MOTOR = 7
+    OUT_SCALE = 8
+    IN_SCALE = 9
+    BANKS = 10
+    MANIFEST = 70
+    LEASE = 80
+    WORK_PLC = 100
+    WORK_SERVO = 130
+
+
+class WorkIndex(IntEnum):
+    """Offsets within the working variables; the open servo keeps the same order."""
+
+    COUNTER = 0  # servo counter of the last pass
+    POSITION = 1  # r, counts
+    VELOCITY = 2  # v, counts/SC
+    ACCELERATION = 3  # a, counts/SC^2
+    STATE = 4  # s
+    TORQUE_STATE = 5  # t
+    LAW = 6  # c, counts
+    LAW_STEP = 7  # dc
+    TORQUE_LAW = 8  # q, DAC units
+    CORRECTION = 9  # what was sent, counts
+    TORQUE = 10  # what was sent, DAC units
+    CLAMPED = 11  # passes in which the clamp acted
+    ELAPSED = 12  # dn
+    LIVE = 13  # 1 while the loop is closed and the law runs
+
+
+class BankIndex(IntEnum):
+    """Offsets within a bank."""
+
+    A0 = 0  # counts per (count/SC^2)
+    A1 = 1  # the same per count of position
+    V0 = 2  # counts per (count/SC)
+    V1 = 3
+    S0 = 4  # counts
+    S1 = 5  # counts per count of position
+    X0 = 6  # counts, origin of x
+    SPARE7 = 7
+    S_INV = 8  # 1/counts, inverse of the break-away distance of s
+    TJ = 9  # DAC units per (count/SC^2)
+    TB = 10  # DAC units per (count/SC)
+    TC = 11  # DAC units
+    J0 = 12  # counts per (count/SC^3)
+    D1 = 13  # SC
+    D2 = 14  # SC^2
+    T_INV = 15  # 1/counts, inverse of the break-away distance of t
+    T0 = 16  # DAC units, constant
+    TL = 17  # SC, lead of the torque
+    TS = 18  # DAC units, excess at low speed
+    TV_INV = 19  # SC/count, inverse of the speed at which the excess is halved
+    TE = 20  # DAC units per (count/SC^2), friction that grows with load
+    T_LIMIT = 21  # DAC units, largest torque feed-forward
+    REVISION = 26  # number of the law, from the host
+    SEALED = 27  # 20261 once the bank was read back
+    CRC_HIGH = 28
+    CRC_LOW = 29
+
+
+@dataclass(frozen=True)
+class LawBlock:
+    """Addresses of the block whose first P-variable is ``first``."""
+
+    first: int = DEFAULT_FIRST
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.first <= 8192 - BLOCK_SIZE:
+            raise ConfigError(
+                f"A block of {BLOCK_SIZE} P-variables does not fit at P{self.first}.",
+                code="PC-LAW-001",
+                hint="Choose [controller] p_block with at least 200 variables below P8192.",
+            )
+
+    @classmethod
+    def from_p_block(cls, p_block: Sequence[int]) -> "LawBlock":
+        """Block at the start of the bench's ``p_block = [first, last]``.
+
+        Raises
+        ------
+        ConfigError
+            Fewer than 200 variables are allowed.
+        """
+        if p_block[1] - p_block[0] + 1 < BLOCK_SIZE:
+            raise ConfigError(
+                f"p_block P{p_block[0]}..P{p_block[1]} is smaller than {BLOCK_SIZE} variables.",
+                code="PC-LAW-002",
+                hint="Reserve 200 P-variables that no other program uses.",
+            )
+        return cls(p_block[0])
+
+    def p(self, offset: int) -> int:
+        """Number of the P-variable at an offset of the block."""
+        return self.first + offset
+
+    def bank(self, bank: int, offset: int = 0) -> int:
+        """Number of the P-variable at an offset of bank 0 or 1."""
+        if bank not in {0, 1}:
+            raise ConfigError(f"There is no bank {bank}.", code="PC-LAW-003")
+        return self.first + Index.BANKS + BANK_SIZE * bank + offset
+
+
+def nine_digits(value: float) -> str:
+    """Plain decimal text of a value with nine significant digits, no exponent.
+
+    The 48-bit registers hold 10.5 digits and print ten, so nine survive the way there and back
+    (Software Reference Manual p. 486).
+    """
+    if value == 0.0:
+        return "0"
+    text = np.format_float_positional(value, precision=9, fractional=False, trim="-")
+    return "0" if text in {"-0", "0"} else str(text)
+
+
+def bank_crc(values: Sequence[float]) -> int:
+    """CRC-32 of the first 27 values of a bank in nine-digit text."""
+    text = " ".join(nine_digits(value) for value in values[: BankIndex.SEALED])
+    return zlib.crc32(text.encode("ascii"))
+
+
+@dataclass(frozen=True)
+class LawParameters:
+    """Coefficients of the law in counts and servo cycles (the module docstring has the law).
+
+    Every value is rounded to nine significant digits at construction, so that what is compared
+    after read-back is what was meant.
+    """
+
+    A0: float = 0.0
+    A1: float = 0.0
+    V0: float = 0.0
+    V1: float = 0.0
+    S0: float = 0.0
+    S1: float = 0.0
+    X0: float = 0.0
+    S_INV: float = 0.0
+    TJ: float = 0.0
+    TB: float = 0.0
+    TC: float = 0.0
+    J0: float = 0.0
+    D1: float = 0.0
+    D2: float = 0.0
+    T_INV: float = 0.0
+    T0: float = 0.0
+    TL: float = 0.0
+    TS: float = 0.0
+    TV_INV: float = 0.0
+    TE: float = 0.0
+    T_LIMIT: float = 0.0
+    REVISION: float = field(default=0.0, compare=True)
+
+    def __post_init__(self) -> None:
+        values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
+        for item, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, item.name, float(nine_digits(float(value))))
+        negative = [n for n in ("S_INV", "T_INV", "TV_INV", "T_LIMIT") if getattr(self, n) < 0.0]
+        if negative:
+            raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
+
+    def values(self, *, sealed: bool = True) -> tuple[float, ...]:
+        """The 30 values of a bank, with seal and checksum unless ``sealed`` is False."""
+        bank = [0.0] * BANK_SIZE
+        for item in fields(self):
+            bank[BankIndex[item.name]] = getattr(self, item.name)
+        if sealed:
+            crc = bank_crc(bank)
+            bank[BankIndex.SEALED] = SEAL
+            bank[BankIndex.CRC_HIGH], bank[BankIndex.CRC_LOW] = crc >> 16, crc & 0xFFFF
+        return tuple(bank)
+
+    @classmethod
+    def from_values(cls, values: Sequence[float]) -> "LawParameters":
+        """Parameters of a sealed bank that was read back.
+
+        Raises
+        ------
+        VerifyMismatch
+            The bank is not sealed or its checksum does not fit.
+        """
+        if len(values) != BANK_SIZE or values[BankIndex.SEALED] != SEAL:
+            raise VerifyMismatch("The bank is not sealed.", code="PC-LAW-010")
+        crc = (int(values[BankIndex.CRC_HIGH]) << 16) | int(values[BankIndex.CRC_LOW])
+        if crc != bank_crc(values):
+            raise VerifyMismatch(
+                "The checksum of the bank does not fit its values.",
+                code="PC-LAW-011",
+                hint="Upload the law again; somebody wrote into the block.",
+            )
+        return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
+
+    @property
+    def digest(self) -> int:
+        """CRC-32 that the sealed bank carries."""
+        return bank_crc(self.values(sealed=False))
+
+    @property
+    def is_null(self) -> bool:
+        """Whether the law corrects nothing."""
+        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TB", "TC", "T0", "TS", "TE")
+        return all(getattr(self, name) == 0.0 for name in names)
+
+
+@dataclass(frozen=True)
+class LawOutput:
+    """What the law sends, arrays of shape (n,)."""
+
+    correction_ct: FloatArray
+    torque_dac: FloatArray
+    n_clamped: int
+
+
+def evaluate(
+    parameters: LawParameters,
+    position_ct: FloatArray,
+    *,
+    clamp_ct: float,
+    gain: float = 1.0,
+    start_state: Mapping[str, float] | None = None,
+) -> LawOutput:
+    """Correction in counts and torque in DAC units for a commanded position at every servo cycle.
+
+    Parameters
+    ----------
+    parameters : LawParameters
+        The bank.
+    position_ct : FloatArray, shape (n,), counts
+        Commanded position of consecutive servo cycles; the first one is taken as standstill.
+    clamp_ct : float
+        Amplitude limit of the correction in counts.
+    gain : float
+        Constant gain (a finished ramp).
+    start_state : Mapping, optional
+        ``s`` and ``t`` at the start.
+
+    Returns
+    -------
+    LawOutput
+        The values of the same cycles: the servo receives them one cycle later from PLC 0 and in
+        the same cycle from the open servo.
+    """
+    p = parameters
+    r = finite_array("position_ct", position_ct)
+    v = np.diff(r, prepend=r[0])
+    a = np.diff(v, prepend=0.0)
+    j = np.diff(a, prepend=0.0)
+    x = r - p.X0
+    start = dict(start_state or {})
+    s = _friction_state(v * p.S_INV, start.get("s", 0.0))
+    t = _friction_state(v * p.T_INV, start.get("t", 0.0))
+    c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
+    dc = np.diff(c, prepend=c[0])
+    y = c + p.D1 * dc + p.D2 * np.diff(dc, prepend=dc[0])
+    level = p.TC + p.TE * np.abs(a) + p.TS / (1.0 + np.abs(v) * p.TV_INV)
+    q = p.TJ * a + p.TB * v + level * t + p.T0
+    torque = np.clip(q + p.TL * np.diff(q, prepend=q[0]), -p.T_LIMIT, p.T_LIMIT)
+    return LawOutput(
+        correction_ct=gain * np.clip(y, -clamp_ct, clamp_ct),
+        torque_dac=gain * torque,
+        n_clamped=int(np.count_nonzero(np.abs(y) > clamp_ct)),
+    )
+
+
+def _friction_state(u: FloatArray, start: float) -> FloatArray:
+    state = np.empty_like(u)
+    value = start
+    for k, step in enumerate(u.tolist()):
+        value = (value + step) / (1.0 + abs(step))
+        state[k] = value
+    return state
