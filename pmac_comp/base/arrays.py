@@ -46,7 +46,7 @@ def finite_array(name: str, value: Iterable[Any] | Any, *, min_size: int = 1) ->
         )
     if raw.ndim != 1 or raw.size < min_size:
         raise ModelError(
-            f"{name} has shape {raw.shape}; at least {min_size} samples in one dimension are needed.",
+            f"{name} has shape {raw.shape}; one dimension of at least {min_size} is needed.",
             code="PC-ARR-002",
             hint="Give a one-dimensional array with enough samples.",
         )

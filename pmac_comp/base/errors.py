@@ -5,9 +5,10 @@
     PmacCompError(message, code, hint, context, left)
       ConfigError       exit 2   bad file, unknown key, unit missing
       LinkError         exit 3   ConnectFailed, LinkLost, ReplyTimeout, HostKeyRefused
-      ProtocolError     exit 4   LocalProtocolError (we misused it), RemoteProtocolError (the peer did)
+      ProtocolError     exit 4   LocalProtocolError (our fault), RemoteProtocolError (the peer's)
       CommandRefused    exit 5   BELL/ERRnnn with the line, the command and its meaning
-      SafetyRefusal     exit 6   AmplitudeExceeded, SlopeExceeded, MotorNotSafe, ForeignChange, LeaseHeld
+      SafetyRefusal     exit 6   AmplitudeExceeded, SlopeExceeded, MotorNotSafe,
+                                 ForeignChange, LeaseHeld
       TableStateError   exit 7   UploadIncomplete, VerifyMismatch, FlashSuspect
       CaptureError      exit 8   GatherOverflow, SampleGap, StorageFull
       ModelError        exit 9   NotIdentifiable, DidNotConverge, NonFinite

@@ -1,0 +1,358 @@
+"""Bench files: what the user knows of the axis, in TOML with a unit in each key.
+
+What lives here: the pydantic models of the tables of a bench file, their documented defaults and
+the SI quantities that follow from them. What may not: identified values (they go to model files).
+Imports ``base`` only.
+"""
+
+import difflib
+import hashlib
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S, lead_m_per_rad
+from pmac_comp.files.resources import data_folder
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
+
+# Steel: E = 206 GPa, G = 79.4 GPa, 7850 kg/m3.
+SHEAR_OVER_YOUNG = 79.4 / 206.0
+STEEL_YOUNG_Pa = 206.0e9
+STEEL_DENSITY_kg_per_m3 = 7850.0
+_CLOCK_CT_PER_MS = 8388608.0  # I10 counts 2^-23 ms (Software Reference Manual p. 42)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Screw(_Table):
+    """Geometry of the screw."""
+
+    pitch_mm: Positive = Field(description="lead per revolution")
+    diameter_mm: Positive = Field(default=25.0, description="nominal diameter")
+    root_diameter_mm: Positive | None = Field(
+        default=None, description="core diameter, 0.88 of the nominal one if not stated"
+    )
+    length_mm: Positive = Field(default=1000.0, description="threaded length from the bearing")
+    bearing_to_table_zero_mm: NonNegative = Field(
+        default=0.0, description="fixed bearing to nut when the table reads zero"
+    )
+
+
+class Encoder(_Table):
+    """Rotary encoder on the motor."""
+
+    counts_per_rev: Positive = Field(description="counts per revolution after decoding")
+    extension: Literal["none", "1/T"] = Field(default="none", description="sub-count extension")
+    motor_number: int = Field(default=1, ge=1, le=32, description="PMAC motor that closes the loop")
+
+
+class Scale(_Table):
+    """Linear scale at the table."""
+
+    resolution_um: Positive = Field(description="one count")
+    motor_number: int = Field(default=2, ge=1, le=32, description="PMAC motor that reads the scale")
+
+
+class Nominal(_Table):
+    """Known quantities of the drive; ``None`` means not known."""
+
+    motor_inertia_kgm2: Positive | None = Field(default=None, description="rotor with coupling")
+    screw_inertia_kgm2: Positive | None = None
+    table_mass_kg: Positive | None = Field(default=None, description="table with nut")
+    torsional_stiffness_Nm_per_rad: Positive | None = Field(
+        default=None, description="coupling with journal, without the screw itself"
+    )
+    axial_stiffness_N_per_um: Positive | None = Field(
+        default=None, description="bearing and nut in series, without the screw itself"
+    )
+    screw_rigidity_N: Positive | None = Field(default=None, description="EA of the screw core")
+    efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
+        default=None, description="nut efficiency, driving"
+    )
+    current_bandwidth_Hz: Positive | None = None
+    actuator_delay_us: NonNegative | None = None
+
+
+class Tolerance(_Table):
+    """Tolerances of the nominal quantities as fractions (one half-width)."""
+
+    motor_inertia_kgm2: Fraction = 0.05
+    screw_inertia_kgm2: Fraction = 0.05
+    table_mass_kg: Fraction = 0.05
+    torsional_stiffness_Nm_per_rad: Fraction = 0.20
+    axial_stiffness_N_per_um: Fraction = 0.20
+    screw_rigidity_N: Fraction = 0.05
+    efficiency: Fraction = 0.03
+    current_bandwidth_Hz: Fraction = 0.20
+    actuator_delay_us: Fraction = 0.20
+
+
+class Known(_Table):
+    """Facts that were measured on the bench."""
+
+    resonance_Hz: Positive | None = None
+    resonance_at_mm: Finite | None = Field(
+        default=None, description="table position at which the resonance was measured"
+    )
+    bandwidth_Hz: Positive | None = None
+    rated_torque_Nm: Positive | None = None
+    rated_speed_rpm: Positive | None = None
+
+
+class Drive(_Table):
+    """Servo drive in torque mode."""
+
+    torque_limit_Nm: Positive = Field(default=1.0e6, description="peak torque at the motor")
+    torque_per_dac_Nm: Positive = Field(default=1.0, description="torque of one 16-bit DAC unit")
+
+
+class SiControl(_Table):
+    """PID with feed-forward in SI-like units (contract, section 2)."""
+
+    Kp_Nm_per_mm: NonNegative
+    Ki_Nm_per_mm_s: NonNegative = 0.0
+    Kd_Nm_s_per_mm: NonNegative = 0.0
+    Kvff_Nm_s_per_mm: Finite = 0.0
+    Kaff_Nm_s2_per_mm: Finite = 0.0
+    velocity_filter_alpha: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+
+
+class CascadeControl(_Table):
+    """Position P over velocity P, as EMPS has it: V = kv (kp e - v)."""
+
+    kp_per_s: Positive
+    kv_V_per_m_per_s: Positive
+    gain_N_per_V: Positive
+
+
+class Controller(_Table):
+    """Servo controller."""
+
+    kind: Literal["pmac", "si", "cascade"]
+    servo_period_us: Positive
+    cpu_clock_MHz: Positive = 80.0
+    dpram: Literal["small", "large", "none"] = "large"
+    p_block: Annotated[list[int], Field(min_length=2, max_length=2)] = Field(
+        default=[7000, 7199], description="first and last P-variable that may be used"
+    )
+    ivariables: dict[str, float] = Field(default_factory=dict)
+    si: SiControl | None = None
+    cascade: CascadeControl | None = None
+
+    @model_validator(mode="after")
+    def _law_is_given(self) -> "Controller":
+        if self.kind == "si" and self.si is None:
+            raise ValueError("kind = 'si' needs the table [controller.si]")
+        if self.kind == "cascade" and self.cascade is None:
+            raise ValueError("kind = 'cascade' needs the table [controller.cascade]")
+        if self.p_block[0] > self.p_block[1] or self.p_block[0] < 0 or self.p_block[1] > 8191:
+            raise ValueError("p_block = [first, last] must be ascending within 0..8191")
+        for name in self.ivariables:
+            if not (name[:1] == "I" and name[1:].isdigit() and int(name[1:]) <= 8191):
+                raise ValueError(f"'{name}' in [controller.ivariables] is not an I-variable")
+        return self
+
+
+class Travel(_Table):
+    """Usable table travel in the coordinates of the scale."""
+
+    min_mm: Finite
+    max_mm: Finite
+
+    @model_validator(mode="after")
+    def _ascending(self) -> "Travel":
+        if self.max_mm <= self.min_mm:
+            raise ValueError("max_mm must be above min_mm")
+        return self
+
+
+class Safety(_Table):
+    """Limits that no correction or motion may pass."""
+
+    max_correction_um: Positive = 60.0
+    max_slope_um_per_mm: Positive = 50.0
+    max_enable_step_um: Positive = 5.0
+    max_speed_mm_per_s: Positive = 500.0
+    max_acceleration_m_per_s2: Positive = 12.0
+
+
+class Bench(_Table):
+    """One bench file, checked once; ``text`` is the source it was read from."""
+
+    config_version: Literal[1] = 1
+    name: str = ""
+    screw: Screw
+    encoder: Encoder
+    scale: Scale | None = None
+    nominal: Nominal = Nominal()
+    tolerance: Tolerance = Tolerance()
+    known: Known = Known()
+    drive: Drive = Drive()
+    controller: Controller
+    travel: Travel
+    safety: Safety = Safety()
+    text: str = Field(default="", repr=False)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the source text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @property
+    def servo_period_s(self) -> float:
+        """Servo period in s; I10 (2^-23 ms units) wins over the rounded ``servo_period_us``."""
+        i10 = self.controller.ivariables.get("I10")
+        if self.controller.kind == "pmac" and i10:
+            return i10 / _CLOCK_CT_PER_MS / 1e3
+        return self.controller.servo_period_us / US_PER_S
+
+    @property
+    def pitch_m(self) -> float:
+        """Screw pitch in m per revolution."""
+        return self.screw.pitch_mm / MM_PER_M
+
+    @property
+    def lead_m_per_rad(self) -> float:
+        """Screw lead in m/rad."""
+        return lead_m_per_rad(self.pitch_m)
+
+    @property
+    def motor_resolution_m(self) -> float:
+        """Table travel of one encoder count in m."""
+        return self.pitch_m / self.encoder.counts_per_rev
+
+    @property
+    def scale_resolution_m(self) -> float | None:
+        """One scale count in m, None without a scale."""
+        return None if self.scale is None else self.scale.resolution_um / UM_PER_M
+
+    @property
+    def root_diameter_m(self) -> float:
+        """Core diameter of the screw in m."""
+        root_mm = self.screw.root_diameter_mm
+        return (0.88 * self.screw.diameter_mm if root_mm is None else root_mm) / MM_PER_M
+
+    @property
+    def screw_rigidity_N(self) -> float:
+        """Axial rigidity EA of the screw core in N, from the core diameter if not stated."""
+        if self.nominal.screw_rigidity_N is not None:
+            return self.nominal.screw_rigidity_N
+        return STEEL_YOUNG_Pa * math.pi * self.root_diameter_m**2 / 4.0
+
+    @property
+    def torsional_rigidity_Nm2(self) -> float:
+        """Torsional rigidity GJ of the screw core in N m2: EA (G/E) d^2/8 for a round core."""
+        return self.screw_rigidity_N * SHEAR_OVER_YOUNG * self.root_diameter_m**2 / 8.0
+
+    @property
+    def mid_travel_m(self) -> float:
+        """Middle of the travel in m."""
+        return 0.5 * (self.travel.min_mm + self.travel.max_mm) / MM_PER_M
+
+    def screw_position_m(self, table_position_m: float) -> float:
+        """Distance from the fixed bearing to the nut in m for a table position in m."""
+        return table_position_m + self.screw.bearing_to_table_zero_mm / MM_PER_M
+
+
+def load_bench(path: Path | str) -> Bench:
+    """Bench read from a TOML file, or from a bundled one by its name (``paper``).
+
+    Parameters
+    ----------
+    path : Path or str
+        File, or the name of a bundled bench without suffix.
+
+    Raises
+    ------
+    ConfigError
+        Missing file, bad TOML, unknown key (the nearest known one is named) or bad value.
+    """
+    source = _resolve(path)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"The bench file {source} cannot be read: {error}.",
+            code="PC-CFG-002",
+            hint="Give the path of a bench file, or the name of a bundled one: "
+            + ", ".join(bundled_benches()),
+        ) from error
+    return parse_bench(text, name=source.name)
+
+
+def bundled_benches() -> list[str]:
+    """Names of the bench files that come with the installation."""
+    return sorted(path.stem for path in data_folder("configs").glob("*.toml"))
+
+
+def parse_bench(text: str, *, name: str = "bench file") -> Bench:
+    """Bench read from TOML text; raises ConfigError as ``load_bench`` does."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(
+            f"{name} is not valid TOML: {error}.",
+            code="PC-CFG-003",
+            hint="Compare with `pmac-comp config example`.",
+        ) from error
+    try:
+        return Bench.model_validate({**data, "text": text})
+    except ValidationError as error:
+        lines = [_explain(item) for item in error.errors()]
+        raise ConfigError(
+            f"{name} has {len(lines)} problem(s):\n" + "\n".join(f"  - {line}" for line in lines),
+            code="PC-CFG-004",
+            hint="Correct the keys; `pmac-comp config show` prints all keys with their defaults.",
+            context={"problems": lines},
+        ) from error
+
+
+def _resolve(path: Path | str) -> Path:
+    source = Path(path)
+    if not source.exists() and source.suffix == "" and len(source.parts) == 1:
+        bundled = data_folder("configs") / f"{source}.toml"
+        if bundled.exists():
+            return bundled
+    return source
+
+
+def _explain(item: Any) -> str:
+    location = [str(part) for part in item["loc"]]
+    where = ".".join(location)
+    if item["type"] == "extra_forbidden":
+        return f"unknown key '{where}'{_nearest(location)}"
+    if item["type"] == "missing":
+        return f"missing key '{where}'"
+    return f"'{where}': {item['msg']} (got {item.get('input')!r})"
+
+
+def _nearest(location: list[str]) -> str:
+    known = _keys_of(location[:-1])
+    close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.4)
+    if close:
+        return f"; the nearest known key is '{close[0]}'"
+    return f"; known keys here: {', '.join(sorted(known))}" if known else ""
+
+
+def _keys_of(table: list[str]) -> list[str]:
+    model: Any = Bench
+    for part in table:
+        field = model.model_fields.get(part)
+        if field is None:
+            return []
+        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        if not models:
+            return []
+        model = models[0]
+    return [key for key in model.model_fields if key != "text"]

@@ -1,0 +1,447 @@
+"""Captures: one servo-rate run in SI in memory, in mm under the contract's names in files.
+
+What lives here: the ``Capture`` value and its readers and writers (HDF5, CSV, MAT). What may not:
+anything that computes with the data. Imports ``base`` only; h5py and scipy are loaded on use.
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.atomic import atomic_write_text, sync_folder
+from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
+from pmac_comp.base.units import MM_PER_M
+
+SCHEMA_VERSION = 1
+MAX_SAMPLES = 200_000_000
+_GAP_TOLERANCE = 0.5  # of a sample period: a larger departure from the grid is a gap
+Attribute = str | float | int
+
+# Column in files -> (field, unit in files, factor to SI). Order is that of the contract.
+_COLUMNS: dict[str, tuple[str, str, float]] = {
+    "time_s": ("time_s", "s", 1.0),
+    "commanded_position_mm": ("commanded_position_m", "mm", 1.0 / MM_PER_M),
+    "desired_position_mm": ("desired_position_m", "mm", 1.0 / MM_PER_M),
+    "motor_position_mm": ("motor_position_m", "mm", 1.0 / MM_PER_M),
+    "table_position_mm": ("table_position_m", "mm", 1.0 / MM_PER_M),
+    "torque_command_Nm": ("torque_command_Nm", "N m", 1.0),
+}
+_REQUIRED = ("time_s", "commanded_position_mm", "motor_position_mm")
+_VALID = "valid"
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One run on a uniform time grid.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Uniform grid in s.
+    commanded_position_m, motor_position_m : ndarray, shape (n,)
+        Trajectory r and motor position expressed at the table, m.
+    desired_position_m : ndarray, shape (n,), or None
+        r + correction; None means compensation was off (equal to the commanded position).
+    table_position_m : ndarray, shape (n,), or None
+        Scale reading in m; None on motor-encoder-only benches.
+    torque_command_Nm : ndarray, shape (n,), or None
+        Torque command in N m.
+    valid : ndarray of bool, shape (n,), or None
+        False marks dropped or clipped samples; None means that all are valid.
+    extra : Mapping of str to ndarray, shape (n,)
+        Further columns, in the unit that their name says.
+    attributes : Mapping of str to str, float or int
+        Servo period, UTC start, bench text, controller identity and the like.
+
+    Raises
+    ------
+    CaptureError
+        Lengths differ, a valid sample is not finite, or fewer than two samples.
+    SampleGap
+        Time does not run on a uniform grid.
+    """
+
+    time_s: FloatArray
+    commanded_position_m: FloatArray
+    motor_position_m: FloatArray
+    desired_position_m: FloatArray | None = None
+    table_position_m: FloatArray | None = None
+    torque_command_Nm: FloatArray | None = None
+    valid: BoolArray | None = None
+    extra: Mapping[str, FloatArray] = field(default_factory=dict)
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.time_s.ndim != 1 or self.time_s.size < 2:
+            raise CaptureError(
+                f"The capture has {self.time_s.size} samples; at least two are needed.",
+                code="PC-CAP-001",
+                hint="Capture again, or check that the file is whole.",
+            )
+        for name, column in self._all_columns():
+            self._check_column(name, column)
+        self._check_grid()
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return int(self.time_s.size)
+
+    @property
+    def sample_period_s(self) -> float:
+        """Sample period in s."""
+        return float((self.time_s[-1] - self.time_s[0]) / (self.n - 1))
+
+    @property
+    def desired_m(self) -> FloatArray:
+        """Desired position in m: the stored one, or the commanded one where none is stored."""
+        if self.desired_position_m is None:
+            return self.commanded_position_m
+        return self.desired_position_m
+
+    @property
+    def mask(self) -> BoolArray:
+        """Validity of each sample as an array, shape (n,)."""
+        return np.ones(self.n, dtype=np.bool_) if self.valid is None else self.valid
+
+    def with_attributes(self, **attributes: Attribute) -> "Capture":
+        """Copy with attributes added."""
+        return replace(self, attributes={**self.attributes, **attributes})
+
+    def slice(self, start: int, stop: int) -> "Capture":
+        """Copy of samples ``start`` to ``stop - 1``."""
+        part: Callable[[Any], Any] = lambda a: None if a is None else a[start:stop]  # noqa: E731
+        return replace(
+            self,
+            time_s=self.time_s[start:stop],
+            commanded_position_m=self.commanded_position_m[start:stop],
+            motor_position_m=self.motor_position_m[start:stop],
+            desired_position_m=part(self.desired_position_m),
+            table_position_m=part(self.table_position_m),
+            torque_command_Nm=part(self.torque_command_Nm),
+            valid=part(self.valid),
+            extra={name: column[start:stop] for name, column in self.extra.items()},
+        )
+
+    def _all_columns(self) -> list[tuple[str, Any]]:
+        own = [(name, getattr(self, entry[0])) for name, entry in _COLUMNS.items()]
+        columns = [*own, (_VALID, self.valid), *self.extra.items()]
+        return [(name, column) for name, column in columns if column is not None]
+
+    def _check_column(self, name: str, column: Any) -> None:
+        if column.shape != self.time_s.shape:
+            raise CaptureError(
+                f"Column {name} has {column.size} samples, time_s has {self.time_s.size}.",
+                code="PC-CAP-002",
+                hint="All columns of a capture must have one length.",
+            )
+        bad = np.flatnonzero(~np.isfinite(column) & (self.mask | (name == "time_s")))
+        if bad.size:
+            raise CaptureError(
+                f"Column {name} holds {column[bad[0]]} at sample {int(bad[0])} "
+                f"({bad.size} such samples).",
+                code="PC-CAP-003",
+                hint="Mark such samples in a column 'valid' (0 = not valid), or capture again.",
+                context={"column": name, "index": int(bad[0]), "count": int(bad.size)},
+            )
+
+    def _check_grid(self) -> None:
+        steps = np.diff(self.time_s)
+        period_s = float(np.median(steps))
+        if period_s <= 0.0:
+            raise SampleGap(
+                "Column time_s does not ascend.",
+                code="PC-CAP-004",
+                hint="Sort the samples by time and remove doubled ones.",
+            )
+        bad = np.flatnonzero(np.abs(steps - period_s) > _GAP_TOLERANCE * period_s)
+        if bad.size:
+            i = int(bad[0])
+            missing = round(float(steps[i]) / period_s) - 1
+            raise SampleGap(
+                f"Time jumps from {self.time_s[i]:.6f} s to {self.time_s[i + 1]:.6f} s after "
+                f"sample {i}: {missing} samples of {period_s * 1e6:.1f} us are missing "
+                f"({bad.size} such places).",
+                code="PC-CAP-005",
+                hint="Fill the gap with rows marked valid = 0, split the file, or capture again.",
+                context={"index": i, "missing": missing, "places": int(bad.size)},
+            )
+
+
+def read_capture(path: Path | str) -> Capture:
+    """Capture read from a file; the suffix decides: ``.h5 .hdf5 .csv .mat``.
+
+    Raises
+    ------
+    CaptureError
+        The file is missing, is not a capture, lacks a column or holds NaN.
+    SampleGap
+        Time has a gap.
+    """
+    source = Path(path)
+    readers: dict[str, Callable[[Path], Capture]] = {
+        ".h5": _read_hdf5, ".hdf5": _read_hdf5, ".csv": _read_csv, ".mat": _read_mat,
+    }  # fmt: skip
+    reader = readers.get(source.suffix.lower())
+    if reader is None:
+        raise _unknown_suffix(source, sorted(readers))
+    if not source.is_file():
+        raise CaptureError(
+            f"There is no capture file {source}.",
+            code="PC-CAP-006",
+            hint="Check the path; `pmac-comp capture` writes new ones.",
+        )
+    try:
+        return reader(source)
+    except CaptureError as error:
+        error.message = f"{source.name}: {error.message}"
+        raise
+
+
+def write_capture(path: Path | str, capture: Capture) -> None:
+    """Write a capture to ``.h5``/``.hdf5`` or ``.csv``; the target is replaced whole or not at all.
+
+    Raises
+    ------
+    CaptureError
+        Unknown suffix.
+    StorageFull
+        The disk took no more data; the target is untouched.
+    """
+    target = Path(path)
+    writers: dict[str, Callable[[Path, Capture], None]] = {
+        ".h5": _write_hdf5, ".hdf5": _write_hdf5, ".csv": _write_csv,
+    }  # fmt: skip
+    writer = writers.get(target.suffix.lower())
+    if writer is None:
+        raise _unknown_suffix(target, sorted(writers))
+    try:
+        writer(target, capture)
+    except OSError as error:
+        raise StorageFull(
+            f"{target} could not be written: {error}.",
+            code="PC-CAP-007",
+            hint="Free space or choose another folder; nothing was changed.",
+        ) from error
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file as hex text."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _unknown_suffix(path: Path, known: list[str]) -> CaptureError:
+    return CaptureError(
+        f"{path.name} has a suffix that is not a capture format.",
+        code="PC-CAP-008",
+        hint="Use one of " + " ".join(known) + ".",
+    )
+
+
+def _from_columns(columns: Mapping[str, FloatArray], attributes: dict[str, Attribute]) -> Capture:
+    missing = [name for name in _REQUIRED if name not in columns]
+    if missing:
+        raise CaptureError(
+            f"column(s) missing: {', '.join(missing)}; found: {', '.join(columns) or 'none'}.",
+            code="PC-CAP-009",
+            hint="A capture needs " + ", ".join(_REQUIRED) + "; others are optional.",
+            context={"missing": missing},
+        )
+    known = {
+        entry[0]: np.ascontiguousarray(columns[name] * entry[2])
+        for name, entry in _COLUMNS.items()
+        if name in columns
+    }
+    valid = columns[_VALID] > 0.5 if _VALID in columns else None
+    extra = {k: v for k, v in columns.items() if k not in _COLUMNS and k != _VALID}
+    return Capture(**known, valid=valid, extra=extra, attributes=attributes)
+
+
+def _to_columns(capture: Capture) -> dict[str, tuple[FloatArray, str]]:
+    columns: dict[str, tuple[FloatArray, str]] = {}
+    for name, (attribute, unit, factor) in _COLUMNS.items():
+        values = getattr(capture, attribute)
+        if values is not None:
+            columns[name] = (values / factor, unit)
+    if capture.valid is not None:
+        columns[_VALID] = (capture.valid.astype(np.float64), "1")
+    for name, values in capture.extra.items():
+        columns[name] = (values, _unit_of(name))
+    return columns
+
+
+def _unit_of(name: str) -> str:
+    return name.rsplit("_", 1)[-1] if "_" in name else "1"
+
+
+def _read_hdf5(path: Path) -> Capture:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            columns = {name: _dataset(file, name) for name in file}
+            attributes = {key: _attribute(value) for key, value in file.attrs.items()}
+    except OSError as error:
+        raise CaptureError(
+            f"not a readable HDF5 file: {error}.",
+            code="PC-CAP-010",
+            hint="If the run was interrupted, `pmac-comp capture --recover` rebuilds it.",
+        ) from error
+    return _from_columns(columns, attributes)
+
+
+def _dataset(file: Any, name: str) -> FloatArray:
+    import h5py
+
+    link = file.get(name, getlink=True)
+    item: Any = file.get(name) if isinstance(link, h5py.HardLink) else None
+    plain = isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
+    if not plain or item.ndim != 1 or item.dtype.kind not in "fiub" or item.size > MAX_SAMPLES:
+        raise CaptureError(
+            f"entry {name!r} is not a plain one-dimensional column of numbers.",
+            code="PC-CAP-011",
+            hint="Links, groups, virtual and external datasets are not read.",
+        )
+    return np.asarray(item[()], dtype=np.float64)
+
+
+def _attribute(value: Any) -> Attribute:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, np.floating):
+        return float(value)
+    return str(value)
+
+
+def _write_hdf5(path: Path, capture: Capture) -> None:
+    import h5py
+
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        for name, (values, unit) in _to_columns(capture).items():
+            dataset = file.create_dataset(name, data=values)
+            dataset.attrs["units"] = unit
+        for key, value in capture.attributes.items():
+            file.attrs[key] = value
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["sample_period_s"] = capture.sample_period_s
+    # Built in memory first: an error of the disk inside h5py cannot then damage the process.
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        temporary.write_bytes(buffer.getbuffer())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _read_csv(path: Path) -> Capture:
+    lines = _text_lines(path)
+    attributes: dict[str, Attribute] = {}
+    while lines and lines[0].startswith("#"):
+        key, _, value = lines.pop(0)[1:].partition("=")
+        attributes[key.strip()] = value.strip()
+    names = [name.strip() for name in next(csv.reader(lines[:1]), [])]
+    if not names or len(set(names)) != len(names):
+        raise CaptureError(
+            "the header line is missing or names a column twice.",
+            code="PC-CAP-012",
+            hint="The first line must name the columns: " + ",".join(_COLUMNS),
+        )
+    rows = _number_rows(lines[1:], len(names))
+    return _from_columns({name: rows[:, i].copy() for i, name in enumerate(names)}, attributes)
+
+
+def _text_lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise CaptureError(
+            "not a text file in UTF-8.", code="PC-CAP-013", hint="Export the capture as CSV again."
+        ) from error
+
+
+def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
+    body = [line for line in lines if line.strip()]
+    rows = np.empty((len(body), n_columns))
+    for i, row in enumerate(csv.reader(body)):
+        try:
+            rows[i] = [float(cell) for cell in row]
+        except ValueError as error:
+            raise CaptureError(
+                f"data row {i + 1} is not {n_columns} numbers: {','.join(row)[:80]!r}.",
+                code="PC-CAP-014",
+                hint="Each row needs one decimal number (point, no thousands sign) per column.",
+            ) from error
+    return rows
+
+
+def _write_csv(path: Path, capture: Capture) -> None:
+    columns = _to_columns(capture)
+    out = io.StringIO()
+    for key, value in capture.attributes.items():
+        if "\n" not in str(value):  # multi-line attributes such as the bench text stay in HDF5
+            out.write(f"# {key} = {value}\n")
+    out.write(",".join(columns) + "\n")
+    table = np.column_stack([values for values, _ in columns.values()])
+    # 0.1 nm in mm and 0.1 ns in s: far below any resolution, so a round trip loses nothing.
+    np.savetxt(
+        out, table, delimiter=",", fmt=["%.10g" if n != "time_s" else "%.10f" for n in columns]
+    )
+    atomic_write_text(path, out.getvalue())
+
+
+def _read_mat(path: Path) -> Capture:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        data = loadmat(path, squeeze_me=True)
+    except (MatReadError, NotImplementedError, ValueError, TypeError) as error:
+        raise CaptureError(
+            f"not a readable MAT file (version 5): {error}.",
+            code="PC-CAP-015",
+            hint="Save with `save -v7`; version 7.3 files are HDF5: rename them to .h5.",
+        ) from error
+    if {"t", "qg", "qm", "vir", "gtau"} <= data.keys():
+        return _emps_capture(data)
+    columns = {
+        name: np.asarray(value, dtype=np.float64)
+        for name, value in data.items()
+        if not name.startswith("__") and getattr(value, "dtype", np.dtype("O")).kind in "fiu"
+        and np.ndim(value) == 1
+    }  # fmt: skip
+    return _from_columns(columns, {"source": path.name})
+
+
+def _emps_capture(data: Mapping[str, Any]) -> Capture:
+    """Capture from the EMPS record.
+
+    The record has the drive voltage and the force gain; the force is stored at the screw as a
+    torque with the record's lead of 2.5 mm (50 000 counts of 50 nm per revolution).
+    """
+    lead_m = 2.5e-3 / (2.0 * np.pi)
+    voltage_V = np.asarray(data["vir"], dtype=np.float64)
+    return Capture(
+        time_s=np.asarray(data["t"], dtype=np.float64),
+        commanded_position_m=np.asarray(data["qg"], dtype=np.float64),
+        motor_position_m=np.asarray(data["qm"], dtype=np.float64),
+        torque_command_Nm=float(data["gtau"]) * voltage_V * lead_m,
+        extra={"drive_voltage_V": voltage_V},
+        attributes={
+            "source": "EMPS record (Janot, Gautier, Brunot 2019)",
+            "gain_N_per_V": float(data["gtau"]),
+            "lead_m_per_rad": lead_m,
+        },
+    )
