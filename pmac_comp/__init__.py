@@ -5,3 +5,17 @@ See README.md, "Where does a line go?".
 """
 
 __version__ = "0.1.0"
+
+
+def _give_numba_a_cache() -> None:
+    """Point numba to a private folder where neither the package nor the home can be written."""
+    import os
+    import tempfile
+    from pathlib import Path
+
+    writable = (Path(__file__).parent, Path.home())
+    if "NUMBA_CACHE_DIR" not in os.environ and not any(os.access(p, os.W_OK) for p in writable):
+        os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(prefix="pmac_comp-")
+
+
+_give_numba_a_cache()

@@ -1,0 +1,52 @@
+"""Options and fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+ROOT = Path(__file__).resolve().parent.parent
+settings.register_profile(
+    "ci",
+    max_examples=100,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("long", max_examples=5000, deadline=None)
+settings.load_profile(os.environ.get("PMAC_COMP_HYPOTHESIS", "ci"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--exhaustive",
+        action="store_true",
+        default=False,
+        help="run every byte, line and step of the finite fault lists, and the slow tests",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--exhaustive"):
+        return
+    skip = pytest.mark.skip(reason="slow: part of tools/test --all")
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def exhaustive(request: pytest.FixtureRequest) -> bool:
+    """Whether finite fault lists are run in full."""
+    return bool(request.config.getoption("--exhaustive"))
+
+
+@pytest.fixture(scope="session")
+def emps_file() -> Path:
+    """The EMPS record where it lies; skips where it is absent."""
+    folder = Path(os.environ.get("PMAC_COMP_EMPS", ROOT / ".." / "shared" / "data" / "emps"))
+    path = folder / "DATA_EMPS.mat" if folder.is_dir() else folder
+    if not path.is_file():
+        pytest.skip("the EMPS record is absent; PMAC_COMP_EMPS names its folder")
+    return path.resolve()

@@ -1,0 +1,80 @@
+"""Bench files: bundled ones load, bad ones say which key."""
+
+import math
+
+import pytest
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.files.bench import bundled_benches, load_bench, parse_bench
+from pmac_comp.files.resources import config_path
+
+
+@pytest.mark.parametrize("name", bundled_benches())
+def test_every_bundled_bench_loads(name):
+    bench = load_bench(name)
+    assert bench.servo_period_s > 0.0
+    assert bench.travel.min_mm < bench.mid_travel_m * 1e3 < bench.travel.max_mm
+
+
+def test_the_servo_period_follows_from_the_clock_not_from_2262_Hz():
+    bench = load_bench("paper")
+    i = bench.controller.ivariables
+    # Software Reference Manual p. 42 and I7m00-I7m02: I10 = (640/9)(2 I7000+3)(I7001+1)(I7002+1)
+    i10 = 640 / 9 * (2 * i["I7000"] + 3) * (i["I7001"] + 1) * (i["I7002"] + 1)
+    assert i["I10"] == pytest.approx(i10, abs=1.0)
+    assert bench.servo_period_s == pytest.approx(441.996e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_x4"])
+def test_the_gains_are_those_of_the_28_7_Hz_loop(name):
+    """PID law of the manual (4.5 of the fact sheet) turned back into N m per rad."""
+    bench = load_bench(name)
+    i = bench.controller.ivariables
+    dac, period_s = bench.drive.torque_per_dac_Nm, bench.servo_period_s
+    per_rad = bench.encoder.counts_per_rev / (2.0 * math.pi)
+    proportional = i["I130"] * 96 / 2**19 * dac * per_rad
+    derivative = i["I130"] * 96 * i["I131"] / 2**26 * dac * per_rad * period_s
+    integral = i["I130"] * 96 * i["I133"] / 2**42 * dac * per_rad / period_s
+    acceleration = i["I130"] * 96 * i["I135"] / 2**26 * dac * per_rad * period_s**2
+    assert proportional == pytest.approx(23.7, rel=1e-3)
+    assert derivative == pytest.approx(0.227, rel=1e-3)
+    assert integral == pytest.approx(298.0, rel=1e-3)
+    assert acceleration == pytest.approx(1.112e-3, rel=1e-3)
+
+
+def test_rigidity_of_the_screw_follows_from_its_core():
+    bench = load_bench("paper")
+    assert bench.torsional_rigidity_Nm2 == pytest.approx(1826.0, rel=1e-3)
+    text = bench.text.replace("screw_rigidity_N = 7.83e7\n", "")
+    assert parse_bench(text).screw_rigidity_N == pytest.approx(7.83e7, rel=1e-3)
+
+
+def _changed(old: str, new: str) -> str:
+    text = config_path("paper.toml").read_text()
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("pitch_mm", "pich_mm", "nearest known key is 'pitch_mm'"),
+        ("[scale]", "[scala]", "nearest known key is 'scale'"),
+        ("resolution_um = 0.125", "resolution_um = nan", "scale.resolution_um"),
+        ("resolution_um = 0.125", 'resolution_um = "fine"', "scale.resolution_um"),
+        ("min_mm = -300.0", "min_mm = 300.0", "max_mm must be above min_mm"),
+        ("I130 =", "Ixx30 =", "is not an I-variable"),
+        ("config_version = 1", "config_version = 2", "config_version"),
+        ("[screw]", "[screw", "not valid TOML"),
+        ('kind = "pmac"', 'kind = "si"', "needs the table"),
+    ],
+)
+def test_a_wrong_key_or_value_is_named(old, new, expected):
+    with pytest.raises(ConfigError) as caught:
+        parse_bench(_changed(old, new))
+    assert expected in str(caught.value)
+
+
+def test_a_missing_file_names_the_bundled_benches():
+    with pytest.raises(ConfigError, match="paper"):
+        load_bench("no_such_bench")

@@ -1,0 +1,119 @@
+"""Captures: round trips, and every way in which a file can be bad."""
+
+import h5py
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
+from pmac_comp.files.capture import Capture, read_capture, write_capture
+
+PERIOD_S = 3707733 / 8388608 / 1e3
+
+
+def _capture(n: int = 200) -> Capture:
+    time_s = PERIOD_S * np.arange(n)
+    r = 0.01 * np.sin(20.0 * time_s)
+    return Capture(
+        time_s=time_s, commanded_position_m=r, motor_position_m=r + 1e-6,
+        desired_position_m=r + 2e-6, table_position_m=r - 1e-6, torque_command_Nm=0.1 * r,
+        extra={"servo_cycle": np.arange(n, dtype=float)}, attributes={"controller": "simulated"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+def test_round_trip_loses_nothing_that_a_sensor_could_see(tmp_path, suffix):
+    capture = _capture()
+    write_capture(tmp_path / f"run{suffix}", capture)
+    back = read_capture(tmp_path / f"run{suffix}")
+    for name in ("time_s", "commanded_position_m", "motor_position_m", "desired_position_m",
+                 "table_position_m", "torque_command_Nm"):  # fmt: skip
+        np.testing.assert_allclose(getattr(back, name), getattr(capture, name), atol=1e-10)
+    np.testing.assert_array_equal(back.extra["servo_cycle"], capture.extra["servo_cycle"])
+    assert back.attributes["controller"] == "simulated"
+    assert back.sample_period_s == pytest.approx(PERIOD_S, rel=1e-6)
+
+
+def test_hdf5_columns_carry_the_contract_names_and_units(tmp_path):
+    write_capture(tmp_path / "run.h5", _capture())
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file["table_position_mm"].attrs["units"] == "mm"
+        assert file["torque_command_Nm"].attrs["units"] == "N m"
+        assert file["motor_position_mm"][0] == pytest.approx(1e-3)
+
+
+def test_motor_only_captures_are_captures(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "time_s,commanded_position_mm,motor_position_mm\n0,0,0\n0.001,1,1\n0.002,2,2\n"
+    )
+    capture = read_capture(tmp_path / "a.csv")
+    assert capture.table_position_m is None
+    assert capture.motor_position_m[2] == pytest.approx(2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "expected"),
+    [
+        ("time_s,commanded_position_mm\n0,0\n1,1\n", CaptureError, "motor_position_mm"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,nan,1\n2,2,2\n",
+         CaptureError, "commanded_position_mm holds nan at sample 1"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,1,1\n2,2,2\n5,5,5\n6,6,6\n",
+         SampleGap, "2 samples of"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,1,1\n1,1,1\n2,2,2\n3,2,2\n",
+         SampleGap, "jumps"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,x,1\n", CaptureError, "row 2"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,1\n", CaptureError, "row 2"),
+        ("", CaptureError, "header"),
+        ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n", CaptureError, "1 samples"),
+        ("time_s,time_s,motor_position_mm\n0,0,0\n", CaptureError, "twice"),
+    ],
+)  # fmt: skip
+def test_bad_csv_is_refused_with_the_place(tmp_path, text, kind, expected):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(kind) as caught:
+        read_capture(tmp_path / "bad.csv")
+    assert expected in str(caught.value)
+    assert "bad.csv" in str(caught.value)
+
+
+def test_samples_marked_not_valid_may_hold_nan(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "time_s,commanded_position_mm,motor_position_mm,valid\n0,0,0,1\n1,1,nan,0\n2,2,2,1\n"
+    )
+    assert read_capture(tmp_path / "a.csv").mask.tolist() == [True, False, True]
+
+
+def test_links_in_hdf5_are_refused(tmp_path):
+    write_capture(tmp_path / "run.h5", _capture())
+    with h5py.File(tmp_path / "run.h5", "a") as file:
+        file["other"] = h5py.ExternalLink("secret.h5", "/x")
+    with pytest.raises(CaptureError, match="not a plain"):
+        read_capture(tmp_path / "run.h5")
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.mat", "a.txt"])
+def test_files_that_are_no_captures_are_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"\x00\x01nonsense")
+    with pytest.raises(CaptureError):
+        read_capture(tmp_path / name)
+
+
+def test_a_failed_write_leaves_the_old_capture(tmp_path, monkeypatch):
+    target = tmp_path / "run.h5"
+    write_capture(target, _capture(50))
+    monkeypatch.setattr("pathlib.Path.write_bytes", _no_space)
+    with pytest.raises(StorageFull, match="No space"):
+        write_capture(target, _capture(100))
+    assert read_capture(target).n == 50
+    assert [p.name for p in tmp_path.iterdir()] == ["run.h5"]
+
+
+def _no_space(*_):
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.emps
+def test_the_emps_record_is_read_where_it_lies(emps_file):
+    capture = read_capture(emps_file)
+    assert capture.n == 24841
+    assert capture.sample_period_s == pytest.approx(1e-3, rel=1e-6)
+    assert capture.table_position_m is None
