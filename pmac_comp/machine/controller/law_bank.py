@@ -19,7 +19,7 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
     70..79  manifest of the last upload     80..89  lease and guard (``upload`` has the meaning)
     100..129  working variables of the PLC 0 form, 130..159 of the open servo
-    160..199  free
+    160..189  working copy of the bank in use (PLC 0 form)     190..199  free
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
@@ -78,6 +78,7 @@ class Index(IntEnum):
     LEASE = 80
     WORK_PLC = 100
     WORK_SERVO = 130
+    COPY = 160
 
 
 class WorkIndex(IntEnum):
@@ -96,7 +97,7 @@ class WorkIndex(IntEnum):
     TORQUE = 10  # what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
     ELAPSED = 12  # dn
-    LIVE = 13  # 1 while the loop is closed and the law runs
+    LIVE = 13  # 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed
 
 
 class BankIndex(IntEnum):
