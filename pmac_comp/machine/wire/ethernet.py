@@ -1,0 +1,472 @@
+"""Packets of the Ethernet (and USB) port, both roles: bytes in, events out.
+
+What lives here: the eight-byte header, what follows it, and what answers it. No socket, no clock,
+no sleep; imports only the error tree. Source of all codes: UMAC Turbo CPU hardware manual,
+chapter "Ethernet Protocol", pp. 36-37, and the maker's header of request numbers.
+
+Two traps of this protocol are kept in one place, :func:`carries_payload`:
+
+* ``wLength`` announces a payload only for some requests; for the others it is the number of bytes
+  *wanted*, and some clients leave rubbish in it;
+* replies carry no header and no number, so only their order says what they answer.
+"""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from pmac_comp.base.errors import LocalProtocolError, RemoteProtocolError
+
+HEADER_SIZE = 8
+MAX_REPLY = 1400
+"""Most bytes one request is answered with."""
+MAX_PAYLOAD = 1492
+"""Size of the data field in the maker's packet structure."""
+MAX_WRITE_BUFFER = 1024
+"""Documented limit of the text in one WRITEBUFFER request."""
+MAX_COMMAND = 255
+"""Longest command line: real ports queue 256 words."""
+FLUSH_REPLY = 0x40
+"""What a real unit answers to FLUSH; clients must not check it."""
+DPRAM_BYTES = {"small": 0x4000, "large": 0x10000, "none": 0}
+"""Byte size of the dual-ported RAM as a host sees it (8K x 16 or 32K x 16)."""
+
+_HEADER = struct.Struct(">BBHHH")
+
+
+class Direction(IntEnum):
+    """First header byte."""
+
+    DOWNLOAD = 0x40
+    UPLOAD = 0xC0
+
+
+class RequestCode(IntEnum):
+    """Second header byte."""
+
+    SENDLINE = 0xB0
+    GETLINE = 0xB1
+    FLUSH = 0xB3
+    GETMEM = 0xB4
+    SETMEM = 0xB5
+    SENDCTRLCHAR = 0xB6
+    SETBIT = 0xBA
+    SETBITS = 0xBB
+    PORT = 0xBE
+    GETRESPONSE = 0xBF
+    READREADY = 0xC2
+    CTRL_RESPONSE = 0xC4
+    GETBUFFER = 0xC5
+    WRITEBUFFER = 0xC6
+    FWDOWNLOAD = 0xCB
+    IPADDRESS = 0xE0
+
+
+NAMED_ONLY = {
+    0xB7: "ENARTDATAGAT",
+    0xB8: "INIT",
+    0xB9: "EEPROM_VIDDID",
+    0xBC: "DATAPORT",
+    0xBD: "STATUSPORT",
+    0xC0: "SETSERCHAR",
+    0xC1: "GETSERCHAR",
+    0xC3: "GETLINE_B",
+    0xC7: "WRITEERROR",
+    0xC8: "BINROTPUT",
+    0xC9: "BINROTERROR",
+    0xCA: "BINROTINIT",
+    0xD0: "CLOSE",
+    0xE1: "MACADDRESS",
+    0xE2: "DATE",
+    0xE3: "TIME",
+    0xE4: "VERSION",
+}
+"""Requests of which only the name is public: they are refused, never guessed at."""
+
+_ALWAYS_PAYLOAD = frozenset(
+    {
+        RequestCode.SENDLINE,
+        RequestCode.GETRESPONSE,
+        RequestCode.WRITEBUFFER,
+        RequestCode.SETMEM,
+        RequestCode.SETBIT,
+        RequestCode.SETBITS,
+        RequestCode.FWDOWNLOAD,
+    }
+)
+_PAYLOAD_SIZE: dict[int, int] = {
+    RequestCode.SETBIT: 4,
+    RequestCode.SETBITS: 8,
+    RequestCode.IPADDRESS: 4,
+}
+_PAYLOAD_LIMIT: dict[int, int] = {
+    RequestCode.SETMEM: MAX_REPLY,
+    RequestCode.WRITEBUFFER: MAX_PAYLOAD,
+}
+_IDLE_BYTES = b"\x00\n\r"
+_KNOWN_CODES = frozenset(int(code) for code in RequestCode)
+_TEXT_REPLY = frozenset(
+    {
+        RequestCode.GETLINE,
+        RequestCode.GETRESPONSE,
+        RequestCode.CTRL_RESPONSE,
+        RequestCode.GETBUFFER,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Request:
+    """One request as it goes over the wire.
+
+    Parameters
+    ----------
+    direction : int
+        ``Direction.DOWNLOAD`` or ``Direction.UPLOAD``; several requests are seen with either.
+    code : int
+        A ``RequestCode``.
+    value, index, length : int
+        The three header words, 16 bit unsigned.
+    payload : bytes
+        Data after the header, empty for requests that carry none.
+    """
+
+    direction: int
+    code: int
+    value: int = 0
+    index: int = 0
+    length: int = 0
+    payload: bytes = b""
+
+    @property
+    def name(self) -> str:
+        """Name of the request in the manual."""
+        return RequestCode(self.code).name
+
+    @property
+    def control_character(self) -> int:
+        """Control character of CTRL_RESPONSE and SENDCTRLCHAR.
+
+        A widely used driver forgets to swap the bytes of the word: either byte may hold it.
+        """
+        return (self.value & 0xFF) or (self.value >> 8)
+
+    @property
+    def text(self) -> bytes:
+        """Command text of SENDLINE and GETRESPONSE without the endings that clients add."""
+        return self.payload.rstrip(_IDLE_BYTES)
+
+    @property
+    def lines(self) -> tuple[bytes, ...]:
+        """Lines of WRITEBUFFER; a last line without its null byte counts too."""
+        parts = self.payload.split(b"\x00")
+        return tuple(parts[:-1] if not parts[-1] else parts)
+
+
+@dataclass(frozen=True)
+class Malformed:
+    """Bytes that are no request; the stream cannot be followed beyond them.
+
+    Parameters
+    ----------
+    reason : str
+        Why, for the log of the server.
+    data : bytes
+        The header or datagram concerned.
+    """
+
+    reason: str
+    data: bytes
+
+
+def carries_payload(direction: int, code: int) -> bool:
+    """Whether ``wLength`` bytes follow the header of this request."""
+    if code == RequestCode.IPADDRESS:
+        return direction == Direction.DOWNLOAD
+    return code in _ALWAYS_PAYLOAD
+
+
+def encode(request: Request) -> bytes:
+    """Bytes of a request: header, then payload."""
+    for name, word in (
+        ("value", request.value),
+        ("index", request.index),
+        ("length", request.length),
+    ):
+        if not 0 <= word <= 0xFFFF:
+            raise LocalProtocolError(f"{name} {word} does not fit a header word")
+    header = _HEADER.pack(
+        request.direction, request.code, request.value, request.index, request.length
+    )
+    return header + request.payload
+
+
+class RequestReader:
+    """The controller's side of a stream: bytes in, requests out, however they were cut.
+
+    After a :class:`Malformed` the reader is ``broken``: a server closes the connection.
+    """
+
+    def __init__(self) -> None:
+        self._pending = bytearray()
+        self.broken = False
+
+    @property
+    def pending(self) -> int:
+        """Number of bytes that wait for the rest of their request."""
+        return len(self._pending)
+
+    def receive(self, data: bytes) -> list[Request | Malformed]:
+        """Requests completed by these bytes, in order."""
+        events: list[Request | Malformed] = []
+        if self.broken:
+            return events
+        self._pending += data
+        while not self.broken and (event := self._next()) is not None:
+            events.append(event)
+            self.broken = isinstance(event, Malformed)
+        if self.broken:
+            self._pending.clear()
+        return events
+
+    def _next(self) -> Request | Malformed | None:
+        self._drop_idle()
+        if not self._pending:
+            return None
+        fault = _early_fault(self._pending)
+        if fault is not None:
+            return Malformed(fault, bytes(self._pending[:HEADER_SIZE]))
+        if len(self._pending) < HEADER_SIZE:
+            return None
+        direction, code, value, index, length = _HEADER.unpack_from(self._pending)
+        fault = _length_fault(direction, code, length)
+        if fault is not None:
+            return Malformed(fault, bytes(self._pending[:HEADER_SIZE]))
+        end = HEADER_SIZE + (length if carries_payload(direction, code) else 0)
+        if len(self._pending) < end:
+            return None
+        payload = bytes(self._pending[HEADER_SIZE:end])
+        del self._pending[:end]
+        return Request(direction, code, value, index, length, payload)
+
+    def _drop_idle(self) -> None:
+        # Clients that end their text with CR LF or NUL *behind* wLength leave it here.
+        keep = 0
+        while keep < len(self._pending) and self._pending[keep] in _IDLE_BYTES:
+            keep += 1
+        del self._pending[:keep]
+
+
+def read_datagram(data: bytes) -> Request | Malformed:
+    """The request of one UDP datagram, which holds exactly one."""
+    reader = RequestReader()
+    events = reader.receive(data)
+    if len(events) == 1 and not reader.pending:
+        return events[0]
+    reason = "datagram with more than one request" if events else "datagram cut short"
+    return Malformed(reason, data[:HEADER_SIZE])
+
+
+def _early_fault(pending: bytearray) -> str | None:
+    if pending[0] not in (Direction.DOWNLOAD, Direction.UPLOAD):
+        return f"request type {pending[0]:02X} is neither 40 nor C0"
+    if len(pending) >= 2 and pending[1] not in _KNOWN_CODES:
+        name = NAMED_ONLY.get(pending[1])
+        return f"request {pending[1]:02X} is {'not supported: ' + name if name else 'unknown'}"
+    return None
+
+
+def _length_fault(direction: int, code: int, length: int) -> str | None:
+    if not carries_payload(direction, code):
+        return None
+    exact = _PAYLOAD_SIZE.get(code)
+    if exact is not None and length != exact:
+        return f"request {code:02X} carries {exact} bytes, not {length}"
+    limit = _PAYLOAD_LIMIT.get(code, MAX_PAYLOAD)
+    if length > limit:
+        return f"request {code:02X} announces {length} bytes, more than {limit}"
+    return None
+
+
+# What a client says ------------------------------------------------------------------------------
+
+
+def send_line(text: bytes) -> Request:
+    """SENDLINE: hand over a command; its answer is fetched with GETBUFFER."""
+    return Request(
+        Direction.DOWNLOAD, RequestCode.SENDLINE, length=len(text), payload=_command(text)
+    )
+
+
+def get_response(text: bytes) -> Request:
+    """GETRESPONSE: hand over a command and receive the first part of its answer."""
+    return Request(
+        Direction.DOWNLOAD, RequestCode.GETRESPONSE, length=len(text), payload=_command(text)
+    )
+
+
+def get_line() -> Request:
+    """GETLINE: the waiting text up to the next CR, ACK or LF."""
+    return Request(Direction.UPLOAD, RequestCode.GETLINE)
+
+
+def get_buffer() -> Request:
+    """GETBUFFER: the next part of a waiting answer."""
+    return Request(Direction.UPLOAD, RequestCode.GETBUFFER, length=MAX_REPLY)
+
+
+def read_ready() -> Request:
+    """READREADY: whether text waits."""
+    return Request(Direction.UPLOAD, RequestCode.READREADY, length=2)
+
+
+def flush() -> Request:
+    """FLUSH: drop what is pending in either direction."""
+    return Request(Direction.DOWNLOAD, RequestCode.FLUSH)
+
+
+def control_response(character: int) -> Request:
+    """CTRL_RESPONSE: the text that answers a reporting control character."""
+    return Request(
+        Direction.UPLOAD, RequestCode.CTRL_RESPONSE, value=_control(character), length=MAX_REPLY
+    )
+
+
+def send_control(character: int) -> Request:
+    """SENDCTRLCHAR: a control character that answers nothing."""
+    return Request(Direction.DOWNLOAD, RequestCode.SENDCTRLCHAR, value=_control(character))
+
+
+def get_memory(offset: int, size: int) -> Request:
+    """GETMEM: ``size`` bytes of the dual-ported RAM from byte ``offset``."""
+    if not 0 < size <= MAX_REPLY:
+        raise LocalProtocolError(f"GETMEM takes 1 to {MAX_REPLY} bytes, not {size}")
+    return Request(Direction.UPLOAD, RequestCode.GETMEM, value=offset, length=size)
+
+
+def set_memory(offset: int, data: bytes) -> Request:
+    """SETMEM: write bytes into the dual-ported RAM from byte ``offset``."""
+    if not 0 < len(data) <= MAX_REPLY:
+        raise LocalProtocolError(f"SETMEM takes 1 to {MAX_REPLY} bytes, not {len(data)}")
+    return Request(
+        Direction.UPLOAD, RequestCode.SETMEM, value=offset, length=len(data), payload=data
+    )
+
+
+def set_bits(offset: int, set_mask: int, clear_mask: int) -> Request:
+    """SETBITS: set and clear bits of one 32-bit cell of the dual-ported RAM in one access."""
+    payload = struct.pack("<II", set_mask, clear_mask)
+    return Request(Direction.DOWNLOAD, RequestCode.SETBITS, value=offset, length=8, payload=payload)
+
+
+def or_bits(offset: int, mask: int) -> Request:
+    """SETBIT with wIndex 1: set bits of one 32-bit cell."""
+    return Request(
+        Direction.DOWNLOAD,
+        RequestCode.SETBIT,
+        value=offset,
+        index=1,
+        length=4,
+        payload=struct.pack("<I", mask),
+    )
+
+
+def and_bits(offset: int, mask: int) -> Request:
+    """SETBIT with wIndex 0: keep only the bits of ``mask`` in one 32-bit cell."""
+    return Request(
+        Direction.DOWNLOAD,
+        RequestCode.SETBIT,
+        value=offset,
+        length=4,
+        payload=struct.pack("<I", mask),
+    )
+
+
+def get_address() -> Request:
+    """IPADDRESS (get): the controller's IPv4 address."""
+    return Request(Direction.UPLOAD, RequestCode.IPADDRESS, length=4)
+
+
+def write_buffer(lines: Sequence[bytes]) -> Request:
+    """WRITEBUFFER: several lines in one request, each ended by a null byte."""
+    payload = b"".join(_command(line) + b"\x00" for line in lines)
+    if not 0 < len(payload) <= MAX_WRITE_BUFFER:
+        raise LocalProtocolError(
+            f"WRITEBUFFER takes 1 to {MAX_WRITE_BUFFER} bytes, not {len(payload)}"
+        )
+    return Request(
+        Direction.DOWNLOAD, RequestCode.WRITEBUFFER, length=len(payload), payload=payload
+    )
+
+
+def _command(text: bytes) -> bytes:
+    if len(text) > MAX_COMMAND:
+        raise LocalProtocolError(
+            f"a command line holds at most {MAX_COMMAND} characters, not {len(text)}",
+            hint="Split it into several lines.",
+        )
+    return text
+
+
+def _control(character: int) -> int:
+    if not 0 < character < 0x20:
+        raise LocalProtocolError(f"{character:#04x} is no control character")
+    return character
+
+
+# What answers it ---------------------------------------------------------------------------------
+
+
+def reply_size(request: Request) -> int | None:
+    """Exact number of bytes that answer a request; None for text, which ends by its content."""
+    if request.code in _TEXT_REPLY:
+        return None
+    if request.code == RequestCode.GETMEM:
+        return request.length
+    sizes: dict[int, int] = {
+        RequestCode.READREADY: 2,
+        RequestCode.WRITEBUFFER: 4,
+        RequestCode.IPADDRESS: 4,
+    }
+    return sizes.get(request.code, 1)
+
+
+@dataclass(frozen=True)
+class BufferVerdict:
+    """What the controller says about a WRITEBUFFER request.
+
+    Parameters
+    ----------
+    error : int
+        Number nnn of ERRnnn, 0 for success.
+    line_number : int
+        Number of the refused line. The manual does not say whether it counts from 0 or 1.
+    """
+
+    error: int = 0
+    line_number: int = 0
+
+    @property
+    def refused(self) -> bool:
+        """Whether a line was refused."""
+        return self.error != 0
+
+    def encode(self) -> bytes:
+        """The four bytes of the reply: line number low, high, error number, 80 for an error."""
+        flag = 0x80 if self.refused else 0
+        return struct.pack("<HBB", self.line_number & 0xFFFF, self.error & 0xFF, flag)
+
+    @classmethod
+    def decode(cls, data: bytes) -> "BufferVerdict":
+        """Verdict from the four bytes of the reply."""
+        if len(data) != 4:
+            raise RemoteProtocolError(f"WRITEBUFFER was answered with {len(data)} bytes, not 4")
+        line_number, error, flag = struct.unpack("<HBB", data)
+        # A set flag with error number 0 is still an error: never take it for success.
+        return cls(error or 255, line_number) if flag else cls()
+
+
+def cut_reply(text: bytes) -> list[bytes]:
+    """An answer cut into the parts that GETRESPONSE and GETBUFFER give, 1400 bytes each."""
+    return [text[start : start + MAX_REPLY] for start in range(0, len(text), MAX_REPLY)]
