@@ -1,0 +1,65 @@
+"""Coordinates and the tests that say where a residual lives."""
+
+import numpy as np
+
+from pmac_comp.physics.diagnose import localise as lo
+
+LEAD_M = 0.01
+
+
+def motion(n=4000, ts=2e-3):
+    t = ts * np.arange(n)
+    return t, 0.03 * np.sin(2 * np.pi * 0.7 * t)
+
+
+def located(residual, x, t):
+    coordinates = lo.machine_coordinates(t, x, None, LEAD_M)
+    noise = 0.1e-6 * np.random.default_rng(4).normal(size=t.size)
+    return lo.localise([residual + noise], [coordinates], channel="table", sample_s=t[1] - t[0])
+
+
+def test_reversals_are_found_and_hunting_is_not():
+    t, x = motion()
+    turns = lo.reversal_indices(x)
+    expected = (np.arange(0.25, 0.7 * t[-1], 0.5)) / 0.7 / (t[1] - t[0])
+    assert np.allclose(turns, expected[: turns.size], atol=2)
+    hunting = 0.5e-6 * np.sin(40 * t)
+    assert lo.reversal_indices(hunting).size == 0
+
+
+def test_distance_since_reversal_is_signed_travel():
+    x = np.array([0.0, 1.0, 2.0, 1.5, 1.0, 1.2]) * 1e-3
+    d = lo.distance_since_reversal_m(x)
+    assert np.allclose(d, np.array([0.0, 1.0, 0.0, -0.5, 0.0, 0.2]) * 1e-3)
+
+
+def test_a_wobble_is_found_in_the_screw_angle():
+    t, x = motion()
+    regions = located(1e-6 * np.cos(2 * np.pi * x / LEAD_M), x, t)
+    assert regions[0].coordinate == "screw_angle"
+    assert regions[0].share > 0.8
+    assert 0.8 < regions[0].size_um < 1.2
+
+
+def test_a_skew_is_found_in_the_speed():
+    t, x = motion()
+    regions = located(5e-6 * np.gradient(x, t), x, t)
+    assert regions[0].coordinate == "speed"
+
+
+def test_a_slope_is_found_in_the_position():
+    t, x = motion()
+    regions = located(40e-6 * x, x, t)
+    assert regions[0].coordinate == "position"
+
+
+def test_white_noise_lives_nowhere():
+    t, x = motion()
+    assert located(np.zeros_like(t), x, t) == ()
+
+
+def test_marked_samples_are_left_out():
+    t, x = motion()
+    residual = 40e-6 * x
+    residual[100:200] = np.nan
+    assert located(residual, x, t)[0].coordinate == "position"
