@@ -47,6 +47,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
+from pmac_comp.machine.controller.numbers import nine_digits
 
 SIGNATURE_PLC: Final = 20261
 SIGNATURE_SERVO: Final = 20262
@@ -171,18 +172,6 @@ class LawBlock:
         if bank not in {0, 1}:
             raise ConfigError(f"There is no bank {bank}.", code="PC-LAW-003")
         return self.first + Index.BANKS + BANK_SIZE * bank + offset
-
-
-def nine_digits(value: float) -> str:
-    """Plain decimal text of a value with nine significant digits, no exponent.
-
-    The 48-bit registers hold 10.5 digits and print ten, so nine survive the way there and back
-    (Software Reference Manual p. 486).
-    """
-    if value == 0.0:
-        return "0"
-    text = np.format_float_positional(value, precision=9, fractional=False, trim="-")
-    return "0" if text in {"-0", "0"} else str(text)
 
 
 def bank_crc(values: Sequence[float]) -> int:

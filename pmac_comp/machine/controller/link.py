@@ -1,0 +1,34 @@
+"""What this layer needs of a conversation with the controller.
+
+``machine.client.commander.Commander`` is the one in use; tests put a scripted peer in its place.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from pmac_comp.base.clock import Clock
+
+
+class Link(Protocol):
+    """One conversation: questions may be repeated by it, commands never."""
+
+    @property
+    def clock(self) -> Clock:
+        """Clock that waits are measured on."""
+        ...
+
+    def query(self, text: str) -> list[str]:
+        """Lines that answer a question."""
+        ...
+
+    def command(self, text: str) -> None:
+        """Send a line that changes something; raises CommandRefused on an error answer."""
+        ...
+
+    def write_buffer(self, lines: Sequence[str]) -> None:
+        """Send many lines in packets; raises CommandRefused naming the line that was refused."""
+        ...
+
+    def get_memory(self, offset: int, n_bytes: int) -> bytes:
+        """Bytes of the dual-ported RAM from a host byte offset."""
+        ...

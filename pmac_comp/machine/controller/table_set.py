@@ -1,0 +1,187 @@
+"""All tables of a controller together: what is there, and in which order it may be changed.
+
+The card keeps its tables in one stack (Software Reference Manual p. 303, 311-317): COMP tables
+from the highest motor down, then TCOMP, then BLCOMP; only the top may go. Changing one table
+therefore may mean to take others off and to put them back, and this module plans that.
+"""
+
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from pmac_comp.base.errors import CommandRefused, RemoteProtocolError
+from pmac_comp.machine.controller.comp_table import (
+    CompTable,
+    Table,
+    TableKind,
+    build_table,
+    parse_entries,
+    parse_header,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.registers import BLCOMP_POINTERS
+
+Key = tuple[TableKind, int]
+_KINDS = (TableKind.COMP, TableKind.TCOMP, TableKind.BLCOMP)
+
+
+@dataclass(frozen=True)
+class TableSet:
+    """Tables of a controller, at most one of a kind per motor, in the order of definition."""
+
+    tables: tuple[Table, ...] = ()
+
+    def __post_init__(self) -> None:
+        ordered = tuple(sorted(self.tables, key=lambda t: _rank((t.kind, t.motor))))
+        keys = [(t.kind, t.motor) for t in ordered]
+        if len(set(keys)) != len(keys):
+            raise ValueError("a motor has at most one table of a kind")
+        object.__setattr__(self, "tables", ordered)
+
+    def __iter__(self) -> Iterator[Table]:
+        return iter(self.tables)
+
+    def __len__(self) -> int:
+        return len(self.tables)
+
+    def get(self, kind: TableKind, motor: int) -> Table | None:
+        """Table of a kind owned by a motor."""
+        return next((t for t in self.tables if (t.kind, t.motor) == (kind, motor)), None)
+
+    def with_tables(self, new: Iterable[Table], *, without: Iterable[Key] = ()) -> "TableSet":
+        """Set in which ``new`` replace tables of the same kind and motor, ``without`` are gone."""
+        changed = {(t.kind, t.motor): t for t in self.tables}
+        for key in without:
+            changed.pop(key, None)
+        changed.update({(t.kind, t.motor): t for t in new})
+        return TableSet(tuple(changed.values()))
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 over all tables in order; 0 for none."""
+        if not self.tables:
+            return 0
+        return zlib.crc32("\n".join(t.canonical for t in self.tables).encode("ascii"))
+
+    @property
+    def n_entries(self) -> int:
+        """Entries of all tables."""
+        return sum(len(t.entries) for t in self.tables)
+
+    @property
+    def motors(self) -> tuple[int, ...]:
+        """Motors that own, select or receive a table."""
+        found = {t.motor for t in self.tables}
+        for table in self.tables:
+            if isinstance(table, CompTable):
+                found |= {table.source, table.target}
+        return tuple(sorted(found))
+
+
+@dataclass(frozen=True)
+class TablePlan:
+    """Steps from one set to another: deletions in order, then definitions in order."""
+
+    delete: tuple[Key, ...]
+    define: tuple[Table, ...]
+
+    @property
+    def delete_lines(self) -> list[str]:
+        """Commands that take the tables off."""
+        return [f"#{motor}DELETE {kind.value}" for kind, motor in self.delete]
+
+    @property
+    def define_lines(self) -> list[str]:
+        """Commands that define and fill the new tables."""
+        return [line for table in self.define for line in table.lines()]
+
+
+def plan(old: TableSet, new: TableSet) -> TablePlan:
+    """Least change from ``old`` to ``new`` that the order rules allow.
+
+    The common bottom of the two stacks stays; what lies above goes and is built anew.
+    """
+    keep = 0
+    for before, after in zip(old.tables, new.tables, strict=False):
+        if before.canonical != after.canonical or _desired(before) != _desired(after):
+            break
+        keep += 1
+    gone = [(t.kind, t.motor) for t in reversed(old.tables[keep:])]
+    return TablePlan(tuple(gone), new.tables[keep:])
+
+
+def read_tables(link: Link, motors: Sequence[int] | None = None) -> TableSet:
+    """All tables on the controller, headers and entries.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    motors : sequence of int, optional
+        Motors to look at; all that own a table by the card's pointer words if not given.
+    """
+    found: list[Table] = []
+    for kind, motor in candidates(link) if motors is None else _product(motors):
+        table = read_table(link, kind, motor)
+        if table is not None:
+            found.append(table)
+    return TableSet(tuple(found))
+
+
+def read_table(link: Link, kind: TableKind, motor: int) -> Table | None:
+    """One table, None if the motor has none (ERR003, p. 341-350)."""
+    try:
+        lines = link.query(f"#{motor}LIST {kind.value} DEF")
+    except CommandRefused as error:
+        if error.context.get("error") in {3, "ERR003", None}:
+            return None
+        raise
+    header = parse_header(kind, motor, lines)
+    entries = parse_entries(link.query(f"#{motor}LIST {kind.value}"))
+    return build_table(header, entries)
+
+
+def candidates(link: Link) -> list[Key]:
+    """Tables that may exist, from the start addresses at X:$003152-$0031B1 (p. 509).
+
+    A motor without a table shares its start address with the table below it or holds zero, so
+    every motor whose word differs from its neighbours is asked, and all active motors.
+    """
+    words = [
+        parse_integer(w) for line in link.query(f"RX:${BLCOMP_POINTERS:X},96") for w in line.split()
+    ]
+    if len(words) != 96:
+        raise RemoteProtocolError(f"96 table pointers were asked for, {len(words)} came.")
+    active = [parse_integer(v) for v in link.query("I100,32,100")]
+    keys: list[Key] = []
+    for group, kind in enumerate((TableKind.BLCOMP, TableKind.TCOMP, TableKind.COMP)):
+        block = words[32 * group : 32 * group + 32]
+        for motor, word in enumerate(block, start=1):
+            if (word != 0 and block.count(word) == 1) or active[motor - 1]:
+                keys.append((kind, motor))
+    return sorted(keys, key=_rank)
+
+
+def with_lookup(found: TableSet, meant: TableSet) -> TableSet:
+    """``found`` with the D of each source taken from ``meant`` where the card does not list it."""
+    tables: list[Table] = []
+    for table in found.tables:
+        twin = meant.get(table.kind, table.motor)
+        if isinstance(table, CompTable) and isinstance(twin, CompTable):
+            tables.append(replace(table, by_desired=twin.by_desired))
+        else:
+            tables.append(table)
+    return TableSet(tuple(tables))
+
+
+def _rank(key: Key) -> tuple[int, int]:
+    return _KINDS.index(key[0]), -key[1]
+
+
+def _desired(table: Table) -> bool:
+    return isinstance(table, CompTable) and table.by_desired
+
+
+def _product(motors: Sequence[int]) -> list[Key]:
+    return sorted(((kind, motor) for kind in _KINDS for motor in motors), key=_rank)
