@@ -57,7 +57,7 @@ INTERNAL_MOTOR: Final = 0x001100  # 64 X/Y pairs per motor, $1100-$18FF
 INTERNAL_MOTOR_STEP: Final = 0x40
 INTERNAL_GLOBAL: Final = 0x003200  # $3200-$32FF: I0-I99, one word each (X) where no home is known
 INTERNAL_GATHER: Final = 0x0032F0  # X: I5000
-INTERNAL_SERVO_IC_VARIABLES: Final = 0x003340  # X: I7m00-I7m99 of IC m at +$64*m, m = 0, 1
+INTERNAL_SERVO_IC: Final = 0x003340  # I7m00-I7m99 at +0..+99, X for IC 0, Y for IC 1
 
 
 def motor_base(motor: int) -> int:
