@@ -191,11 +191,10 @@ def localise(
     if np.count_nonzero(good) < 4 * _BINS:
         return ()
     names = [n for n in COORDINATE_UNITS if all(n in c.values for c in coordinates)]
-    inflation = _inflation(residual_m)
     regions = []
     for name in names:
         along = np.concatenate([c.values[name] for c in coordinates])
-        region = _bin_test(joined[good], along[good], name, channel, inflation, len(names))
+        region = _bin_test(joined[good], along[good], name, channel, len(names))
         if region is not None:
             regions.append(region)
     regions.append(_frequency_region(residual_m, channel, sample_s))
@@ -204,15 +203,8 @@ def localise(
     return tuple(sorted(kept, key=lambda r: (r.coordinate == "frequency", -r.share)))
 
 
-def _inflation(residual_m: Sequence[FloatArray]) -> float:
-    """Samples per independent sample."""
-    clean = [np.nan_to_num(r - np.nanmean(r)) for r in residual_m]
-    total = sum(r.size for r in clean)
-    return total / max(1.0, sum(effective_size(r) for r in clean))
-
-
 def _bin_test(
-    residual: FloatArray, along: FloatArray, name: str, channel: str, inflation: float, tried: int
+    residual: FloatArray, along: FloatArray, name: str, channel: str, tried: int
 ) -> Region | None:
     """Variance of bin means against what the effective number of samples allows."""
     edges = np.unique(np.quantile(along, np.linspace(0.0, 1.0, _BINS + 1)))
@@ -228,12 +220,15 @@ def _bin_test(
         return None
     explained = float((counts * means**2)[keep].sum())
     freedom = int(np.count_nonzero(keep)) - 1
-    # A coordinate that varies fast against the residual's memory averages it down, a slow one
-    # does not; the inflation of the whole series is the cautious choice for all.
-    statistic = explained / (power / residual.size) / max(1.0, inflation)
+    # What the coordinate leaves is the noise it is judged by, with its own memory: a coordinate
+    # that explains everything leaves white noise, one that explains nothing leaves the colour.
+    remainder = residual - np.where(keep, means, 0.0)[index]
+    inflation = residual.size / effective_size(remainder)
+    noise = max(float(remainder @ remainder) / residual.size, 1e-6 * power / residual.size)
+    statistic = explained / noise / inflation
     p_value = corrected_p(float(chi2_distribution.sf(statistic, freedom)), tried)
     worst = int(np.argmax(np.abs(means)))
-    chance = freedom * max(1.0, inflation) / residual.size
+    chance = freedom * inflation * noise / power
     return Region(
         channel=channel,
         coordinate=name,

@@ -7,6 +7,7 @@ every sample as independent makes any nonsense win. Everything here either remov
 correlation (vector autoregressive whitening) or counts it (effective size, blocks).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -216,9 +217,11 @@ def sign_flip_p(differences: FloatArray, *, seed: int, draws: int = 2000) -> flo
     rng = np.random.default_rng(seed)
     flips = rng.choice(np.array([-1.0, 1.0]), size=(draws, n))
     hits = int(np.count_nonzero(flips @ differences / n >= observed))
+    least = math.exp2(-n)
     if hits > 0:
-        return (hits + 1) / (draws + 1)
-    return float(max(2.0**-n, norm.sf(studentised(differences))))
+        return max(least, (hits + 1) / (draws + 1))
+    tail = float(norm.sf(studentised(differences)))
+    return max(least, tail)
 
 
 def studentised(differences: FloatArray) -> float:
