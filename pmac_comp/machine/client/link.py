@@ -1,0 +1,333 @@
+"""One exchange over a transport: send a line, read the whole answer, find the mark after trouble.
+
+What lives here: the two ways in which a line and its answer travel (packet port, ASCII port), and
+how a conversation is brought to a known point. It does not know which commands may be repeated,
+nor what they mean; that is the commander's.
+
+The wire has no request numbers. After a missed deadline a late answer would be taken for the
+answer to the next question; so a link that missed one is *unsettled*, and settles only by seeing
+the answer to a question that nobody else can have asked: a random pattern of I3 and I6, whose
+values (2 and 1) were set when the session began. The question only reads.
+"""
+
+import secrets
+from dataclasses import dataclass
+from typing import Protocol
+
+from pmac_comp.base.clock import Clock, Deadline
+from pmac_comp.base.errors import LinkLost, RemoteProtocolError, ReplyTimeout
+from pmac_comp.machine.transport.base import Transport
+from pmac_comp.machine.wire import dialog, ethernet
+from pmac_comp.machine.wire.dialog import Reply, ReplyReader
+
+QUIET_S = 0.25
+"""A pause inside an answer after which the packet port is asked for more."""
+_SETTLE_S = 0.06
+_BUSY_POLL_S = 0.02
+_MARK_LENGTH = 16
+_MARK_SYMBOLS = (("I3", "2"), ("I6", "1"))
+
+
+@dataclass
+class Statistics:
+    """What a session has cost so far."""
+
+    requests: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    retries: int = 0
+    resynchronisations: int = 0
+    stray_bytes: int = 0
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A question that identifies its answer.
+
+    Parameters
+    ----------
+    question : bytes
+        Command line, reads only.
+    values : tuple of str
+        The values it is answered with.
+    """
+
+    question: bytes
+    values: tuple[str, ...]
+
+    @classmethod
+    def fresh(cls) -> "Mark":
+        """A mark that was not used before in this session, up to chance 1 in 65536."""
+        bits = secrets.randbits(_MARK_LENGTH)
+        chosen = [_MARK_SYMBOLS[bits >> k & 1] for k in range(_MARK_LENGTH)]
+        return cls("".join(name for name, _ in chosen).encode(), tuple(v for _, v in chosen))
+
+    def answer(self, i4: int) -> bytes:
+        """The bytes that answer it with I3=2 and I6=1."""
+        return dialog.format_reply(self.values, i3=2, i4=i4, i6=1, command=self.question)
+
+
+class Link(Protocol):
+    """A conversation in which one thing at a time is asked."""
+
+    transport: Transport
+    statistics: Statistics
+    unsettled: bool
+
+    def exchange(self, command: bytes, deadline: Deadline) -> Reply:
+        """Send a command line once and read its whole answer."""
+        ...
+
+    def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
+        """Send a control character; the line that answers it, if it is one that answers."""
+        ...
+
+    def collect(self, command: bytes, deadline: Deadline) -> bytes:
+        """Send a command line and take all bytes until the line goes quiet, in any mode."""
+        ...
+
+    def settle(self, deadline: Deadline) -> None:
+        """Bring the conversation to a known point, or end it."""
+        ...
+
+
+class BaseLink:
+    """What both kinds of link share: counting, deadlines, stray bytes, the search for the mark."""
+
+    def __init__(self, transport: Transport, clock: Clock, *, i4: int = 0, limit: int) -> None:
+        self.transport = transport
+        self.statistics = Statistics()
+        self.unsettled = False
+        self.unsolicited: list[str] = []
+        self._clock = clock
+        self.i4 = i4
+        self._limit = limit
+
+    def _send(self, data: bytes, deadline: Deadline) -> None:
+        self.statistics.requests += 1
+        self.statistics.bytes_sent += len(data)
+        self.transport.send(data, deadline)
+
+    def _receive(self, deadline: Deadline) -> bytes:
+        if deadline.expired():
+            raise ReplyTimeout(f"{self.transport.name} did not answer in time")
+        data = self.transport.receive(deadline)
+        self.statistics.bytes_received += len(data)
+        return data
+
+    def _receive_within(self, wait_s: float, deadline: Deadline) -> bytes:
+        """Bytes, or none if none came within ``wait_s``; the deadline still raises."""
+        at_s = min(self._clock.now_s() + wait_s, deadline.at_s)
+        try:
+            return self._receive(Deadline(self._clock, at_s))
+        except ReplyTimeout:
+            if deadline.expired():
+                raise
+            return b""
+
+    def _clear_way(self, deadline: Deadline) -> None:
+        """Nothing may be under way when a question is asked."""
+        if self.unsettled:
+            self.settle(deadline)
+        stray = self.transport.drain()
+        if stray and not self._take_unsolicited(stray):
+            self.statistics.stray_bytes += len(stray)
+            self.settle(deadline)
+
+    def _take_unsolicited(self, data: bytes) -> bool:
+        """Keep what programs have sent on their own; False if there is anything else."""
+        reader = ReplyReader(checksum=bool(self.i4 & 1), limit=self._limit)
+        finished = reader.receive(data)
+        reply = reader.reply
+        if finished or reply.lines or reply.faults or not reader.at_line_start:
+            return False
+        self.unsolicited += reply.unsolicited
+        return True
+
+    def _finish(self, reader: ReplyReader) -> Reply:
+        if reader.rest:
+            self.unsettled = True
+            self.statistics.stray_bytes += len(reader.rest)
+        self.unsolicited += reader.reply.unsolicited
+        return reader.reply
+
+    def settle(self, deadline: Deadline) -> None:
+        """Drop what is pending and find a mark; the link is closed if it does not come."""
+        self.statistics.resynchronisations += 1
+        self.transport.renew()
+        mark = Mark.fresh()
+        try:
+            self._silence(deadline)
+            self._ask(mark.question, deadline)
+            self._find(mark.answer(self.i4), deadline)
+        except (ReplyTimeout, RemoteProtocolError) as error:
+            self.transport.close()
+            kind = ReplyTimeout if isinstance(error, ReplyTimeout) else LinkLost
+            raise kind(
+                f"{self.transport.name}: the conversation could not be brought to a known point",
+                hint="The connection was closed. Run the command again to open a new one.",
+            ) from error
+        self.unsettled = False
+
+    def _find(self, wanted: bytes, deadline: Deadline) -> None:
+        seen = bytearray()
+        while not seen.endswith(wanted):
+            seen += self._receive(deadline)
+            if len(seen) > self._limit:
+                raise RemoteProtocolError("endless answer while looking for the mark")
+
+    def _silence(self, deadline: Deadline) -> None:
+        raise NotImplementedError
+
+    def _ask(self, command: bytes, deadline: Deadline) -> None:
+        raise NotImplementedError
+
+    def _take_until_quiet(self, deadline: Deadline) -> bytes:
+        taken = bytearray()
+        while data := self._receive_within(_SETTLE_S, deadline):
+            taken += data
+            if len(taken) > self._limit:
+                raise RemoteProtocolError(f"the answer exceeds {self._limit} bytes")
+        return bytes(taken)
+
+
+class PacketLink(BaseLink):
+    """The Ethernet packet port."""
+
+    def request(self, request: ethernet.Request, deadline: Deadline) -> bytes:
+        """The answer to a request whose size is known beforehand."""
+        size = ethernet.reply_size(request)
+        if size is None:
+            raise ValueError(f"{request.name} is answered with text")
+        self._clear_way(deadline)
+        self.unsettled = True
+        self._send(ethernet.encode(request), deadline)
+        data = b""
+        while len(data) < size:
+            data += self._receive(deadline)
+        self.unsettled = len(data) > size
+        return data[:size]
+
+    def exchange(self, command: bytes, deadline: Deadline) -> Reply:
+        """Send a command line with GETRESPONSE and read its whole answer with GETBUFFER."""
+        request = ethernet.encode(ethernet.get_response(command))
+        self._clear_way(deadline)
+        reader = ReplyReader(limit=self._limit, checksum=bool(self.i4 & 1))
+        self.unsettled = True
+        self._send(request, deadline)
+        self._read_parts(reader, deadline)
+        return self._finish(reader)
+
+    def _read_parts(self, reader: ReplyReader, deadline: Deadline) -> None:
+        part = 0
+        extra_request = False
+        while True:
+            data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
+            part += len(data)
+            if reader.receive(data):
+                break
+            if not data and not extra_request:
+                extra_request = True  # a part shorter than 1400 bytes that was not the last
+            elif not data.strip(b"\x00") and data:
+                self._clock.sleep_s(_BUSY_POLL_S)  # busy: a lone null byte
+            elif part != ethernet.MAX_REPLY:
+                continue
+            part = 0 if data else part
+            self._send(ethernet.encode(ethernet.get_buffer()), deadline)
+        self.unsettled = extra_request
+
+    def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
+        """Send a control character through its own request."""
+        if not answers:
+            self.request(ethernet.send_control(character), deadline)
+            return b""
+        self._clear_way(deadline)
+        self.unsettled = True
+        self._send(ethernet.encode(ethernet.control_response(character)), deadline)
+        text = bytearray()
+        while b"\r" not in text and len(text) < ethernet.MAX_REPLY:
+            text += self._receive(deadline)
+        # An ACK may follow the line or not: what comes late is found as a stray.
+        text += self._receive_within(_SETTLE_S / 3, deadline) if text[-1:] == b"\r" else b""
+        self.unsettled = False
+        return bytes(text).partition(b"\r")[0]
+
+    def collect(self, command: bytes, deadline: Deadline) -> bytes:
+        """All that answers a line in whatever mode: parts are asked for until none comes."""
+        self._silence(deadline)
+        self._ask(command, deadline)
+        taken = self._receive(deadline)
+        while True:
+            more = self._take_until_quiet(deadline)
+            taken += more
+            reader = ReplyReader(limit=self._limit)
+            if reader.receive(taken) and not reader.rest:
+                return taken
+            self._send(ethernet.encode(ethernet.get_buffer()), deadline)
+            more = self._take_until_quiet(deadline)
+            taken += more
+            if not more.strip(b"\x00"):
+                return taken.replace(b"\x00", b"")
+
+    def _silence(self, deadline: Deadline) -> None:
+        self._send(ethernet.encode(ethernet.flush()), deadline)
+        self._receive(deadline)
+        self._take_until_quiet(deadline)
+
+    def _ask(self, command: bytes, deadline: Deadline) -> None:
+        self._send(ethernet.encode(ethernet.get_response(command)), deadline)
+
+
+class LineLink(BaseLink):
+    """An ASCII port: serial line or terminal server."""
+
+    def exchange(self, command: bytes, deadline: Deadline) -> Reply:
+        """Send a command line and read its whole answer."""
+        self._clear_way(deadline)
+        reader = ReplyReader(checksum=bool(self.i4 & 1), limit=self._limit)
+        self.unsettled = True
+        self._ask(command, deadline)
+        while not reader.receive(self._receive(deadline)):
+            pass
+        self.unsettled = False
+        reply = self._finish(reader)
+        if reply.faults:
+            self.unsettled = True
+        return self._with_command_check(reply, command)
+
+    def _with_command_check(self, reply: Reply, command: bytes) -> Reply:
+        expected = dialog.command_sum(command)
+        if reply.command_sum in (None, expected):
+            return reply
+        fault = f"the controller received another line (sum {reply.command_sum}, not {expected})"
+        return Reply(
+            reply.lines, reply.error, reply.unsolicited, reply.command_sum, (*reply.faults, fault)
+        )
+
+    def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
+        """Send a control character as it is."""
+        self._clear_way(deadline)
+        self._send(bytes([character]), deadline)
+        if not answers:
+            return b""
+        self.unsettled = True
+        text = bytearray()
+        size = 1 + (self.i4 & 1)
+        while b"\r" not in text[: len(text) - size + 1]:
+            text += self._receive(deadline)
+        self.unsettled = False
+        return bytes(text).partition(b"\r")[0].strip(b"\n")
+
+    def collect(self, command: bytes, deadline: Deadline) -> bytes:
+        """All that answers a line in whatever mode."""
+        self._silence(deadline)
+        self._ask(command, deadline)
+        first = self._receive(deadline)
+        return first + self._take_until_quiet(deadline)
+
+    def _silence(self, deadline: Deadline) -> None:
+        self._send(bytes([dialog.CAN]), deadline)
+        self._take_until_quiet(deadline)
+
+    def _ask(self, command: bytes, deadline: Deadline) -> None:
+        self._send(command + b"\r", deadline)
