@@ -1,0 +1,1 @@
+"""The card's languages: scanner, expressions, program statements, program buffers."""
