@@ -1,1 +1,1 @@
-"""Typer commands: parse, call workflow, render. No logic, no numbers."""
+"""Command line: parse, call ``workflow``, render. No logic, no numbers."""

@@ -1,0 +1,75 @@
+"""The command line: parse, call ``workflow``, render. No logic and no numbers here.
+
+What lives here: the list of commands, the way errors become exit codes, and the option ``--json``
+that every command has. Commands sit in one module per group and load the rest on use, so that
+``--help`` stays quick.
+"""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from pmac_comp import __version__
+from pmac_comp.base.errors import InternalError, PmacCompError
+from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
+
+app = typer.Typer(
+    name="pmac-comp",
+    help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="First try: `pmac-comp demo`. Controllers are named by URL: sim:// tcp://host:1025 "
+    "udp://host:1025 serial:///dev/ttyS0?baud=38400 ssh://user@gateway/host:1025",
+)
+for group in (simulation, controller, drive, compensation, tools):
+    group.register(app)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: bool = typer.Option(False, "--version", help="Print the version and stop."),
+) -> None:
+    if version:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command and leave with its exit code (0 done, 2..9 and 70 by error class)."""
+    words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
+    wants_json = output.JSON_STDOUT in words
+    try:
+        app(args=words, prog_name="pmac-comp")
+    except PmacCompError as error:
+        output.show_error(error, wants_json)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        output.say("interrupted")
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(1)
+    except Exception as error:
+        output.show_error(_as_bug(error), wants_json)
+        sys.exit(InternalError.exit_code)
+
+
+def _as_bug(error: Exception) -> InternalError:
+    """The unforeseen as a bug report: where it happened, without a page of traceback."""
+    place: Any = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    where = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}" if place else "unknown place"
+    return InternalError(
+        f"{type(error).__name__} at {where}: {error}",
+        code="PC-BUG-001",
+        hint="This is a bug of pmac-comp. Please report it with this line and, after an upload, "
+        "the journal.",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,280 @@
+"""Commands of the compensation: compute, compare, upload, take back, verify, improve."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pmac_comp.cli import output
+from pmac_comp.cli.controller import (
+    BenchOption,
+    DryRunOption,
+    UrlArgument,
+    YesOption,
+    confirmed,
+)
+from pmac_comp.cli.output import JsonOption, ProgressLines
+
+RouteOption = Annotated[str, typer.Option("--route", help="table, law, servo, cam or program")]
+LawArgument = Annotated[Path, typer.Argument(help="Compensation file written by `compensate`")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this group."""
+    app.command("compensate")(compensate)
+    app.command("diff")(diff)
+    app.command("upload")(upload)
+    app.command("recover")(recover)
+    app.command("rollback")(rollback)
+    app.command("verify")(verify)
+    app.command("improve")(improve)
+
+
+def compensate(
+    bench: BenchOption,
+    model: Annotated[Path, typer.Option("--model", "-m", help="Model file of `identify`")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Compensation file to write")] = Path(
+        "compensation.json"
+    ),
+    route: RouteOption = "law",
+    slow: Annotated[
+        list[Path] | None,
+        typer.Option("--slow", help="Slow bidirectional run for the lead table (repeatable)"),
+    ] = None,
+    command: Annotated[
+        Path | None, typer.Option("--command", "-c", help="The motion for cam and program (CSV)")
+    ] = None,
+    limit: Annotated[
+        bool, typer.Option("--limit", help="Clip to the safety limits and list what was cut")
+    ] = False,
+    effects: Annotated[
+        Path | None, typer.Option("--effects", help="Python file with effects of your own")
+    ] = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Compute the compensation from a model, limited and quantised, with its cost."""
+    from pmac_comp.workflow.deploy import compensate_files
+
+    result = compensate_files(
+        bench,
+        model,
+        output.checked_target(out),
+        route=route,
+        slow=tuple(slow or ()),
+        command=command,
+        clip=limit,
+        effects=effects,
+    )
+
+    def show() -> None:
+        output.table("compensation", ("item", "value"), result["summary"].items())
+        for line in result["remarks"]:
+            output.echo(f"  note: {line}")
+        output.echo(f"compensation: {out}")
+
+    output.finish(result, json_target, show)
+
+
+def diff(
+    url: UrlArgument,
+    new: LawArgument,
+    bench: BenchOption = "paper",
+    plot: Annotated[Path | None, typer.Option("--plot", help="SVG or PNG to write")] = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Show the compensation on the controller against a new one, in numbers and as a plot."""
+    from pmac_comp.workflow.deploy import difference
+
+    result = difference(url, bench, new)
+    if plot is not None:
+        from pmac_comp.report.figures import save_difference_plot
+
+        save_difference_plot(result, output.checked_target(plot))
+
+    def show() -> None:
+        output.table("old against new", ("quantity", "old", "new", "unit"), result["rows"])
+        output.echo(f"largest change: {result['largest_change_um']:.3f} um")
+
+    output.finish(result, json_target, show)
+
+
+def upload(
+    url: UrlArgument,
+    new: LawArgument,
+    bench: BenchOption = "paper",
+    persist: Annotated[
+        bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
+    ] = False,
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Folder for backup and journal")
+    ] = Path("pmac-comp-journal"),
+    yes: YesOption = False,
+    dry_run: DryRunOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Upload a compensation as one transaction; ends in OLD, NEW or DISABLED."""
+    from pmac_comp.workflow.deploy import plan_upload, upload_file
+
+    plan = plan_upload(url, bench, new)
+
+    def show_plan() -> None:
+        for line in plan["plan"]:
+            output.echo(line)
+        if dry_run:
+            for line in plan["lines"]:
+                output.echo(line)
+
+    if dry_run:
+        output.finish(plan, json_target, show_plan)
+        return
+    if json_target != "-":
+        show_plan()
+    confirmed(f"Upload {new} to {url}?", yes=yes)
+    progress = ProgressLines()
+    result = upload_file(url, bench, new, journal, persist=persist, progress=progress)
+    progress.close()
+
+    def show() -> None:
+        output.echo(f"{result['verdict']}: {result['summary']}")
+        output.echo(result["next"])
+
+    output.finish(result, json_target, show)
+
+
+def recover(
+    url: UrlArgument,
+    bench: BenchOption = "paper",
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Folder for backup and journal")
+    ] = Path("pmac-comp-journal"),
+    json_target: JsonOption = "",
+) -> None:
+    """Settle what an interrupted upload left; ends in OLD, NEW or DISABLED."""
+    from pmac_comp.workflow.deploy import recover_upload
+
+    progress = ProgressLines()
+    result = recover_upload(url, bench, journal, progress=progress)
+    progress.close()
+    output.finish(
+        result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
+    )
+
+
+def rollback(
+    url: UrlArgument,
+    bench: BenchOption = "paper",
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Folder for backup and journal")
+    ] = Path("pmac-comp-journal"),
+    yes: YesOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Bring back what the last upload replaced, verified."""
+    from pmac_comp.workflow.deploy import rollback_upload
+
+    confirmed(f"Roll back the last upload on {url}?", yes=yes)
+    progress = ProgressLines()
+    result = rollback_upload(url, bench, journal, progress=progress)
+    progress.close()
+    output.finish(
+        result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
+    )
+
+
+def verify(
+    url: Annotated[
+        str, typer.Argument(help="Controller, or nothing with --before and --after")
+    ] = "",
+    bench: BenchOption = "paper",
+    model: Annotated[
+        Path | None, typer.Option("--model", "-m", help="Model file, for the promise")
+    ] = None,
+    law: Annotated[
+        Path | None, typer.Option("--compensation", help="Compensation file, for the promise")
+    ] = None,
+    before: Annotated[
+        list[Path] | None, typer.Option("--before", help="Stored capture without compensation")
+    ] = None,
+    after: Annotated[
+        list[Path] | None, typer.Option("--after", help="Stored capture with compensation")
+    ] = None,
+    motion: Annotated[
+        list[str] | None, typer.Option("--motion", help="As in `capture` (repeatable)")
+    ] = None,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Pairs of runs a motion")] = 2,
+    seed: Annotated[int, typer.Option("--seed", help="Draws the motions")] = 0,
+    refine: Annotated[
+        int, typer.Option("--refine", min=0, help="Learning passes on the repeated motion")
+    ] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for captures and result")
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    yes: YesOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Measure before and after on fresh runs, alternating, against the promise."""
+    from pmac_comp.workflow.verify import verify_files, verify_on_controller
+
+    progress = ProgressLines()
+    if before or after:
+        outcome = verify_files(bench, before or [], after or [], model=model, law=law)
+    else:
+        confirmed(f"Run verification motions on {url}?", yes=yes)
+        outcome = verify_on_controller(
+            url,
+            bench,
+            model=model,
+            law=law,
+            motions=tuple(motion or ()),
+            repeats=repeats,
+            seed=seed,
+            refine=refine,
+            out=out,
+            progress=progress,
+        )
+    progress.close()
+    if report is not None:
+        from pmac_comp.report.run import write_verification_report
+
+        write_verification_report(outcome, output.checked_target(report))
+
+    def show() -> None:
+        for line in outcome.lines():
+            output.echo(line)
+        if report is not None:
+            output.echo(f"report: {report}")
+
+    output.finish(outcome.as_result(), json_target, show)
+
+
+def improve(
+    url: UrlArgument,
+    bench: BenchOption,
+    model: Annotated[Path | None, typer.Option("--model", "-m", help="Model to start from")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for everything")] = Path(
+        "pmac-comp-improve"
+    ),
+    route: RouteOption = "law",
+    seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
+    effects: Annotated[
+        Path | None, typer.Option("--effects", help="Python file with effects of your own")
+    ] = None,
+    yes: YesOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Diagnose, grow the model, recompute the compensation, upload it and verify."""
+    from pmac_comp.workflow.improve import improve_on_controller
+
+    confirmed(f"Run motions on {url} and upload new compensation?", yes=yes)
+    progress = ProgressLines()
+    result = improve_on_controller(
+        url, bench, out, model=model, route=route, seed=seed, effects=effects, progress=progress
+    )
+    progress.close()
+
+    def show() -> None:
+        for line in result.lines():
+            output.echo(line)
+
+    output.finish(result.as_result(), json_target, show)

@@ -1,0 +1,220 @@
+"""Commands on a controller that change no compensation.
+
+``doctor info status terminal backup restore capture``.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.cli import output
+from pmac_comp.cli.output import JsonOption, ProgressLines
+
+UrlArgument = Annotated[
+    str,
+    typer.Argument(help="sim:// tcp://host:1025 udp://host:1025 serial:///dev/ttyS0 ssh://..."),
+]
+BenchOption = Annotated[
+    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+]
+YesOption = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask")]
+DryRunOption = Annotated[
+    bool, typer.Option("--dry-run", help="Print what would be sent, change nothing")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this group."""
+    app.command("doctor")(doctor)
+    app.command("info")(info)
+    app.command("status")(status)
+    app.command("terminal")(terminal)
+    app.command("backup")(backup)
+    app.command("restore")(restore)
+    app.command("capture")(capture)
+
+
+def confirmed(question: str, *, yes: bool) -> None:
+    """Ask before something changes; a pipe without ``--yes`` counts as no."""
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError(
+            f"{question} Nobody can answer here.",
+            code="PC-CLI-010",
+            hint="Nothing was changed. Add --yes to go on without asking, or --dry-run to look.",
+        )
+    if not typer.confirm(question, err=True):
+        output.say("nothing was changed")
+        raise typer.Exit
+
+
+def doctor(
+    url: Annotated[str, typer.Argument(help="Controller to look at, none: this machine")] = "",
+    bench: BenchOption = "paper",
+    compile_kernels: Annotated[
+        bool, typer.Option("--compile", help="Compile the numerical kernels now")
+    ] = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Check this installation and, with a URL, the controller against the bench file."""
+    from pmac_comp.workflow.doctor import examine
+
+    progress = ProgressLines()
+    findings = examine(url, bench, compile_kernels=compile_kernels, progress=progress)
+    progress.close()
+
+    def show() -> None:
+        output.table(
+            "", ("state", "check", "found"), [(f.state, f.check, f.found) for f in findings]
+        )
+
+    result = {"findings": findings, "ok": all(f.state != "bad" for f in findings)}
+    output.finish(result, json_target, show)
+
+
+def info(url: UrlArgument, json_target: JsonOption = "") -> None:
+    """Show what answers at a URL: firmware, type, memory, clock."""
+    from pmac_comp.workflow.inspect import controller_info
+
+    result = controller_info(url)
+    output.finish(result, json_target, lambda: output.table(url, ("item", "value"), result.items()))
+
+
+def status(url: UrlArgument, bench: BenchOption = "paper", json_target: JsonOption = "") -> None:
+    """Show motors, compensation tables, law bank and what the last upload left."""
+    from pmac_comp.workflow.inspect import controller_status
+
+    result = controller_status(url, bench)
+
+    def show() -> None:
+        output.table(
+            "motors",
+            ("motor", "position ct", "following error ct", "state"),
+            [
+                (f"#{m['number']}", m["position_ct"], m["following_error_ct"], m["state"])
+                for m in result["motors"]
+            ],
+        )
+        output.table("compensation", ("item", "value"), result["compensation"].items())
+
+    output.finish(result, json_target, show)
+
+
+def terminal(
+    url: UrlArgument,
+    command: Annotated[
+        list[str] | None, typer.Option("--command", "-c", help="Send this and stop (repeatable)")
+    ] = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Talk to a controller in its own language."""
+    from pmac_comp.workflow.inspect import terminal_session
+
+    with terminal_session(url) as ask:
+        if command:
+            answers = [{"command": line, "answer": ask(line)} for line in command]
+            output.finish(
+                answers,
+                json_target,
+                lambda: [output.echo(x) for item in answers for x in item["answer"]] and None,
+            )
+            return
+        output.say("one command per line; end with Ctrl-D")
+        for line in sys.stdin:
+            for answer in ask(line.rstrip("\r\n")):
+                output.echo(answer)
+
+
+def backup(
+    url: UrlArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Backup file to write")],
+    bench: BenchOption = "paper",
+    json_target: JsonOption = "",
+) -> None:
+    """Read everything relevant from the controller into a file, twice, and compare."""
+    from pmac_comp.workflow.safekeeping import backup_to_file
+
+    progress = ProgressLines()
+    result = backup_to_file(url, bench, output.checked_target(out), progress=progress)
+    progress.close()
+    output.finish(result, json_target, lambda: output.echo(f"{out}: {result['summary']}"))
+
+
+def restore(
+    url: UrlArgument,
+    source: Annotated[Path, typer.Argument(help="Backup file, or a program file to download")],
+    bench: BenchOption = "paper",
+    yes: YesOption = False,
+    dry_run: DryRunOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Bring a backup back and verify it item by item."""
+    from pmac_comp.workflow.safekeeping import plan_restore, restore_from_file
+
+    plan = plan_restore(url, bench, source)
+    if dry_run:
+        output.finish(plan, json_target, lambda: [output.echo(x) for x in plan["lines"]] and None)
+        return
+    confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes)
+    progress = ProgressLines()
+    result = restore_from_file(url, bench, source, progress=progress)
+    progress.close()
+    output.finish(result, json_target, lambda: output.echo(str(result["summary"])))
+
+
+def capture(
+    url: UrlArgument,
+    bench: BenchOption,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the captures")] = Path(
+        "runs"
+    ),
+    motion: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--motion",
+            help="e.g. sine:amplitude_mm=10,frequency_Hz=2 or trapezoid:distance_mm=100 or a CSV "
+            "file with a command (repeatable); none: the proposed campaign",
+        ),
+    ] = None,
+    campaign: Annotated[
+        str, typer.Option("--campaign", help="calibration, lead or repeat")
+    ] = "calibration",
+    recover: Annotated[
+        Path | None, typer.Option("--recover", help="Rebuild captures from this capture log")
+    ] = None,
+    yes: YesOption = False,
+    dry_run: DryRunOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Run motions and gather them at servo rate; shows each motion and asks first."""
+    from pmac_comp.workflow.calibrate import capture_to_folder, plan_capture, recover_to_folder
+
+    if recover is not None:
+        result = recover_to_folder(recover, bench, out)
+        output.finish(result, json_target, lambda: output.echo(str(result["summary"])))
+        return
+    plan = plan_capture(bench, campaign=campaign, motions=tuple(motion or ()))
+
+    def show_plan() -> None:
+        output.table(
+            "motions",
+            ("name", "duration s", "from mm", "to mm", "peak mm/s", "peak m/s2"),
+            plan.rows(),
+        )
+
+    if dry_run:
+        output.finish(plan.as_result(), json_target, show_plan)
+        return
+    if json_target != "-":
+        show_plan()
+    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
+    progress = ProgressLines()
+    result = capture_to_folder(url, bench, plan, out, progress=progress)
+    progress.close()
+    output.finish(
+        result, json_target, lambda: [output.echo(str(p)) for p in result["files"]] and None
+    )

@@ -1,0 +1,162 @@
+"""Commands on captures and models: ``identify``, ``predict``, ``diagnose``, ``compare``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pmac_comp.cli import output
+from pmac_comp.cli.output import JsonOption, ProgressLines
+
+BenchOption = Annotated[
+    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+]
+CapturesArgument = Annotated[list[Path], typer.Argument(help="Captures: .h5 .csv .mat")]
+EffectsOption = Annotated[
+    Path | None, typer.Option("--effects", help="Python file with effects of your own")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this group."""
+    app.command("identify")(identify)
+    app.command("predict")(predict)
+    app.command("diagnose")(diagnose)
+    app.command("compare")(compare)
+
+
+def identify(
+    captures: CapturesArgument,
+    bench: BenchOption,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Model file to write")] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Start from this model and its effects")
+    ] = None,
+    with_effect: Annotated[
+        list[str] | None, typer.Option("--with", help="Add an effect by name (repeatable)")
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    effects: EffectsOption = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Identify friction and stiffness together from captures, with intervals."""
+    from pmac_comp.workflow.identification import identify_files
+
+    progress = ProgressLines()
+    outcome = identify_files(
+        captures,
+        bench,
+        model=model,
+        added=tuple(with_effect or ()),
+        effects=effects,
+        progress=progress,
+    )
+    progress.close()
+    if out is not None:
+        outcome.write(output.checked_target(out))
+    if report is not None:
+        from pmac_comp.report.identification import write_identification_report
+
+        write_identification_report(outcome, output.checked_target(report))
+
+    def show() -> None:
+        output.table(
+            "identified",
+            ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %", "published/known"),
+            outcome.rows(),
+        )
+        for line in outcome.statements():
+            output.echo(f"  {line}")
+        for path, what in ((out, "model"), (report, "report")):
+            if path is not None:
+                output.echo(f"{what}: {path}")
+
+    output.finish(outcome.as_result(), json_target, show)
+
+
+def predict(
+    bench: BenchOption,
+    model: Annotated[Path, typer.Option("--model", "-m", help="Model file")],
+    command: Annotated[Path, typer.Option("--command", "-c", help="CSV with the command")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write")],
+    effects: EffectsOption = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Predict motor and table position and torque for a command from rest."""
+    from pmac_comp.workflow.identification import predict_files
+
+    result = predict_files(bench, model, command, output.checked_target(out), effects=effects)
+    output.finish(
+        result, json_target, lambda: output.echo(f"{out}: {result['samples']} samples predicted")
+    )
+
+
+def diagnose(
+    captures: CapturesArgument,
+    bench: BenchOption,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Capture for judging (repeatable)")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Base model instead of the default one")
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    effects: EffectsOption = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Find where simulation and measurement disagree and name the missing effect."""
+    from pmac_comp.workflow.diagnosis import diagnose_files
+
+    progress = ProgressLines()
+    outcome = diagnose_files(
+        captures,
+        validate or [],
+        bench,
+        model=model,
+        effects=effects,
+        model_out=None
+        if json_target in {"", "-"}
+        else Path(json_target).with_suffix(".model.json"),
+        progress=progress,
+    )
+    progress.close()
+    if report is not None:
+        from pmac_comp.report.diagnosis import write_diagnosis_report
+
+        write_diagnosis_report(outcome, output.checked_target(report))
+
+    def show() -> None:
+        for line in outcome.lines():
+            output.echo(line)
+        if report is not None:
+            output.echo(f"report: {report}")
+
+    output.finish(outcome.as_result(), json_target, show)
+
+
+def compare(
+    captures: CapturesArgument,
+    bench: BenchOption,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", help="Capture for judging (repeatable)")
+    ] = None,
+    json_target: JsonOption = "",
+) -> None:
+    """Fit rival models to the same captures and show what each leaves uncorrected."""
+    from pmac_comp.workflow.comparison import compare_files
+
+    progress = ProgressLines()
+    result = compare_files(captures, validate or [], bench, progress=progress)
+    progress.close()
+
+    def show() -> None:
+        output.table(
+            "what each model leaves uncorrected (rms, captures not used for fitting)",
+            ("model", "left um", "of um", "parameters", "source"),
+            [
+                (r["name"], r["left_rms_um"], r["error_rms_um"], r["n_parameters"], r["source"])
+                for r in result["models"]
+            ],
+        )
+
+    output.finish(result, json_target, show)

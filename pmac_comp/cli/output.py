@@ -1,0 +1,218 @@
+"""What commands print: JSON, tables, progress and errors, all text escaped.
+
+What lives here: rendering only. Standard output carries the result (a table, or one JSON
+document), standard error carries progress and errors, so that results can be piped.
+"""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
+
+JSON_STDOUT = "--json=-"
+Progress = Callable[[str, float], None]
+
+JsonOption = Annotated[
+    str,
+    typer.Option(
+        "--json",
+        metavar="[FILE]",
+        help="Result as JSON on standard output, or into FILE (a name that ends in .json).",
+        show_default=False,
+    ),
+]
+
+
+def spell_out_json(words: list[str]) -> list[str]:
+    """Words of the command line with a bare ``--json`` written as ``--json=-``.
+
+    A following word is taken as the file only if it ends in ``.json``; then it is an output and
+    never an input.
+    """
+    out: list[str] = []
+    rest = iter(range(len(words)))
+    for i in rest:
+        if words[i] != "--json":
+            out.append(words[i])
+            continue
+        following = words[i + 1] if i + 1 < len(words) else ""
+        if following.endswith(".json") or following == "-":
+            out.append(f"--json={following}")
+            next(rest, None)
+        else:
+            out.append(JSON_STDOUT)
+    return out
+
+
+def plain(value: Any) -> Any:
+    """Value as what JSON can hold; NaN and infinity become null, arrays become lists."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Path):
+        return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if hasattr(value, "model_dump"):
+        return plain(value.model_dump(mode="json"))
+    if isinstance(value, Mapping):
+        return {str(plain(key)): plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, (str, int, bool, type(None))) else str(value)
+
+
+def write_json(target: str, result: Any) -> None:
+    """One JSON document to standard output (``-``) or whole into a file."""
+    text = json.dumps(plain(result), indent=2) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        sys.stdout.flush()
+        return
+    from pmac_comp.base.atomic import atomic_write_text
+
+    atomic_write_text(checked_target(Path(target)), text)
+
+
+def checked_target(path: Path) -> Path:
+    """Path of an output whose folder exists; parents are made.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be made or the path is a folder.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"The folder {path.parent} cannot be used: {error}.",
+            code="PC-CLI-001",
+            hint="Name a folder that can be written.",
+        ) from error
+    if path.is_dir():
+        raise ConfigError(
+            f"{path} is a folder, a file name is needed.",
+            code="PC-CLI-002",
+            hint="Name the file to be written.",
+        )
+    return path
+
+
+def finish(result: Any, json_target: str, show: Callable[[], None]) -> None:
+    """Result as JSON where asked for; the table for people unless standard output is taken."""
+    if json_target:
+        write_json(json_target, result)
+    if json_target != "-":
+        show()
+
+
+def say(text: str) -> None:
+    """One line for people on standard error."""
+    sys.stderr.write(safe(text) + "\n")
+    sys.stderr.flush()
+
+
+def safe(text: str) -> str:
+    """Text with control characters made visible, so that a controller cannot drive a terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
+def echo(text: str = "") -> None:
+    """One line of the result on standard output."""
+    sys.stdout.write(safe(text) + "\n")
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Plain aligned table on standard output; works in a pipe as in a terminal."""
+    cells = [[safe(_cell(value)) for value in row] for row in rows]
+    widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(columns)]
+    if title:
+        echo(title)
+    echo("  " + "  ".join(name.ljust(w) for name, w in zip(columns, widths, strict=True)).rstrip())
+    for row in cells:
+        line = "  ".join(text.ljust(w) for text, w in zip(row, widths, strict=True))
+        echo("  " + line.rstrip())
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def show_error(error: PmacCompError, as_json: bool) -> None:
+    """Error as what happened and what to do; as JSON on standard output where that was asked."""
+    say(f"error: {error}")
+    for note in getattr(error, "__notes__", []):
+        say(f"  {note}")
+    if as_json:
+        write_json("-", {"error": describe_error(error)})
+
+
+def describe_error(error: PmacCompError) -> dict[str, Any]:
+    """Error as a mapping for ``--json``."""
+    described: dict[str, Any] = {
+        "class": type(error).__name__,
+        "code": error.code,
+        "message": error.message,
+        "hint": error.hint,
+        "exit_code": error.exit_code,
+        "left": None if error.left is None else error.left.value,
+        "context": plain(error.context),
+    }
+    if isinstance(error, SafetyRefusal) and error.refusals:
+        described["refusals"] = [describe_error(item) for item in error.refusals]
+    return described
+
+
+class ProgressLines:
+    """Progress on standard error: one line that is rewritten on a terminal, plain lines elsewhere.
+
+    A call with the same step is shown at most every 0.1 s (terminal) or 5 s (elsewhere); a new
+    step is always shown.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._terminal = sys.stderr.isatty()
+        self._step = ""
+        self._shown_s = 0.0
+        self._start_s = time.monotonic()
+
+    def __call__(self, step: str, fraction: float) -> None:
+        """Show a step and its fraction done (0..1; negative means not known)."""
+        now_s = time.monotonic()
+        new = step != self._step
+        pause_s = 0.1 if self._terminal else 5.0
+        if self._quiet or (not new and now_s - self._shown_s < pause_s and fraction < 1.0):
+            return
+        if new and self._terminal and self._step:
+            sys.stderr.write("\n")
+        if not new and fraction >= 1.0 and not self._terminal:
+            return
+        self._step, self._shown_s = step, now_s
+        share = f" {100.0 * fraction:3.0f} %" if fraction >= 0.0 else ""
+        line = f"[{now_s - self._start_s:6.1f} s] {safe(step)}{share}"
+        sys.stderr.write(f"\r\x1b[K{line}" if self._terminal else line + "\n")
+        sys.stderr.flush()
+
+    def close(self) -> None:
+        """End the line that is being rewritten."""
+        if self._terminal and self._step and not self._quiet:
+            sys.stderr.write("\n")
+        self._step = ""

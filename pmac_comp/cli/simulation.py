@@ -1,0 +1,97 @@
+"""Commands around the simulated controller: ``demo`` and ``sim``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pmac_comp.cli import output
+from pmac_comp.cli.output import JsonOption, ProgressLines
+
+PlantOption = Annotated[
+    str,
+    typer.Option("--plant", metavar="FILE[:FACTORY]", help="Drive of your own (make_plant(bench))"),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this group."""
+    app.command("demo")(demo)
+    app.command("sim")(sim)
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for captures, model and report")
+    ] = Path("pmac-comp-demo"),
+    bench: Annotated[
+        str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+    ] = "paper",
+    plant: PlantOption = "",
+    route: Annotated[str, typer.Option("--route", help="law, table, cam or servo")] = "law",
+    seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
+    json_target: JsonOption = "",
+) -> None:
+    """Run the whole job on the simulated Turbo PMAC and end with a report."""
+    from pmac_comp.workflow.demo import run_demo
+
+    progress = ProgressLines()
+    result = run_demo(
+        out, bench=bench, plant=plant or None, route=route, seed=seed, progress=progress
+    )
+    progress.close()
+    from pmac_comp.report.run import write_run_report
+
+    path = write_run_report(result, out / "report.html")
+
+    def show() -> None:
+        for line in result.summary():
+            output.echo(line)
+        output.echo(f"report: {path}")
+
+    output.finish({**result.as_result(), "report": path}, json_target, show)
+
+
+def sim(
+    tcp: Annotated[int | None, typer.Option("--tcp", help="Packet port over TCP (0: any)")] = None,
+    udp: Annotated[int | None, typer.Option("--udp", help="Packet port over UDP (0: any)")] = None,
+    ascii_port: Annotated[
+        int | None, typer.Option("--ascii-port", help="ASCII port as behind a terminal server")
+    ] = None,
+    pty: Annotated[bool, typer.Option("--pty", help="Serial line on a pseudo terminal")] = False,
+    host: Annotated[str, typer.Option("--host", help="Address to listen on")] = "127.0.0.1",
+    bench: Annotated[
+        str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+    ] = "paper",
+    plant: PlantOption = "",
+    servo: Annotated[
+        Path | None, typer.Option("--servo", help="Source of the open servo to run")
+    ] = None,
+    speed: Annotated[str, typer.Option("--speed", help="real, a factor, or max")] = "real",
+    dpram: Annotated[str, typer.Option("--dpram", help="small, large or none")] = "",
+    flash: Annotated[Path | None, typer.Option("--flash", help="Flash image on disk")] = None,
+    force: Annotated[
+        Path | None, typer.Option("--force", help="CSV schedule of the external force")
+    ] = None,
+    faults: Annotated[
+        bool, typer.Option("--faults", help="Let clients command faults (tests only)")
+    ] = False,
+) -> None:
+    """Serve a simulated Turbo PMAC; prints one JSON line with its endpoints when ready."""
+    from pmac_comp.workflow.simulated import serve_forever
+
+    serve_forever(
+        tcp=tcp,
+        udp=udp,
+        ascii_port=ascii_port,
+        pty=pty,
+        host=host,
+        bench=bench,
+        plant=plant or None,
+        servo=servo,
+        speed=speed,
+        dpram=dpram or None,
+        flash=flash,
+        force=force,
+        faults=faults,
+    )

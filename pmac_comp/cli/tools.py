@@ -1,0 +1,106 @@
+"""Commands on files alone: ``convert``, ``config``, ``report``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pmac_comp.cli import output
+from pmac_comp.cli.output import JsonOption
+
+config_app = typer.Typer(name="config", help="Bench files: show, check, example.")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this group."""
+    app.command("convert")(convert)
+    app.command("report")(report)
+    app.add_typer(config_app, name="config")
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="Capture: .h5 .csv .mat")],
+    target: Annotated[Path, typer.Argument(help="Capture to write: .h5 .csv")],
+    json_target: JsonOption = "",
+) -> None:
+    """Convert a capture between HDF5, CSV and MAT."""
+    from pmac_comp.files.capture import read_capture, write_capture
+
+    capture = read_capture(source)
+    write_capture(output.checked_target(target), capture)
+    result = {
+        "source": source,
+        "target": target,
+        "samples": capture.n,
+        "sample_period_s": capture.sample_period_s,
+        "has_table": capture.table_position_m is not None,
+        "has_torque": capture.torque_command_Nm is not None,
+    }
+    output.finish(
+        result, json_target, lambda: output.echo(f"{target}: {capture.n} samples written")
+    )
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Result of verify, demo or identify (JSON)")],
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write")] = Path("report.html"),
+    json_target: JsonOption = "",
+) -> None:
+    """Write the self-contained HTML report of a stored result."""
+    from pmac_comp.report.stored import report_from_file
+
+    path = report_from_file(run, output.checked_target(out))
+    output.finish({"report": path}, json_target, lambda: output.echo(f"report: {path}"))
+
+
+@config_app.command("show")
+def config_show(
+    bench: Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")],
+    json_target: JsonOption = "",
+) -> None:
+    """Print every key of a bench file, defaults included, and what follows from it."""
+    from pmac_comp.files.bench import load_bench
+    from pmac_comp.workflow.bench_view import bench_rows, derived
+
+    loaded = load_bench(bench)
+    result = {**loaded.model_dump(mode="json", exclude={"text"}), "derived": derived(loaded)}
+
+    def show() -> None:
+        output.table(loaded.name or str(bench), ("key", "value", "from"), bench_rows(loaded))
+        output.table("follows from it", ("quantity", "value"), list(derived(loaded).items()))
+
+    output.finish(result, json_target, show)
+
+
+@config_app.command("check")
+def config_check(
+    bench: Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")],
+    json_target: JsonOption = "",
+) -> None:
+    """Check a bench file: keys, values, and whether its figures fit each other."""
+    from pmac_comp.files.bench import load_bench
+    from pmac_comp.workflow.bench_view import remarks
+
+    loaded = load_bench(bench)
+    found = remarks(loaded)
+
+    def show() -> None:
+        output.echo(f"{bench}: no wrong keys or values")
+        for line in found:
+            output.echo(f"  note: {line}")
+
+    output.finish({"bench": str(bench), "ok": True, "remarks": found}, json_target, show)
+
+
+@config_app.command("example")
+def config_example(
+    name: Annotated[str, typer.Argument(help="Bundled bench: paper, paper_x4, emps")] = "paper",
+    json_target: JsonOption = "",
+) -> None:
+    """Print a bundled bench file to start from."""
+    from pmac_comp.files.bench import load_bench
+
+    loaded = load_bench(name)
+    output.finish(
+        {"name": name, "text": loaded.text}, json_target, lambda: output.echo(loaded.text.rstrip())
+    )
