@@ -492,7 +492,7 @@ def _garbled(reply: Reply, text: str) -> RemoteProtocolError:
 
 def _refused(error: int, text: str, lines: Sequence[str]) -> CommandRefused:
     return CommandRefused(
-        f"the controller refused '{text}': {error_text(error)}, {error_meaning(error)}",
+        f"the controller refused '{text}': {error_meaning(error)}",
         code=error_text(error),
         context={"command": text, "error": error, "lines": list(lines)},
     )
@@ -508,8 +508,7 @@ def _batch_refused(
     texts = " or ".join(f"'{batch[k].decode('ascii')}'" for k in local) or f"line {number}"
     error = verdict.error
     return CommandRefused(
-        f"the controller refused {texts} during a download: "
-        f"{error_text(error)}, {error_meaning(error)}",
+        f"the controller refused {texts} during a download: {error_meaning(error)}",
         code=error_text(error),
         context={
             "error": error,

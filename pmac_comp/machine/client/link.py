@@ -312,11 +312,17 @@ class LineLink(BaseLink):
             return b""
         self.unsettled = True
         text = bytearray()
-        size = 1 + (self.i4 & 1)
-        while b"\r" not in text[: len(text) - size + 1]:
+        while b"\r" not in text:
             text += self._receive(deadline)
+        line, _, rest = bytes(text).partition(b"\r")
+        if self.i4 & 1:
+            self._check_sum(line + b"\r", rest or self._receive_within(_SETTLE_S, deadline))
         self.unsettled = False
-        return bytes(text).partition(b"\r")[0].strip(b"\n")
+        return line.strip(b"\n")
+
+    def _check_sum(self, line: bytes, rest: bytes) -> None:
+        if rest and rest[0] != dialog.line_sum(line):
+            raise RemoteProtocolError(f"'{dialog.visible(line)}' does not match its checksum")
 
     def collect(self, command: bytes, deadline: Deadline) -> bytes:
         """All that answers a line in whatever mode."""

@@ -146,10 +146,17 @@ def encode_float_48(value: float) -> int:
 
 
 def decode_float_48(word: int) -> float:
-    """Value of a 48-bit floating-point register; words that are not normalised are read too."""
+    """Value of a 48-bit floating-point register; words that are not normalised are read too.
+
+    The register's exponent reaches further than a double's: what is beyond comes back as an
+    infinity, which no later step accepts.
+    """
     mantissa = (word >> 12) & 0xFFFFFFFFF
     mantissa -= (mantissa >> _MANTISSA_BITS) << (_MANTISSA_BITS + 1)
-    return math.ldexp(mantissa, (word & 0xFFF) - _EXPONENT_BIAS - _MANTISSA_BITS)
+    try:
+        return math.ldexp(mantissa, (word & 0xFFF) - _EXPONENT_BIAS - _MANTISSA_BITS)
+    except OverflowError:
+        return math.copysign(math.inf, mantissa)
 
 
 def register_value(value: float) -> float:
@@ -170,7 +177,7 @@ def join_48_array(high: IntArray, low: IntArray) -> IntArray:
 def float_48_array(high: IntArray, low: IntArray) -> FloatArray:
     """Values of 48-bit floating-point registers given as X and Y words, any shape."""
     joined = join_48_array(high, low)
-    exponent = (joined & 0xFFF) - _EXPONENT_BIAS - _MANTISSA_BITS
-    return np.asarray(
-        np.ldexp((joined >> 12).astype(np.float64), exponent.astype(np.int32)), dtype=np.float64
-    )
+    exponent = ((joined & 0xFFF) - _EXPONENT_BIAS - _MANTISSA_BITS).astype(np.int32)
+    with np.errstate(over="ignore"):
+        values = np.ldexp((joined >> 12).astype(np.float64), exponent)
+    return np.asarray(values, dtype=np.float64)
