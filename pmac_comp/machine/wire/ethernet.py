@@ -173,7 +173,7 @@ class Malformed:
     reason : str
         Why, for the log of the server.
     data : bytes
-        The header or datagram concerned.
+        As much of the header as shows it; it does not depend on how the stream was cut.
     """
 
     reason: str
@@ -234,9 +234,9 @@ class RequestReader:
         self._drop_idle()
         if not self._pending:
             return None
-        fault = _early_fault(self._pending)
-        if fault is not None:
-            return Malformed(fault, bytes(self._pending[:HEADER_SIZE]))
+        early = _early_fault(self._pending)
+        if early is not None:
+            return early
         if len(self._pending) < HEADER_SIZE:
             return None
         direction, code, value, index, length = _HEADER.unpack_from(self._pending)
@@ -268,12 +268,14 @@ def read_datagram(data: bytes) -> Request | Malformed:
     return Malformed(reason, data[:HEADER_SIZE])
 
 
-def _early_fault(pending: bytearray) -> str | None:
+def _early_fault(pending: bytearray) -> Malformed | None:
     if pending[0] not in (Direction.DOWNLOAD, Direction.UPLOAD):
-        return f"request type {pending[0]:02X} is neither 40 nor C0"
+        reason = f"request type {pending[0]:02X} is neither 40 nor C0"
+        return Malformed(reason, bytes(pending[:1]))
     if len(pending) >= 2 and pending[1] not in _KNOWN_CODES:
         name = NAMED_ONLY.get(pending[1])
-        return f"request {pending[1]:02X} is {'not supported: ' + name if name else 'unknown'}"
+        what = f"not supported: {name}" if name else "unknown"
+        return Malformed(f"request {pending[1]:02X} is {what}", bytes(pending[:2]))
     return None
 
 
