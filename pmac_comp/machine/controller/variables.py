@@ -10,7 +10,8 @@ from typing import Final
 
 from pmac_comp.base.errors import ConfigError, RemoteProtocolError, VerifyMismatch
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.numbers import nine_digits, parse_number, plain
+from pmac_comp.machine.controller.numbers import nine_digits, plain
+from pmac_comp.machine.wire.numbers import read_number
 
 LINE_LIMIT: Final = 200  # characters; a command line of more than about 255 is unsafe
 
@@ -173,7 +174,7 @@ def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:
                 code="PC-VAR-002",
                 context={"asked": list(group), "answer": lines[:8]},
             )
-        values.update(zip(group, map(parse_number, lines), strict=True))
+        values.update(zip(group, map(read_number, lines), strict=True))
     return values
 
 
@@ -184,7 +185,7 @@ def read_range(link: Link, letter: str, first: int, last: int) -> list[float]:
         raise RemoteProtocolError(
             f"{letter}{first}..{last} returned {len(lines)} values.", code="PC-VAR-003"
         )
-    return [parse_number(line) for line in lines]
+    return [read_number(line) for line in lines]
 
 
 def write_many(link: Link, values: Mapping[str, float], *, verify: bool = True) -> None:

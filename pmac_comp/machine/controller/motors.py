@@ -1,0 +1,268 @@
+"""Motors: where they are, what their status says, how to move, stop, enable and kill them.
+
+Positions are counts of the motor. Commands go to one motor by ``#n`` in the same line, so that no
+other conversation's addressing matters. Source: Software Reference Manual p. 280-291, 322-340,
+382, 401.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Final
+
+from pmac_comp.base.clock import Deadline
+from pmac_comp.base.errors import MotorNotSafe, RemoteProtocolError, ReplyTimeout
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import nine_digits
+from pmac_comp.machine.wire.numbers import read_number
+
+POLL_s: Final = 0.02
+STATIONARY_SPACING_s: Final = 0.02
+
+
+class Word1(IntFlag):
+    """First status word (p. 280-284)."""
+
+    ACTIVATED = 1 << 23
+    NEGATIVE_LIMIT = 1 << 22
+    POSITIVE_LIMIT = 1 << 21
+    EXTENDED_SERVO = 1 << 20
+    AMPLIFIER_ENABLED = 1 << 19
+    OPEN_LOOP = 1 << 18
+    MOVE_TIMER = 1 << 17
+    INTEGRATION_MODE = 1 << 16
+    DWELL = 1 << 15
+    DATA_BLOCK_ERROR = 1 << 14
+    DESIRED_VELOCITY_ZERO = 1 << 13
+    ABORT_DECELERATION = 1 << 12
+    BLOCK_REQUEST = 1 << 11
+    HOME_SEARCH = 1 << 10
+    USER_PHASE = 1 << 9
+    USER_SERVO = 1 << 8
+    FOLLOWING_OFFSET_MODE = 1 << 5
+    FOLLOWING = 1 << 4
+
+
+class Word2(IntFlag):
+    """Second status word (p. 284-286)."""
+
+    ASSIGNED = 1 << 15
+    HOMEZ = 1 << 14
+    FOREGROUND_IN_POSITION = 1 << 13
+    STOPPED_ON_DESIRED_LIMIT = 1 << 12
+    STOPPED_ON_LIMIT = 1 << 11
+    HOME_COMPLETE = 1 << 10
+    PHASE_ERROR = 1 << 8
+    TRIGGER_MOVE = 1 << 7
+    INTEGRATED_FATAL = 1 << 6
+    I2T_FAULT = 1 << 5
+    BACKLASH_NEGATIVE = 1 << 4
+    AMPLIFIER_FAULT = 1 << 3
+    FATAL_FOLLOWING_ERROR = 1 << 2
+    WARNING_FOLLOWING_ERROR = 1 << 1
+    IN_POSITION = 1 << 0
+
+
+_TRIPS: Final = {
+    Word2.AMPLIFIER_FAULT: "amplifier fault",
+    Word2.FATAL_FOLLOWING_ERROR: "fatal following error",
+    Word2.INTEGRATED_FATAL: "integrated following error",
+    Word2.I2T_FAULT: "current limit (I2T)",
+    Word2.PHASE_ERROR: "phasing error",
+    Word2.STOPPED_ON_LIMIT: "stopped on a position limit",
+    Word2.STOPPED_ON_DESIRED_LIMIT: "stopped on the desired-position limit",
+}
+
+
+@dataclass(frozen=True)
+class MotorStatus:
+    """Twelve hexadecimal digits of ``?``, decoded."""
+
+    word1: Word1
+    word2: Word2
+
+    @classmethod
+    def parse(cls, text: str) -> "MotorStatus":
+        """Status from the answer to ``?``; raises RemoteProtocolError otherwise."""
+        digits = text.strip()
+        if len(digits) != 12 or not set(digits) <= set("0123456789ABCDEFabcdef"):
+            raise RemoteProtocolError(f"A motor status of {text!r} is not understood.")
+        return cls(Word1(int(digits[:6], 16)), Word2(int(digits[6:], 16)))
+
+    @property
+    def is_activated(self) -> bool:
+        """Whether Ixx00 is 1."""
+        return Word1.ACTIVATED in self.word1
+
+    @property
+    def is_killed(self) -> bool:
+        """Whether the amplifier is off."""
+        return Word1.AMPLIFIER_ENABLED not in self.word1
+
+    @property
+    def is_closed_loop(self) -> bool:
+        """Whether the position loop acts."""
+        return not self.is_killed and Word1.OPEN_LOOP not in self.word1
+
+    @property
+    def is_commanded_still(self) -> bool:
+        """Whether the trajectory stands: velocity zero and no move, dwell or search runs."""
+        busy = Word1.MOVE_TIMER | Word1.HOME_SEARCH | Word1.ABORT_DECELERATION
+        return Word1.DESIRED_VELOCITY_ZERO in self.word1 and not self.word1 & busy
+
+    @property
+    def is_in_position(self) -> bool:
+        """Whether the card says in position."""
+        return Word2.IN_POSITION in self.word2
+
+    @property
+    def trips(self) -> tuple[str, ...]:
+        """Faults that stopped the motor, in words."""
+        return tuple(text for bit, text in _TRIPS.items() if bit in self.word2)
+
+    def names(self) -> list[str]:
+        """Names of all bits that are set."""
+        bits = [*Word1.__members__.values(), *Word2.__members__.values()]
+        words = [self.word1] * len(Word1.__members__) + [self.word2] * len(Word2.__members__)
+        return [str(bit.name) for bit, word in zip(bits, words, strict=True) if int(bit) & word]
+
+
+@dataclass(frozen=True)
+class MotorReading:
+    """One motor at one moment, counts."""
+
+    motor: int
+    status: MotorStatus
+    position_ct: float
+    velocity_ct_per_sc: float
+    following_error_ct: float
+
+
+def read_motors(link: Link, motors: Sequence[int]) -> dict[int, MotorReading]:
+    """Status, position, velocity and following error of motors, one question for eight."""
+    readings: dict[int, MotorReading] = {}
+    for start in range(0, len(motors), 8):
+        group = list(motors[start : start + 8])
+        lines = link.query("".join(f"#{m}?#{m}P#{m}V#{m}F" for m in group))
+        if len(lines) != 4 * len(group):
+            raise RemoteProtocolError(f"{len(group)} motors answered {len(lines)} lines.")
+        for k, motor in enumerate(group):
+            status, position, velocity, error = lines[4 * k : 4 * k + 4]
+            readings[motor] = MotorReading(
+                motor,
+                MotorStatus.parse(status),
+                float(read_number(position)),
+                float(read_number(velocity)),
+                float(read_number(error)),
+            )
+    return readings
+
+
+def read_motor(link: Link, motor: int) -> MotorReading:
+    """One motor now."""
+    return read_motors(link, [motor])[motor]
+
+
+def moving_motors(link: Link, motors: Sequence[int]) -> tuple[str, ...]:
+    """Why motors are not at rest, one text per reason; empty when all stand.
+
+    A motor is at rest if it is killed and its position does not change, or if its trajectory
+    stands. Two readings are compared, 20 ms apart.
+    """
+    first = read_motors(link, motors)
+    link.clock.sleep_s(STATIONARY_SPACING_s)
+    second = read_motors(link, motors)
+    reasons = [_motion(first[m], second[m]) for m in motors]
+    return tuple(reason for reason in reasons if reason)
+
+
+def _motion(first: MotorReading, second: MotorReading) -> str:
+    name = f"motor #{second.motor}"
+    for reading in (first, second):
+        active = reading.status.is_activated and reading.status.is_closed_loop
+        if active and not reading.status.is_commanded_still:
+            return f"{name} is executing a move"
+    travelled = abs(second.position_ct - first.position_ct)
+    # Closed loop at rest: encoder noise and the settling of the integrator stay within this.
+    allowed = 20.0 if second.status.is_closed_loop else 2.0
+    if travelled > allowed:
+        return f"{name} moves by itself ({travelled:.1f} counts in 20 ms)"
+    return ""
+
+
+def require_stationary(link: Link, motors: Sequence[int]) -> None:
+    """Refuse while a motor moves; raises MotorNotSafe."""
+    reasons = moving_motors(link, motors)
+    if reasons:
+        raise MotorNotSafe(
+            "; ".join(reasons) + ".", code="PC-MOT-001", hint="Stop the motion and try again."
+        )
+
+
+def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
+    """Close the loop of a motor where it stands; raises MotorNotSafe if it does not stay closed."""
+    link.command(f"#{motor}J/")
+    deadline = Deadline.after(link.clock, timeout_s)
+    while True:
+        reading = read_motor(link, motor)
+        if reading.status.is_closed_loop and not reading.status.trips:
+            return reading
+        if deadline.expired():
+            reasons = ", ".join(reading.status.trips) or "the amplifier stays off"
+            raise MotorNotSafe(f"Motor #{motor} does not close its loop: {reasons}.")
+        link.clock.sleep_s(POLL_s)
+
+
+def kill(link: Link, motor: int) -> None:
+    """Switch the amplifier of a motor off."""
+    link.command(f"#{motor}K")
+
+
+def stop(link: Link, motor: int) -> None:
+    """Decelerate a jogging motor to rest."""
+    link.command(f"#{motor}J/")
+
+
+def jog_to(link: Link, motor: int, position_ct: float) -> None:
+    """Start a jog to a position in counts."""
+    link.command(f"#{motor}J={nine_digits(position_ct)}")
+
+
+def jog_by(link: Link, motor: int, distance_ct: float) -> None:
+    """Start a jog by a distance in counts from the present commanded position."""
+    link.command(f"#{motor}J:{nine_digits(distance_ct)}")
+
+
+def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReading:
+    """Wait until a motor is in position.
+
+    Raises
+    ------
+    MotorNotSafe
+        The motor tripped or was killed on the way.
+    ReplyTimeout
+        Not in position in time; the motor is left as it is.
+    """
+    deadline = Deadline.after(link.clock, timeout_s)
+    while True:
+        reading = read_motor(link, motor)
+        if reading.status.trips or reading.status.is_killed:
+            why = ", ".join(reading.status.trips) or "it was killed"
+            raise MotorNotSafe(f"Motor #{motor} stopped before its target: {why}.")
+        if reading.status.is_in_position and reading.status.is_commanded_still:
+            return reading
+        if deadline.expired():
+            raise ReplyTimeout(
+                f"Motor #{motor} was not in position after {timeout_s:g} s "
+                f"(following error {reading.following_error_ct:.1f} counts).",
+                code="PC-MOT-002",
+                hint="Check Ixx28, the integrator and friction.",
+            )
+        link.clock.sleep_s(POLL_s)
+
+
+def move_to(link: Link, motor: int, position_ct: float, *, timeout_s: float = 60.0) -> MotorReading:
+    """Jog to a position in counts and wait until it is reached."""
+    jog_to(link, motor, position_ct)
+    link.clock.sleep_s(POLL_s)
+    return wait_in_position(link, motor, timeout_s=timeout_s)

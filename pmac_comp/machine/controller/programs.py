@@ -1,0 +1,291 @@
+"""Program text on the controller: download, list back, compare token by token.
+
+What lives here: the files of ``firmware_plc`` as programs, adapted to the bench's motor and
+P-block, and the comparison of what the card lists with what was sent. The card stores programs as
+tokens and lists them in its own spelling (Software Reference Manual p. 297, 347-348), so texts are
+compared after both are brought to one spelling.
+"""
+
+import re
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from pmac_comp.base.errors import CommandRefused, ConfigError, VerifyMismatch
+from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, DEFAULT_FIRST
+from pmac_comp.machine.controller.link import Link
+
+_OPEN: Final = re.compile(r"^OPEN\s*(PLC|PROG(?:RAM)?)\s*(\d+)\s*(CLEAR)?$", re.I)
+_P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b")
+_MOTOR_I: Final = re.compile(r"\bI1(\d\d)\b")
+_MOTOR_REGISTER: Final = re.compile(r"\$([0-9A-F]{2})\b")
+_NUMBER: Final = re.compile(r"(?<![A-Z$\d.])(\d*\.?\d+|\d+\.)(?![\d.])")
+_SPELLINGS: Final = (
+    ("LINEAR", "LIN"),
+    ("RAPID", "RPD"),
+    ("ENDWHILE", "ENDW"),
+    ("ENDIF", "ENDI"),
+    ("COMMAND", "CMD"),
+    ("DWELL", "DWE"),
+    ("DELAY", "DLY"),
+    ("RETURN", "RET"),
+    ("SPLINE", "SPL"),
+    ("DISABLE", "DIS"),
+    ("ENABLE", "ENA"),
+    ("WHILE", "WH"),
+    ("GATHER", "GAT"),
+    ("GOSUB", "GOS"),
+    ("GOTO", "GOT"),
+    ("HOME", "HM"),
+)
+
+
+class ProgramKind(Enum):
+    """Kind of a program buffer, valued by its command word."""
+
+    PLC = "PLC"
+    PROG = "PROG"
+
+
+@dataclass(frozen=True)
+class Program:
+    """A PLC or motion program.
+
+    Parameters
+    ----------
+    kind : ProgramKind
+        PLC or PROG.
+    number : int
+        Its number.
+    lines : tuple of str
+        Statements, without OPEN, CLEAR and CLOSE.
+    """
+
+    kind: ProgramKind
+    number: int
+    lines: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        limit = 31 if self.kind is ProgramKind.PLC else 32767
+        low = 0 if self.kind is ProgramKind.PLC else 1
+        if not low <= self.number <= limit:
+            raise ConfigError(f"There is no {self.kind.value} {self.number}.", code="PC-PRG-001")
+        if not self.lines:
+            raise ConfigError("A program needs at least one line.", code="PC-PRG-002")
+
+    @property
+    def name(self) -> str:
+        """As commands name it."""
+        return f"{self.kind.value} {self.number}"
+
+    @property
+    def tokens(self) -> tuple[str, ...]:
+        """Statements in one spelling."""
+        return canonical(self.lines)
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 of the canonical statements."""
+        return zlib.crc32("\n".join(self.tokens).encode("ascii"))
+
+    def download_lines(self) -> list[str]:
+        """Lines that replace the program on the card.
+
+        CLOSE first: another buffer that was left open would take the text.
+        """
+        return ["CLOSE", f"OPEN {self.name}", "CLEAR", *self.lines, "CLOSE"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of on-line commands and at most a few programs, in order.
+
+    Parameters
+    ----------
+    commands : tuple of str
+        On-line commands outside programs.
+    programs : tuple of Program
+        Programs.
+    """
+
+    commands: tuple[str, ...]
+    programs: tuple[Program, ...]
+
+    @property
+    def program(self) -> Program:
+        """The only program; raises ConfigError if there is none or several."""
+        if len(self.programs) != 1:
+            raise ConfigError(f"One program was expected, not {len(self.programs)}.")
+        return self.programs[0]
+
+
+def strip_comments(text: str) -> list[str]:
+    """Lines without comments and blank lines; the card knows no comments."""
+    stripped = (line.split(";", 1)[0].strip() for line in text.splitlines())
+    return [line for line in stripped if line]
+
+
+def parse_source(text: str) -> Source:
+    """Commands and programs of a firmware file.
+
+    Raises
+    ------
+    ConfigError
+        A program without CLOSE.
+    """
+    commands: list[str] = []
+    programs: list[Program] = []
+    body: list[str] | None = None
+    head = (ProgramKind.PLC, 0)
+    for line in strip_comments(text):
+        match = _OPEN.match(line)
+        if match and body is None:
+            kind = ProgramKind.PLC if match[1].upper() == "PLC" else ProgramKind.PROG
+            head, body = (kind, int(match[2])), []
+        elif body is None:
+            commands.append(line)
+        elif line.upper() == "CLOSE":
+            programs.append(Program(*head, tuple(body)))
+            body = None
+        elif line.upper() != "CLEAR":
+            body.append(line)
+    if body is not None:
+        raise ConfigError(f"{head[0].value} {head[1]} is not closed.", code="PC-PRG-003")
+    return Source(tuple(commands), tuple(programs))
+
+
+def render(text: str, *, motor: int = 1, first_p: int = DEFAULT_FIRST) -> str:
+    """A firmware file for another motor and another block of P-variables.
+
+    Our files are written for motor 1 and P7000: P7000-P7199, I1xx, ``#1`` and the addresses
+    $80-$FF of motor 1's registers are moved.
+    """
+    if not 0 <= first_p <= 8192 - BLOCK_SIZE or not 1 <= motor <= 32:
+        raise ConfigError(f"No place for motor #{motor} and P{first_p}.", code="PC-PRG-004")
+    moved = []
+    for line in text.splitlines():
+        code, mark, comment = line.partition(";")
+        code = _P_OF_BLOCK.sub(lambda m: f"P{int(m[1]) - DEFAULT_FIRST + first_p}", code)
+        if motor != 1:
+            code = _MOTOR_I.sub(lambda m: f"I{motor}{m[1]}", code)
+            code = re.sub(r"#1(?!\d)", f"#{motor}", code)
+            code = _MOTOR_REGISTER.sub(lambda m: _move_register(m[1], motor), code)
+        moved.append(code + mark + comment)
+    return "\n".join(moved) + "\n"
+
+
+def _move_register(digits: str, motor: int) -> str:
+    address = int(digits, 16)
+    if 0x80 <= address <= 0xFF:
+        address += 0x80 * (motor - 1)
+    return f"${address:X}"
+
+
+def canonical(lines: Iterable[str]) -> tuple[str, ...]:
+    """Statements in one spelling: upper case, no blanks, short words, plain numbers.
+
+    Line breaks are ignored, because the card lists one statement per line and a source may hold
+    several; the final RETURN that CLOSE adds is dropped.
+    """
+    joined = "\n".join(_spell(line) for line in lines)
+    parts = [part for part in re.split(r"\n", joined) if part]
+    while parts and parts[-1] == "RET":
+        parts.pop()
+    return tuple(parts)
+
+
+def _spell(line: str) -> str:
+    outside = re.split(r'("[^"]*")', line)
+    text = "".join(
+        part if part.startswith('"') else re.sub(r"\s+", "", part).upper() for part in outside
+    )
+    for long, short in _SPELLINGS:
+        text = text.replace(long, short)
+    text = re.sub(r"\$([0-9A-F]+)", lambda m: str(int(m[1], 16)), text)
+    return _NUMBER.sub(lambda m: _plain(m[1]), text)
+
+
+def _plain(text: str) -> str:
+    value = float(text)
+    return str(int(value)) if value == int(value) else f"{value:.10g}"
+
+
+def download(link: Link, program: Program) -> None:
+    """Replace a program and compare what the card lists.
+
+    Raises
+    ------
+    CommandRefused
+        A line was refused; the buffer is closed and the program is incomplete.
+    VerifyMismatch
+        The card lists something else.
+    """
+    try:
+        link.write_buffer(program.download_lines())
+    except CommandRefused as error:
+        _close_quietly(link, error)
+        raise
+    verify(link, program)
+
+
+def _close_quietly(link: Link, error: CommandRefused) -> None:
+    try:
+        link.command("CLOSE")
+    except CommandRefused as second:
+        error.add_note(f"CLOSE was refused as well: {second.message}")
+
+
+def listing(link: Link, kind: ProgramKind, number: int) -> list[str] | None:
+    """Lines of a program as the card lists them, None if there is none (ERR003)."""
+    try:
+        return link.query(f"LIST {kind.value} {number}")
+    except CommandRefused as error:
+        if error.context.get("error") == 3:
+            return None
+        raise
+
+
+def verify(link: Link, program: Program) -> None:
+    """Compare a program on the card with what was meant, token by token."""
+    lines = listing(link, program.kind, program.number)
+    found = canonical(lines or ())
+    if _flat(found) == _flat(program.tokens):
+        return
+    place = _first_difference(program.tokens, found)
+    raise VerifyMismatch(
+        f"{program.name} on the card differs from what was sent: {place}.",
+        code="PC-PRG-010",
+        hint="Download it again; somebody else may have written to it.",
+    )
+
+
+def is_present(link: Link, program: Program) -> bool:
+    """Whether exactly this program is on the card."""
+    lines = listing(link, program.kind, program.number)
+    return lines is not None and _flat(canonical(lines)) == _flat(program.tokens)
+
+
+def _flat(tokens: Sequence[str]) -> str:
+    return "".join(tokens)
+
+
+def _first_difference(meant: Sequence[str], found: Sequence[str]) -> str:
+    for k, (a, b) in enumerate(zip(meant, found, strict=False), start=1):
+        if a != b:
+            return f"line {k} is {b!r} instead of {a!r}"
+    return f"{len(found)} lines instead of {len(meant)}"
+
+
+def delete(link: Link, kind: ProgramKind, number: int) -> None:
+    """Empty a program buffer."""
+    link.write_buffer(["CLOSE", f"OPEN {kind.value} {number}", "CLEAR", "CLOSE"])
+
+
+def download_source(link: Link, source: Source) -> None:
+    """Send the commands of a file, then its programs, each verified."""
+    if source.commands:
+        link.write_buffer(list(source.commands))
+    for program in source.programs:
+        download(link, program)
