@@ -1,0 +1,90 @@
+"""Identity, reset, flash, locks. Source: Software Reference Manual p. 295-402."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from pmac_comp.simulator import registers as r
+from pmac_comp.simulator.commands.line import LineContext, command
+from pmac_comp.simulator.errors import CardError
+
+FIRMWARE = "1.947"
+CARD_ID = "603382"  # 3U Turbo PMAC2 (UMAC), which clients know
+_START = datetime(2000, 1, 1, tzinfo=UTC)  # clock option absent: time counts from here
+_LOCK_SHIFT = 4
+
+
+def _constant_answer(text: str, *keywords: str) -> None:
+    @command(*keywords)
+    def handler(context: LineContext) -> None:
+        context.answer(text)
+
+
+_constant_answer(FIRMWARE + "  ", "VERSION", "VER")
+_constant_answer("1947001", "EAVERSION")
+_constant_answer("TURBO2, X4", "TYPE")
+_constant_answer("56303", "CPU")
+_constant_answer(CARD_ID, "CID")
+_constant_answer("1", "VID")
+_constant_answer("0", "SID", "IDNUMBER")
+_constant_answer("02/24/2014", "DATE")
+
+
+@command("TODAY")
+def _today(context: LineContext) -> None:
+    context.answer(_now(context).strftime("%a %m/%d/%Y").upper())
+
+
+@command("TIME")
+def _time(context: LineContext) -> None:
+    context.answer(_now(context).strftime("%H:%M:%S"))
+
+
+def _now(context: LineContext) -> datetime:
+    return _START + timedelta(seconds=context.card.time_s)
+
+
+@command("CHECKSUM", "CHKS")
+def _checksum(context: LineContext) -> None:
+    context.answer(f"{context.card.checksum():06X}")
+
+
+@command("SIZE")
+def _size(context: LineContext) -> None:
+    context.answer(str(context.card.free_words()))
+
+
+@command("SAVE")
+def _save(context: LineContext) -> None:
+    context.card.save()
+
+
+@command("PASSWORD=")
+def _password(context: LineContext) -> None:
+    text = context.scanner.raw[context.scanner.position :].strip()
+    context.scanner.position = len(context.scanner.text)
+    context.card.set_password(text)
+
+
+@command("LOCK")
+def _lock(context: LineContext) -> None:
+    bit = 1 << (_LOCK_SHIFT + context.scanner.need_integer(0, 7))
+    context.scanner.expect(",")
+    context.scanner.expect("P")
+    number = context.scanner.need_integer(0, 8191)
+    words, cell = context.card.memory.x, r.INTERNAL_GLOBAL + 0xF4
+    context.card.variables.write("P", number, 1.0 if int(words[cell]) & bit else 0.0)
+    words[cell] = int(words[cell]) | bit
+
+
+@command("UNLOCK")
+def _unlock(context: LineContext) -> None:
+    bit = 1 << (_LOCK_SHIFT + context.scanner.need_integer(0, 7))
+    words, cell = context.card.memory.x, r.INTERNAL_GLOBAL + 0xF4
+    words[cell] = int(words[cell]) & ~bit
+
+
+@command("FSAVE", "FREAD", "FSAVECLEAR")
+def _fast_save(_context: LineContext) -> None:
+    # Bits 1 and 2 of I4904 are 0: this flash does not support it (p. 324).
+    raise CardError(20)

@@ -1,0 +1,134 @@
+"""Execution of one command line: left to right, the first error ends it.
+
+Handlers register under their keyword; at each place in the line the longest keyword that stands
+there wins, so ``PVF`` is three queries and ``PASSWORD`` is one command. While a program buffer is
+open on the port, text that is legal program text goes into the buffer instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.language.expressions import Code, ExpressionParser
+from pmac_comp.simulator.language.scanner import Scanner
+
+if TYPE_CHECKING:
+    from pmac_comp.simulator.card import Card
+
+Handler = Callable[["LineContext"], None]
+KEYWORDS: dict[str, Handler] = {}
+_BY_FIRST: dict[str, list[str]] = {}
+MAX_ANSWER_LINES = 100_000
+
+
+def command(*keywords: str) -> Callable[[Handler], Handler]:
+    """Register a handler under one or more keywords."""
+
+    def register(handler: Handler) -> Handler:
+        for keyword in keywords:
+            KEYWORDS[keyword] = handler
+            group = _BY_FIRST.setdefault(keyword[0], [])
+            group.append(keyword)
+            group.sort(key=len, reverse=True)
+        return handler
+
+    return register
+
+
+@dataclass
+class Modal:
+    """What a port remembers: addressed motor and coordinate system, group of ``##``."""
+
+    motor: int = 1
+    cs: int = 1
+    group: int = 0
+
+
+@dataclass
+class LineContext:
+    """One line being executed.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    modal : Modal
+        Addressing of the port, changed in place.
+    scanner : Scanner
+        Where in the line we are.
+    owner : object
+        Identity of the port, for open buffers.
+    lines : list of str
+        Answers so far.
+    silent_end : bool
+        Set by ``$$$``: no acknowledgement follows.
+    """
+
+    card: Card
+    modal: Modal
+    scanner: Scanner
+    owner: object
+    lines: list[str] = field(default_factory=list)
+    silent_end: bool = False
+
+    def answer(self, text: str) -> None:
+        """Add one data line."""
+        self.lines.append(text)
+        if len(self.lines) > MAX_ANSWER_LINES:
+            raise CardError(3, "answer too long")
+
+    def value(self) -> float:
+        """Take {data}: a constant, or an expression in parentheses."""
+        start = self.scanner.position
+        if self.scanner.take("("):
+            self.scanner.position = start
+            return self.expression()
+        number = self.scanner.signed_number()
+        if number is None:
+            raise CardError(3, f"constant expected at '{self.scanner.rest}'")
+        return number
+
+    def expression(self) -> float:
+        """Take an expression and evaluate it."""
+        code = Code()
+        ExpressionParser(self.scanner).expression(code)
+        return self.card.machine.evaluate(code, self.modal.cs)
+
+    def check(self, error: int) -> None:
+        """Refuse the line when an action answered with an error number."""
+        if error:
+            raise CardError(error)
+
+
+def execute(context: LineContext) -> None:
+    """Execute the whole line."""
+    context.card.execute_line(context)
+
+
+def execute_command(context: LineContext) -> None:
+    """Execute the command that stands at the present place."""
+    scanner = context.scanner
+    character = scanner.peek()
+    for keyword in _BY_FIRST.get(character, ()):
+        if scanner.take(keyword):
+            KEYWORDS[keyword](context)
+            return
+    if character.isdigit() or character in ".-":
+        _bare_constant(context)
+        return
+    raise CardError(3, f"unknown command at '{scanner.rest}'")
+
+
+def _bare_constant(context: LineContext) -> None:
+    # Into the compensation table being filled, otherwise into P0 (p. 299).
+    value = context.scanner.signed_number()
+    if value is None:
+        raise CardError(3)
+    tables = context.card.tables
+    if tables.wants_values():
+        context.check(tables.store(value))
+    else:
+        context.card.variables.write("P", 0, value)
