@@ -1,0 +1,932 @@
+"""The servo task of the simulated card as one compiled loop.
+
+What lives here: what happens in every servo interrupt, in its order: latch, encoder conversion,
+time base, motor positions, trajectories, compensation, servo laws, outputs, gathering, counters,
+PLC 0 at the real-time interrupt, plant. What may not: decisions that need the language (aborted
+programs, planned moves); they leave as events. Imports the other kernels, ``memory``, ``registers``
+and ``vm``.
+
+Registers are read from and written to the card's memory; gains are decoded once and again whenever
+the change counter of the memory has moved. Registers that a law writes every cycle (D:+$10, X:+$2E,
+Ixx29, Ixx68) are read afresh.
+
+Source: Turbo PMAC Software Reference Manual p. 84-127, 148, 284-286, 495-507; User Manual p. 319.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.simulator import compensation as comp
+from pmac_comp.simulator import encoder, gather, vm
+from pmac_comp.simulator import registers as reg
+from pmac_comp.simulator import servo_law as law
+from pmac_comp.simulator import trajectory as traj
+from pmac_comp.simulator.memory import Space, read_long, read_word_signed, write_long
+from pmac_comp.simulator.plant import kernel_ballscrew as plant
+
+# Sign of the compensation register D:+$10: it holds minus the correction and is subtracted in the
+# following error. Two readings of the manual are open; the motor moves by +entry in both.
+COMPENSATION_REGISTER_SIGN = -1.0
+
+# Decoded settings of a motor after the gains of the law.
+(
+    D_FATAL,  # units of 1/(32 Ixx08) count, as all positions here
+    D_WARNING,
+    D_IN_POSITION,
+    D_POSITIVE,
+    D_NEGATIVE,
+    D_FILTER,
+    D_BACKLASH_RATE,
+    D_BACKLASH_HYSTERESIS,
+    D_BACKLASH_SIZE,
+    D_UNIT,  # 32 Ixx08
+    D_I2T_CONTINUOUS,
+    D_I2T_LIMIT,
+    N_DECODED,
+) = range(law.N_GAINS, law.N_GAINS + 13)
+
+(
+    A_POSITION,
+    A_VELOCITY,
+    A_MASTER,
+    A_OUTPUT,
+    A_FLAGS,
+    A_CS,
+    A_EXTENSION,
+    A_IXX07,
+    A_IXX08,
+    A_IXX09,
+    A_IN_POSITION_SCANS,
+    A_IXX24,
+    A_CAPTURE,
+    A_FLAG_SELECT,
+    N_ADDRESSES,
+) = range(15)
+
+# Per-motor memory after that of the law.
+(
+    K_VELOCITY,  # net desired velocity of the last closure
+    K_FILTERED,
+    K_EXTENSION,
+    K_BACKLASH,
+    K_BACKLASH_EXTREME,
+    K_LATCHED_LIMIT,  # 1 a limit event was given
+    K_ARMED,  # 1 a trigger is awaited
+    K_COUNT,  # encoder count of the last cycle, for index crossings
+    K_CURRENT,
+    N_MOTOR_MEMORY,
+) = range(law.N_LAW, law.N_LAW + 10)
+
+# World: sensors and switches around the plant.
+(
+    W_KIND,  # 0 the plant runs outside, 1 compiled ball screw
+    W_ANGLE,
+    W_TABLE,
+    W_COUNTS_PER_RAD,
+    W_COUNTS_PER_M,
+    W_ENCODER_MOTOR,
+    W_SCALE_MOTOR,
+    W_ENCODER_CHANNEL,
+    W_SCALE_CHANNEL,
+    W_TORQUE_PER_DAC,
+    W_PLIM,
+    W_MLIM,
+    W_HOME,
+    W_INPUT,  # MI2
+    W_TORQUE,  # torque command of this cycle
+    W_ENCODER_SIGN,
+    W_COUNTS_PER_REV,
+    W_CYCLE_MS,
+    N_WORLD,
+) = range(19)
+
+# Integers shared with Python.
+(
+    H_DIRTY,  # last decoded change counter
+    H_EVENTS,
+    H_ENTRIES,
+    H_TABLES,
+    H_ACTIVE,
+    H_PLC,  # 1: code of PLC 0 is present
+    H_SERVO,  # 1: open servo is present
+    H_CYCLES,
+    H_CLOCK,
+    H_SLOT,
+    H_BAD_TABLE,
+    H_TIMERS,
+    N_HEAD,
+) = range(13)
+
+# Events: kind, motor, value.
+(
+    EV_FATAL,
+    EV_LIMIT,
+    EV_TRIGGER,
+    EV_SEGMENT,
+    EV_LOW_QUEUE,
+    EV_PLC,
+    EV_SERVO_FAULT,
+    EV_HARD_LIMIT,
+    EV_TRIGGER_MISSED,
+    EV_OVERCURRENT,
+    EV_INTEGRATED,
+) = range(1, 12)
+MAX_EVENTS = 256
+BACKGROUND_CYCLES = 10
+PLC_BUDGET = 20000
+SERVO_BUDGET = 5000
+_WORD = 0xFFFFFF
+_DYNAMIC1 = (
+    reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
+)
+_TIMER_END = -8388608
+
+
+@njit(cache=True)
+def _event(head: IntArray, events: IntArray, kind: int, motor: int, value: int) -> None:
+    n = head[H_EVENTS]
+    if n < MAX_EVENTS:
+        events[n, 0] = kind
+        events[n, 1] = motor
+        events[n, 2] = value
+        head[H_EVENTS] = n + 1
+
+
+@njit(cache=True)
+def _signed24(value: int) -> int:
+    value &= _WORD
+    return value - 0x1000000 if value >= 0x800000 else value
+
+
+@njit(cache=True)
+def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None:
+    """Decode the block of one motor into gains, limits (units) and addresses."""
+    base = 0x80 * m
+    d[law.G_KP] = read_word_signed(y, base + reg.M_IXX30)
+    d[law.G_KD] = read_word_signed(x, base + reg.M_IXX31)
+    d[law.G_KVFF] = read_word_signed(x, base + reg.M_IXX32_IXX60)
+    d[law.G_KI] = x[base + reg.M_IXX33_IXX63]
+    status = int(x[base + reg.M_STATUS1])
+    d[law.G_MODE] = 1.0 if status & reg.S1_INTEGRATION_MODE else 0.0
+    d[law.G_KAFF] = read_word_signed(y, base + reg.M_IXX35)
+    ixx08 = max(int(y[base + reg.M_IXX03_IXX08]), 1)
+    ixx09 = max(int(y[base + reg.M_IXX65_IXX09]), 1)
+    d[law.G_SCALE] = ixx08
+    d[law.G_VSCALE] = ixx09
+    d[law.G_ILIMIT] = read_word_signed(y, base + reg.M_IXX33_IXX63)
+    d[law.G_BANDGAIN] = read_word_signed(y, base + reg.M_IXX64)
+    d[law.G_BAND] = read_word_signed(x, base + reg.M_IXX65_IXX09)
+    d[law.G_FELIMIT] = int(y[base + reg.M_IXX04_IXX67])
+    d[law.G_OUTLIMIT] = int(y[base + reg.M_IXX69]) / 256.0
+    for i in range(4):
+        d[law.G_N1 + i] = read_word_signed(y, base + reg.M_IXX36 + i) / 4194304.0
+    sixteenth = 2.0 * ixx08
+    d[D_FATAL] = int(x[base + reg.M_IXX11]) * sixteenth
+    d[D_WARNING] = int(y[base + reg.M_IXX28_IXX12]) * sixteenth
+    d[D_IN_POSITION] = int(x[base + reg.M_IXX28_IXX12]) * sixteenth
+    d[D_UNIT] = 32.0 * ixx08
+    d[D_POSITIVE] = read_long(x, y, base + reg.M_IXX13) * d[D_UNIT]
+    d[D_NEGATIVE] = read_long(x, y, base + reg.M_IXX14) * d[D_UNIT]
+    d[D_FILTER] = int(x[0x1100 + 0x40 * (m - 1) + reg.R_IXX40]) / 8388608.0
+    d[D_BACKLASH_RATE] = int(x[base + reg.M_IXX85_IXX87]) * sixteenth
+    d[D_BACKLASH_HYSTERESIS] = int(y[base + reg.M_IXX85_IXX87]) * sixteenth
+    d[D_BACKLASH_SIZE] = read_word_signed(x, base + reg.M_IXX86) * sixteenth
+    d[D_I2T_CONTINUOUS] = read_word_signed(x, base + reg.M_IXX57_IXX58)
+    d[D_I2T_LIMIT] = int(y[base + reg.M_IXX57_IXX58])
+    a[A_POSITION] = x[base + reg.M_IXX03_IXX08] & 0x7FFFF
+    a[A_VELOCITY] = x[base + reg.M_IXX04_IXX67] & 0x7FFFF
+    a[A_MASTER] = x[base + reg.M_IXX05] & 0x7FFFF
+    a[A_OUTPUT] = x[base + reg.M_IXX02] & 0x7FFFF
+    a[A_FLAGS] = x[base + reg.M_IXX25_IXX24] & 0x7FFFF
+    a[A_IXX24] = y[base + reg.M_IXX25_IXX24]
+    a[A_CS] = (int(y[base + reg.M_STATUS2]) >> reg.S2_CS_SHIFT) & 15
+    a[A_EXTENSION] = int(y[base + reg.M_IXX32_IXX60]) & 0xFF
+    a[A_IXX07] = _signed24(int(x[base + reg.M_IXX07]))
+    a[A_IXX08] = ixx08
+    a[A_IXX09] = ixx09
+    a[A_IN_POSITION_SCANS] = y[base + reg.M_IXX88]
+    # Capture control and flag of the channel that the flags come from.
+    a[A_CAPTURE] = 1
+    a[A_FLAG_SELECT] = 0
+    for ic in range(2):
+        offset = a[A_FLAGS] - (0x078000 + 0x100 * ic)
+        if 0 <= offset < 0x20:
+            cell = reg.INTERNAL_SERVO_IC + 10 * (offset // 8 + 1)
+            a[A_CAPTURE] = x[cell + 2] if ic == 0 else y[cell + 2]
+            a[A_FLAG_SELECT] = x[cell + 3] if ic == 0 else y[cell + 3]
+
+
+@njit(cache=True)
+def decode_all(
+    x: Space,
+    y: Space,
+    head: IntArray,
+    decoded: FloatArray,
+    addresses: IntArray,
+    active: IntArray,
+    entries: IntArray,
+    tables: IntArray,
+    plan: IntArray,
+    world: FloatArray,
+    mmem: FloatArray,
+) -> None:
+    """Decode everything that changed words may have changed."""
+    before = head[H_ACTIVE]
+    n = 0
+    for m in range(1, 33):
+        if not x[0x80 * m + reg.M_STATUS1] & reg.S1_ACTIVATED:
+            continue
+        decode_motor(x, y, m, decoded[m], addresses[m])
+        known = False
+        for i in range(before):
+            known = known or active[1, i] == m
+        if not known:
+            # The first cycle of a motor must not see a jump of its feedback.
+            base = 0x80 * m
+            y[base + reg.M_IXX05] = x[addresses[m, A_POSITION]]
+            y[base + reg.M_VELOCITY] = x[addresses[m, A_VELOCITY]]
+            y[base + reg.M_IXX07] = x[addresses[m, A_MASTER]]
+            mmem[m, :] = 0.0
+        active[0, n] = m
+        n += 1
+    active[1, :n] = active[0, :n]
+    head[H_ACTIVE] = n
+    head[H_ENTRIES], bad = encoder.decode_table(x, y, entries)
+    if bad:
+        x[reg.GLOBAL_STATUS] |= reg.G1_CONFIGURATION
+    elif head[H_BAD_TABLE]:
+        x[reg.GLOBAL_STATUS] &= ~reg.G1_CONFIGURATION
+    head[H_BAD_TABLE] = 1 if bad else 0
+    head[H_TABLES] = comp.decode_tables(x, y, tables)
+    gather.decode_plan(x, y, plan)
+    world[W_ENCODER_SIGN] = _channel_sign(x, y, int(world[W_ENCODER_CHANNEL]))
+
+
+@njit(cache=True)
+def _channel_sign(x: Space, y: Space, channel: int) -> float:
+    """Counting direction of I7mn0: 4-7 count up with the plant, 0-3 down."""
+    ic = (channel - 0x078000) // 0x100
+    n = ((channel & 0xFF) // 8) + 1
+    if ic < 0 or ic > 1 or n > 4:
+        return 1.0
+    cell = reg.INTERNAL_SERVO_IC + 10 * n
+    word = int(x[cell]) if ic == 0 else int(y[cell])
+    return -1.0 if 0 < word < 4 else 1.0
+
+
+@njit(cache=True)
+def _time_bases(x: Space, y: Space, used: int, steps: FloatArray) -> None:
+    """Slew the time base of every coordinate system in use; scaled time of this cycle."""
+    i10 = float(x[reg.I10_REGISTER])
+    for cs in range(16):
+        if not (used >> cs) & 1:
+            continue
+        base = 0x2000 + 0x100 * cs
+        source = int(x[base + reg.C_TIMEBASE_SOURCE]) & 0x7FFFF
+        target = int(x[source]) if source != 0 else int(x[base])
+        slew = int(y[base + reg.C_SLEWS])
+        if y[base + reg.C_TIMEBASE_SOURCE] & 1:  # feed hold
+            target = 0
+            slew = int(x[base + reg.C_SLEWS])
+        present = int(x[base + reg.C_TIMEBASE])
+        if present < target:
+            present = min(present + slew, target)
+        elif present > target:
+            present = max(present - slew, target)
+        x[base + reg.C_TIMEBASE] = present
+        steps[cs] = present / i10 if i10 > 0.0 else 0.0
+
+
+@njit(cache=True)
+def _kill(
+    x: Space, y: Space, m: int, cursor: FloatArray, index: IntArray, mmem: FloatArray
+) -> None:
+    """Open the loop and disable the amplifier."""
+    base = 0x80 * m
+    status = int(x[base + reg.M_STATUS1])
+    status = (status | reg.S1_OPEN_LOOP) & ~reg.S1_AMPLIFIER_ENABLED & ~reg.S1_HOME_SEARCH
+    x[base + reg.M_STATUS1] = status
+    x[base + reg.M_FILTER_RESULT] = 0
+    index[m, :] = 0
+    cursor[m, traj.C_TIME] = 0.0
+    cursor[m, traj.C_VELOCITY] = 0.0
+    mmem[m, K_ARMED] = 0.0
+
+
+@njit(cache=True)
+def _flag_level(x: Space, channel: int, select: int) -> bool:
+    return bool((int(x[channel]) >> (16 + (select & 3))) & 1)
+
+
+@njit(cache=True)
+def _latch(x: Space, y: Space, world: FloatArray) -> None:
+    angle = world[W_ANGLE]
+    table = world[W_TABLE]
+    channel = int(world[W_ENCODER_CHANNEL])
+    if channel > 0:
+        count = angle * world[W_COUNTS_PER_RAD]
+        encoder.latch_channel(x, y, channel, count, int(world[W_ENCODER_SIGN]))
+        per_rev = world[W_COUNTS_PER_REV]
+        flags = int(x[channel]) & ~0x7C000
+        if abs(count - per_rev * math.floor(count / per_rev + 0.5)) < 0.5:
+            flags |= 1 << 14
+        if table < world[W_HOME]:
+            flags |= 1 << 16
+        if table > world[W_PLIM]:
+            flags |= 1 << 17
+        if table < world[W_MLIM]:
+            flags |= 1 << 18
+        x[channel] = flags
+    channel = int(world[W_SCALE_CHANNEL])
+    if channel > 0:
+        encoder.latch_channel(x, y, channel, table * world[W_COUNTS_PER_M], 1)
+
+
+@njit(cache=True)
+def _trigger(
+    x: Space,
+    y: Space,
+    m: int,
+    a: IntArray,
+    d: FloatArray,
+    k: FloatArray,
+    world: FloatArray,
+    position: int,
+) -> tuple[bool, int]:
+    """Whether the awaited trigger came in this cycle, and the captured position in units."""
+    base = 0x80 * m
+    status = int(x[base + reg.M_STATUS1])
+    if status & reg.S1_TRIGGER_ON_ERROR:
+        return (int(y[base + reg.M_STATUS2]) & reg.S2_WARNING_ERROR) != 0, position
+    channel = a[A_FLAGS]
+    if channel != int(world[W_ENCODER_CHANNEL]):
+        return False, position
+    control = a[A_CAPTURE]
+    mode = control & 3
+    flag = _flag_level(x, channel, a[A_FLAG_SELECT]) != bool(control & 8)
+    here = world[W_ANGLE] * world[W_COUNTS_PER_RAD] * world[W_ENCODER_SIGN]
+    before = k[K_COUNT]
+    k[K_COUNT] = here
+    if mode in {0, 2}:
+        return mode == 0 or flag, position
+    per_rev = world[W_COUNTS_PER_REV]
+    crossed = math.floor(before / per_rev) != math.floor(here / per_rev)
+    if not crossed or (mode == 3 and not flag):
+        return False, position
+    index = max(math.floor(before / per_rev), math.floor(here / per_rev)) * per_rev
+    if status & reg.S1_SOFTWARE_CAPTURE:
+        return True, position
+    return True, position - round((here - index) * d[D_UNIT])
+
+
+@njit(cache=True)
+def _backlash(
+    x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, command: float, table16: float
+) -> float:
+    """Present backlash in units; taken up at Ixx85 per background cycle."""
+    base = 0x80 * m
+    status = int(y[base + reg.M_STATUS2])
+    negative = (status & reg.S2_BACKLASH_DIRECTION) != 0
+    extreme = k[K_BACKLASH_EXTREME]
+    if negative:
+        extreme = min(extreme, command)
+        if command > extreme + d[D_BACKLASH_HYSTERESIS]:
+            negative = False
+            extreme = command
+    else:
+        extreme = max(extreme, command)
+        if command < extreme - d[D_BACKLASH_HYSTERESIS]:
+            negative = True
+            extreme = command
+    k[K_BACKLASH_EXTREME] = extreme
+    if negative:
+        y[base + reg.M_STATUS2] = status | reg.S2_BACKLASH_DIRECTION
+    else:
+        y[base + reg.M_STATUS2] = status & ~reg.S2_BACKLASH_DIRECTION
+    sixteenth = d[D_UNIT] / 16.0
+    target = d[D_BACKLASH_SIZE] + table16 * sixteenth if negative else 0.0
+    step = d[D_BACKLASH_RATE] / BACKGROUND_CYCLES
+    present = k[K_BACKLASH]
+    present = min(present + step, target) if present < target else max(present - step, target)
+    k[K_BACKLASH] = present
+    write_long(x, y, base + reg.M_BACKLASH_SAVED, int(extreme))
+    y[base + reg.M_IXX86] = math.floor(present / sixteenth + 0.5) & _WORD
+    return float(present)
+
+
+@njit(cache=True)
+def _background(
+    x: Space, y: Space, active: IntArray, n: int, decoded: FloatArray, addresses: IntArray
+) -> None:
+    """In-position check of all motors, as the background task makes it."""
+    for i in range(n):
+        m = active[0, i]
+        base = 0x80 * m
+        status = int(x[base + reg.M_STATUS1])
+        still = not status & (reg.S1_OPEN_LOOP | reg.S1_MOVE_TIMER | reg.S1_DWELL)
+        still = still and (status & reg.S1_DESIRED_VELOCITY_ZERO) != 0
+        error = abs(read_long(x, y, base + reg.M_FOLLOWING_ERROR))
+        scans = int(x[base + reg.M_IXX88])
+        status2 = int(y[base + reg.M_STATUS2])
+        if still and error < decoded[m, D_IN_POSITION]:
+            scans = min(scans + 1, 0xFFFF)
+            if scans > addresses[m, A_IN_POSITION_SCANS]:
+                status2 |= reg.S2_IN_POSITION
+        else:
+            scans = 0
+            status2 &= ~reg.S2_IN_POSITION
+        x[base + reg.M_IXX88] = scans
+        y[base + reg.M_STATUS2] = status2
+
+
+@njit(cache=True)
+def _velocity_filters(
+    x: Space,
+    y: Space,
+    active: IntArray,
+    n: int,
+    addresses: IntArray,
+    history: IntArray,
+    slot: int,
+) -> None:
+    """Averaged velocity over sixteen slots (I60, I61)."""
+    shift = int(x[reg.INTERNAL_GLOBAL + 61])
+    for i in range(n):
+        m = active[0, i]
+        base = 0x80 * m
+        position = read_long(x, y, base + reg.M_ACTUAL)
+        change = position - history[m, slot]
+        history[m, slot] = position
+        write_long(x, y, base + reg.M_VELOCITY_HISTORY + slot, position)
+        scaled = change * addresses[m, A_IXX09] / addresses[m, A_IXX08]
+        averaged = scaled / (1 << min(shift, 30))
+        write_long(x, y, base + reg.M_VELOCITY_FILTERED, math.floor(averaged + 0.5))
+
+
+@njit(cache=True)
+def _timers(x: Space, y: Space) -> None:
+    """User countdown timers of all coordinate systems that I68 activates."""
+    for cs in range(min(int(x[reg.INTERNAL_GLOBAL + 68]), 15) + 1):
+        cell = 0x2000 + 0x100 * cs + reg.C_TIMERS
+        if x[cell] != 0x800000:
+            x[cell] = (int(x[cell]) - 1) & _WORD
+        if y[cell] != 0x800000:
+            y[cell] = (int(y[cell]) - 1) & _WORD
+
+
+@njit(cache=True)
+def _open_loop(
+    x: Space,
+    y: Space,
+    base: int,
+    position: int,
+    offset: int,
+    k: FloatArray,
+    cursor: FloatArray,
+) -> float:
+    """A motor whose loop is open: desired follows actual, the law forgets, X:+$2E goes out."""
+    command = position - offset
+    write_long(x, y, base + reg.M_COMMANDED, command)
+    write_long(x, y, base + reg.M_PREVIOUS_NET, position)
+    write_long(x, y, base + reg.M_FOLLOWING_ERROR, 0)
+    write_long(x, y, base + reg.M_INTEGRATOR, 0)
+    k[: law.N_LAW] = 0.0
+    k[K_VELOCITY] = 0.0
+    k[K_FILTERED] = position
+    k[K_BACKLASH_EXTREME] = command
+    cursor[traj.C_POSITION] = command
+    cursor[traj.C_VELOCITY] = 0.0
+    if not x[base + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
+        x[base + reg.M_FILTER_RESULT] = 0
+    return float(read_word_signed(x, base + reg.M_FILTER_RESULT))
+
+
+@njit(cache=True)
+def servo_cycles(
+    x: Space,
+    y: Space,
+    dirty: IntArray,
+    head: IntArray,
+    decoded: FloatArray,
+    addresses: IntArray,
+    active: IntArray,
+    mmem: FloatArray,
+    queue: FloatArray,
+    cursor: FloatArray,
+    index: IntArray,
+    entries: IntArray,
+    ectmem: FloatArray,
+    tables: IntArray,
+    plan: IntArray,
+    history: IntArray,
+    world: FloatArray,
+    pstate: FloatArray,
+    ppar: FloatArray,
+    plog: FloatArray,
+    events: IntArray,
+    imap: IntArray,
+    iscale: FloatArray,
+    plc_code: IntArray,
+    plc_consts: FloatArray,
+    plc_stack: FloatArray,
+    plc_state: IntArray,
+    plc_events: FloatArray,
+    srv_code: IntArray,
+    srv_consts: FloatArray,
+    srv_stack: FloatArray,
+    srv_state: IntArray,
+    srv_events: FloatArray,
+    regs: FloatArray,
+    n_cycles: int,
+) -> int:
+    """Run servo cycles until ``n_cycles`` are done or an event wants attention; cycles done."""
+    compensation = np.zeros(33)
+    torque_table = np.zeros(33)
+    backlash_table = np.zeros(33)
+    steps = np.zeros(16)
+    compiled = world[W_KIND] == 1.0
+    cycle_ms = world[W_CYCLE_MS]
+    for done in range(n_cycles):
+        # 1. Latch what the plant shows.
+        if compiled:
+            world[W_ANGLE] = pstate[plant.S_ANGLE_READ]
+            world[W_TABLE] = pstate[plant.S_TABLE_READ]
+        _latch(x, y, world)
+        # 2. Changed words.
+        if dirty[0] != head[H_DIRTY]:
+            head[H_DIRTY] = dirty[0]
+            # The table is decoded and run first, so that a new motor starts on its result.
+            head[H_ENTRIES], _ = encoder.decode_table(x, y, entries)
+            encoder.convert(x, y, entries, head[H_ENTRIES], ectmem)
+            decode_all(x, y, head, decoded, addresses, active, entries, tables, plan, world, mmem)
+        else:
+            encoder.convert(x, y, entries, head[H_ENTRIES], ectmem)
+        n_active = head[H_ACTIVE]
+        # 3. Time base.
+        used = 1
+        for i in range(n_active):
+            used |= 1 << addresses[active[0, i], A_CS]
+        _time_bases(x, y, used, steps)
+        # 4. Positions and trajectories of all motors.
+        tables_on = (x[reg.GLOBAL_STATUS] >> 14) & 1  # I51
+        for i in range(n_active):
+            m = active[0, i]
+            base = 0x80 * m
+            a = addresses[m]
+            now = int(x[a[A_POSITION]])
+            change = _signed24(now - int(y[base + reg.M_IXX05]))
+            y[base + reg.M_IXX05] = now
+            position = read_long(x, y, base + reg.M_ACTUAL) + change * a[A_IXX08]
+            write_long(x, y, base + reg.M_ACTUAL, position)
+            now = int(x[a[A_MASTER]])
+            change = _signed24(now - int(y[base + reg.M_IXX07]))
+            y[base + reg.M_IXX07] = now
+            status = int(x[base + reg.M_STATUS1])
+            if status & reg.S1_FOLLOWING and change != 0:
+                master = read_long(x, y, base + reg.M_MASTER) + change * a[A_IXX07]
+                write_long(x, y, base + reg.M_MASTER, master)
+            flags = 0
+            if not status & reg.S1_OPEN_LOOP:
+                flags = traj.advance(queue, cursor, index, m, steps[a[A_CS]])
+                if flags >= 65536:
+                    if flags & 65536:
+                        _event(head, events, EV_SEGMENT, m, index[m, traj.I_TAG])
+                    if flags & 131072:
+                        _event(head, events, EV_LOW_QUEUE, m, index[m, traj.I_COUNT])
+                    flags &= 65535
+                c = cursor[m]
+                command = math.floor(c[traj.C_POSITION] + 0.5)
+                write_long(x, y, base + reg.M_COMMANDED, command)
+                speed = c[traj.C_VELOCITY] / cycle_ms
+                write_long(x, y, base + reg.M_DESIRED_VELOCITY, int(speed * (16777216.0 / 3.0)))
+                rate = c[traj.C_ACCELERATION] / (cycle_ms * cycle_ms)
+                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, int(rate * (16777216.0 / 6.0)))
+            else:
+                write_long(x, y, base + reg.M_DESIRED_VELOCITY, 0)
+                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, 0)
+            status &= ~_DYNAMIC1
+            if flags & traj.TIMED:
+                status |= reg.S1_MOVE_TIMER
+            if flags & traj.DWELL:
+                status |= reg.S1_DWELL
+            if flags & traj.ABORTING:
+                status |= reg.S1_ABORT_DECELERATION
+            if cursor[m, traj.C_VELOCITY] == 0.0:
+                status |= reg.S1_DESIRED_VELOCITY_ZERO
+            x[base + reg.M_STATUS1] = status
+            compensation[m] = 0.0
+            torque_table[m] = 0.0
+            backlash_table[m] = 0.0
+        # 5. Tables.
+        if tables_on:
+            for i in range(head[H_TABLES]):
+                t = tables[i]
+                source = t[comp.T_SOURCE]
+                first = _source_position(x, y, source, t[comp.T_DESIRED], addresses)
+                second = 0.0
+                if t[comp.T_ROWS] > 0:
+                    second = _source_position(
+                        x, y, t[comp.T_SOURCE2], t[comp.T_DESIRED2], addresses
+                    )
+                value = comp.look_up(y, t, first, second)
+                if t[comp.T_KIND] == 0:
+                    compensation[t[comp.T_TARGET]] += value
+                elif t[comp.T_KIND] == 1:
+                    torque_table[t[comp.T_TARGET]] += value
+                else:
+                    backlash_table[t[comp.T_TARGET]] += value
+        # 6. Servo laws.
+        for i in range(n_active):
+            m = active[0, i]
+            base = 0x80 * m
+            a = addresses[m]
+            d = decoded[m]
+            k = mmem[m]
+            if tables_on:
+                correction = compensation[m] * d[D_UNIT] / 16.0
+                write_long(
+                    x,
+                    y,
+                    base + reg.M_COMPENSATION,
+                    math.floor(COMPENSATION_REGISTER_SIGN * correction + 0.5),
+                )
+            register = read_long(x, y, base + reg.M_COMPENSATION)
+            master = read_long(x, y, base + reg.M_MASTER)
+            offset = master + int(COMPENSATION_REGISTER_SIGN) * register
+            position = read_long(x, y, base + reg.M_ACTUAL)
+            status = int(x[base + reg.M_STATUS1])
+            extension = int(y[base + reg.M_TIMEBASE_POINTER])
+            close = extension == 0
+            y[base + reg.M_TIMEBASE_POINTER] = a[A_EXTENSION] if close else extension - 1
+            if close:
+                now = int(x[a[A_VELOCITY]])
+                feedback = _signed24(now - int(y[base + reg.M_VELOCITY])) * a[A_IXX09]
+                y[base + reg.M_VELOCITY] = now
+                x[base + reg.M_VELOCITY] = feedback & _WORD
+            else:
+                feedback = _signed24(int(x[base + reg.M_VELOCITY]))
+            if status & reg.S1_OPEN_LOOP:
+                out = _open_loop(x, y, base, position, offset, k, cursor[m])
+            elif not close:
+                out = float(read_word_signed(x, base + reg.M_FILTER_RESULT))
+            else:
+                command = read_long(x, y, base + reg.M_COMMANDED)
+                net = float(command + offset)
+                if d[D_BACKLASH_RATE] > 0.0:
+                    net -= _backlash(x, y, m, d, k, net, backlash_table[m])
+                if d[D_FILTER] > 0.0:
+                    k[K_FILTERED] += (1.0 - d[D_FILTER]) * (net - k[K_FILTERED])
+                    net = math.floor(k[K_FILTERED] + 0.5)
+                else:
+                    k[K_FILTERED] = net
+                previous = read_long(x, y, base + reg.M_PREVIOUS_NET)
+                velocity = net - previous
+                acceleration = velocity - k[K_VELOCITY]
+                k[K_VELOCITY] = velocity
+                write_long(x, y, base + reg.M_PREVIOUS_NET, int(net))
+                error = net - position
+                moving = cursor[m, traj.C_VELOCITY] != 0.0
+                if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
+                    out = _user_servo(
+                        x,
+                        y,
+                        dirty,
+                        imap,
+                        iscale,
+                        srv_code,
+                        srv_consts,
+                        srv_stack,
+                        srv_state,
+                        srv_events,
+                        regs,
+                        m,
+                        feedback,
+                        velocity,
+                        error,
+                        position,
+                        net,
+                    )
+                    if math.isnan(out):
+                        out = 0.0
+                        _event(head, events, EV_SERVO_FAULT, m, 0)
+                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
+                else:
+                    # Ixx68 may be rewritten every cycle by a law.
+                    d[law.G_FRICTION] = int(y[base + reg.M_IXX68])
+                    out = law.pid_output(
+                        d, k, error, velocity, acceleration, float(feedback), moving
+                    )
+                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(k[law.L_FE]))
+                    write_long(x, y, base + reg.M_INTEGRATOR, int(k[law.L_INTEGRAL]))
+                x[base + reg.M_FILTER_RESULT] = int(out) & _WORD
+                status2 = int(y[base + reg.M_STATUS2]) & ~reg.S2_WARNING_ERROR
+                size = abs(error)
+                if d[D_WARNING] > 0.0 and size > d[D_WARNING]:
+                    status2 |= reg.S2_WARNING_ERROR
+                if d[D_FATAL] > 0.0 and size > d[D_FATAL]:
+                    status2 |= reg.S2_FATAL_ERROR
+                    _kill(x, y, m, cursor, index, mmem)
+                    _event(head, events, EV_FATAL, m, int(error))
+                    out = 0.0
+                elif (
+                    d[law.G_ILIMIT] < 0.0
+                    and abs(k[law.L_INTEGRAL]) >= -d[law.G_ILIMIT] * d[D_UNIT] / 16.0
+                ):
+                    status2 |= reg.S2_INTEGRATED_ERROR | reg.S2_FATAL_ERROR
+                    _kill(x, y, m, cursor, index, mmem)
+                    _event(head, events, EV_INTEGRATED, m, 0)
+                    out = 0.0
+                y[base + reg.M_STATUS2] = status2
+                if x[reg.INTERNAL_GLOBAL + 13] & 1:
+                    near = not moving and size < d[D_IN_POSITION]
+                    near = near and not status & (reg.S1_MOVE_TIMER | reg.S1_DWELL)
+                    bit = reg.S2_FOREGROUND_IN_POSITION
+                    y[base + reg.M_STATUS2] = status2 | bit if near else status2 & ~bit
+                _limits(x, y, m, a, d, k, cursor[m], world, position, head, events)
+                if k[K_ARMED] != 0.0:
+                    hit, captured = _trigger(x, y, m, a, d, k, world, position)
+                    if hit:
+                        k[K_ARMED] = 0.0
+                        _event(head, events, EV_TRIGGER, m, captured)
+                    elif index[m, traj.I_COUNT] == 0:
+                        k[K_ARMED] = 0.0
+                        _event(head, events, EV_TRIGGER_MISSED, m, position)
+            bias = 256.0 * read_word_signed(y, base + reg.M_IXX79_IXX29)
+            if tables_on:
+                y[base + reg.M_COMMAND] = math.floor(torque_table[m] + 0.5) & _WORD
+                bias += torque_table[m]
+            word = int(min(max(out + bias, -8388608.0), 8388607.0))
+            x[base + reg.M_COMMAND] = word & _WORD
+            if a[A_OUTPUT] != 0:
+                y[a[A_OUTPUT]] = word & _WORD
+            watched = d[D_I2T_LIMIT] > 0.0 and not status & reg.S1_OPEN_LOOP
+            if watched and _overcurrent(x, y, m, d, k, word):
+                y[base + reg.M_STATUS2] |= reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
+                _kill(x, y, m, cursor, index, mmem)
+                _event(head, events, EV_OVERCURRENT, m, word)
+        # 7. Gathering sees this cycle's latch, command and output.
+        gather.gather_cycle(x, y, plan, world[W_INPUT] != 0.0)
+        # 8. Counters.
+        head[H_CYCLES] += 1
+        _timers(x, y)
+        if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
+            _velocity_filters(x, y, active, n_active, addresses, history, head[H_SLOT])
+            head[H_SLOT] = (head[H_SLOT] + 1) & 15
+            x[1] = head[H_SLOT]
+        if head[H_CYCLES] % BACKGROUND_CYCLES == 0:
+            _background(x, y, active, n_active, decoded, addresses)
+            ticks = int(head[H_CYCLES] * cycle_ms * 1.024)
+            write_long(x, y, reg.CLOCK_1024, ticks)
+        count = (int(x[reg.SERVO_COUNTER]) + 1) & _WORD
+        x[reg.SERVO_COUNTER] = count
+        # 9. Real-time interrupt.
+        if count == y[reg.SERVO_COUNTER] or ((count - y[reg.SERVO_COUNTER]) & _WORD) < 0x800000:
+            y[reg.SERVO_COUNTER] = (count + int(y[reg.RTI_PERIOD]) + 1) & _WORD
+            enabled = head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
+            if enabled and int(vm.read_i(x, y, imap, iscale, 5)) & 1:
+                result = vm.run(
+                    x,
+                    y,
+                    dirty,
+                    imap,
+                    iscale,
+                    plc_code,
+                    plc_consts,
+                    plc_stack,
+                    plc_state,
+                    regs,
+                    plc_events,
+                    PLC_BUDGET,
+                )
+                if result == vm.FAULT:
+                    x[reg.PLC_TABLE] |= 0x800000
+                    y[reg.PLC_TABLE] |= 0x400000
+                if plc_state[vm.S_EVENTS] > 0 or result == vm.FAULT:
+                    _event(head, events, EV_PLC, 0, result)
+        # 10. The plant moves on under the torque that is now at the output.
+        m = int(world[W_ENCODER_MOTOR])
+        torque = 0.0
+        if x[0x80 * m + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
+            output = addresses[m, A_OUTPUT]
+            torque = (read_word_signed(y, output) >> 8) * world[W_TORQUE_PER_DAC]
+        world[W_TORQUE] = torque
+        if not compiled:
+            return done + 1
+        plant.ballscrew_step(pstate, ppar, plog, torque)
+        if head[H_EVENTS] > 0:
+            return done + 1
+    return n_cycles
+
+
+@njit(cache=True)
+def _source_position(x: Space, y: Space, m: int, desired: int, addresses: IntArray) -> float:
+    """Uncorrected position of a table's source motor in counts."""
+    base = 0x80 * m
+    unit = 32.0 * max(int(y[base + reg.M_IXX03_IXX08]), 1)
+    if desired:
+        return float(read_long(x, y, base + reg.M_COMMANDED) / unit)
+    register = read_long(x, y, base + reg.M_COMPENSATION)
+    actual = read_long(x, y, base + reg.M_ACTUAL)
+    return float((actual - COMPENSATION_REGISTER_SIGN * register) / unit)
+
+
+@njit(cache=True)
+def _user_servo(
+    x: Space,
+    y: Space,
+    dirty: IntArray,
+    imap: IntArray,
+    iscale: FloatArray,
+    code: IntArray,
+    consts: FloatArray,
+    stack: FloatArray,
+    state: IntArray,
+    events: FloatArray,
+    regs: FloatArray,
+    m: int,
+    feedback: int,
+    velocity: float,
+    error: float,
+    position: int,
+    net: float,
+) -> float:
+    """Open servo of one motor: 24-bit output, NaN after a fault."""
+    state[vm.S_PC] = 0
+    state[vm.S_SP] = 0
+    state[vm.S_EVENTS] = 0
+    state[vm.S_CS] = 0
+    state[vm.S_MOTOR] = m
+    state[vm.S_R1] = 0x80 * m + reg.M_STATUS1
+    regs[0] = feedback
+    regs[1] = velocity
+    regs[2] = error
+    regs[3] = position
+    regs[4] = net
+    regs[vm.REG_RETURN] = 0.0
+    result = vm.run(
+        x, y, dirty, imap, iscale, code, consts, stack, state, regs, events, SERVO_BUDGET
+    )
+    if result in (vm.FAULT, vm.OUT_OF_BUDGET, vm.EVENTS):
+        return math.nan
+    return float(min(max(regs[vm.REG_RETURN], -8388608.0), 8388607.0))
+
+
+@njit(cache=True)
+def _limits(
+    x: Space,
+    y: Space,
+    m: int,
+    a: IntArray,
+    d: FloatArray,
+    k: FloatArray,
+    cursor: FloatArray,
+    world: FloatArray,
+    position: int,
+    head: IntArray,
+    events: IntArray,
+) -> None:
+    """Overtravel limits of a closed loop; one event per stop."""
+    base = 0x80 * m
+    status = int(x[base + reg.M_STATUS1]) & ~(reg.S1_POSITIVE_LIMIT | reg.S1_NEGATIVE_LIMIT)
+    hard = 0
+    if not a[A_IXX24] & 0x20000 and a[A_FLAGS] == int(world[W_ENCODER_CHANNEL]):
+        flags = int(x[a[A_FLAGS]])
+        hard = ((flags >> 17) & 1) - ((flags >> 18) & 1)
+    soft = 0
+    if not status & reg.S1_HOME_SEARCH:
+        if d[D_POSITIVE] != 0.0 and position > d[D_POSITIVE]:
+            soft = 1
+        elif d[D_NEGATIVE] != 0.0 and position < d[D_NEGATIVE]:
+            soft = -1
+    side = hard if hard != 0 else soft
+    if side > 0:
+        status |= reg.S1_POSITIVE_LIMIT
+    elif side < 0:
+        status |= reg.S1_NEGATIVE_LIMIT
+    x[base + reg.M_STATUS1] = status
+    speed = cursor[traj.C_VELOCITY]
+    if side == 0:
+        k[K_LATCHED_LIMIT] = 0.0
+    elif speed * side > 0.0 and k[K_LATCHED_LIMIT] == 0.0:
+        k[K_LATCHED_LIMIT] = 1.0
+        y[base + reg.M_STATUS2] |= reg.S2_LIMIT_STOP
+        _event(head, events, EV_HARD_LIMIT if hard != 0 else EV_LIMIT, m, side)
+    elif speed == 0.0:
+        k[K_LATCHED_LIMIT] = 0.0
+
+
+@njit(cache=True)
+def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word: int) -> bool:
+    """I2T (Ixx57 > 0) or IT (Ixx57 < 0) protection; True when it trips (p. 121-123)."""
+    command = word / 256.0
+    continuous = d[D_I2T_CONTINUOUS]
+    if continuous >= 0.0:
+        k[K_CURRENT] += (command * command - continuous * continuous) / 1073741824.0
+    else:
+        k[K_CURRENT] += (abs(command) + continuous) / 32768.0
+    k[K_CURRENT] = max(k[K_CURRENT], 0.0)
+    write_long(x, y, 0x80 * m + reg.M_INTEGRATED_CURRENT, int(k[K_CURRENT]))
+    return bool(k[K_CURRENT] > d[D_I2T_LIMIT])
