@@ -11,7 +11,7 @@ values (2 and 1) were set when the session began. The question only reads.
 """
 
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from pmac_comp.base.clock import Clock, Deadline
@@ -25,6 +25,7 @@ QUIET_S = 0.25
 _SETTLE_S = 0.06
 _BUSY_POLL_S = 0.02
 _MARK_LENGTH = 16
+_MARK_TRIES = 3
 _MARK_SYMBOLS = (("I3", "2"), ("I6", "1"))
 
 
@@ -145,21 +146,21 @@ class BaseLink:
         return True
 
     def _finish(self, reader: ReplyReader) -> Reply:
-        if reader.rest:
+        reply = reader.reply
+        self.unsolicited += reply.unsolicited
+        if reader.rest and not self._take_unsolicited(reader.rest):
+            # One of the two answers belongs to another question, and nothing tells which.
             self.unsettled = True
             self.statistics.stray_bytes += len(reader.rest)
-        self.unsolicited += reader.reply.unsolicited
-        return reader.reply
+            reply = replace(reply, faults=(*reply.faults, "more than one answer came"))
+        return reply
 
     def settle(self, deadline: Deadline) -> None:
         """Drop what is pending and find a mark; the link is closed if it does not come."""
         self.statistics.resynchronisations += 1
         self.transport.renew()
-        mark = Mark.fresh()
         try:
-            self._silence(deadline)
-            self._ask(mark.question, deadline)
-            self._find(mark.answer(self.i4), deadline)
+            self._settle_in_steps(deadline)
         except (ReplyTimeout, RemoteProtocolError) as error:
             self.transport.close()
             kind = ReplyTimeout if isinstance(error, ReplyTimeout) else LinkLost
@@ -168,6 +169,24 @@ class BaseLink:
                 hint="The connection was closed. Run the command again to open a new one.",
             ) from error
         self.unsettled = False
+
+    def _settle_in_steps(self, deadline: Deadline) -> None:
+        # A mark may itself be lost or garbled: ask anew while there is time.
+        for tries_left in range(_MARK_TRIES, 0, -1):
+            part_s = deadline.remaining_s() / tries_left
+            try:
+                self._seek_mark(Deadline.after(self._clock, part_s))
+            except (ReplyTimeout, RemoteProtocolError):
+                if tries_left == 1:
+                    raise
+            else:
+                return
+
+    def _seek_mark(self, deadline: Deadline) -> None:
+        mark = Mark.fresh()
+        self._silence(deadline)
+        self._ask(mark.question, deadline)
+        self._find(mark.answer(self.i4), deadline)
 
     def _find(self, wanted: bytes, deadline: Deadline) -> None:
         seen = bytearray()
@@ -300,9 +319,7 @@ class LineLink(BaseLink):
         if reply.command_sum in (None, expected):
             return reply
         fault = f"the controller received another line (sum {reply.command_sum}, not {expected})"
-        return Reply(
-            reply.lines, reply.error, reply.unsolicited, reply.command_sum, (*reply.faults, fault)
-        )
+        return replace(reply, faults=(*reply.faults, fault))
 
     def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
         """Send a control character as it is."""

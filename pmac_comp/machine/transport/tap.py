@@ -36,6 +36,8 @@ class FaultKind(Enum):
     """Bytes ``data`` come before byte ``at``."""
     DELAY = "delay"
     """Byte ``at`` and all behind it come ``argument`` seconds late."""
+    SLOW = "slow"
+    """From byte ``at`` on, each byte takes ``argument`` seconds."""
     SPLIT = "split"
     """Bytes come in pieces of ``argument``; ``at`` has no meaning."""
 
@@ -80,6 +82,11 @@ class FaultyTransport:
         self._cut = False
         self.sent = 0
         self.received = 0
+
+    def schedule(self, faults: Iterable[Fault]) -> None:
+        """Replace the schedule; positions count from ``sent`` and ``received`` as they are."""
+        self._faults = tuple(faults)
+        self._blocks.clear()
 
     @property
     def name(self) -> str:
@@ -167,9 +174,18 @@ class FaultyTransport:
                     due_s = deadline.clock.now_s() + fault.argument
                 if fault.kind is FaultKind.INJECT:
                     out += fault.data
+            pause_s = self._pause_s(position, way)
+            if pause_s:
+                pieces.append((due_s, bytes(out)))
+                out.clear()
+                due_s = max(due_s, deadline.clock.now_s()) + pause_s
             out += self._altered(value, position, way)
         pieces.append((due_s, bytes(out)))
         return self._split(pieces, way), False
+
+    def _pause_s(self, position: int, way: Way) -> float:
+        slow = (f for f in self._faults if f.kind is FaultKind.SLOW and f.way is way)
+        return sum(fault.argument for fault in slow if position >= fault.at)
 
     def _altered(self, value: int, position: int, way: Way) -> bytes:
         out = bytes([value])
