@@ -233,7 +233,7 @@ def studentised(differences: FloatArray) -> float:
     mean = float(differences.mean())
     if deviation <= 0.0:
         return float(np.sign(mean) * np.inf) if mean else 0.0
-    return mean / (deviation / np.sqrt(n))
+    return mean * math.sqrt(n) / deviation
 
 
 def corrected_p(p_value: float, candidates: int) -> float:
