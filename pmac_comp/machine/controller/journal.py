@@ -14,7 +14,7 @@ from typing import Final
 
 from pmac_comp.base.errors import ConfigError, StorageFull
 
-STEPS: Final = ("intent", "disable", "write", "seal", "enable", "persist", "done", "rolled back")
+CLOSING: Final = frozenset({"done", "rolled back"})
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Journal:
             raise StorageFull(
                 f"The journal {self.path} cannot be written: {error.strerror}.",
                 code="PC-JRN-001",
-                hint="Nothing is changed without a journal; free the disk or choose another folder.",
+                hint="Nothing is changed without a journal; free the disk or choose a folder.",
             ) from error
 
     def entries(self) -> list[Entry]:
@@ -82,7 +82,7 @@ class Journal:
     def is_open(self) -> bool:
         """Whether a transaction was begun and neither finished nor rolled back."""
         steps = [entry.step for entry in self.entries()]
-        return bool(steps) and steps[-1] not in {"done", "rolled back"}
+        return bool(steps) and steps[-1] not in CLOSING
 
 
 def probe_folder(folder: Path) -> None:

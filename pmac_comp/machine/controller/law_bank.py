@@ -30,7 +30,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
     y = c + D1 dc + D2 ddc                                 lead that undoes the loop's lag
     correction = gain clamp(y)         is ADDED to the command (positive moves the motor up)
-    q = TJ a + TB v + (TC + TE |a| + TS / (1 + |v| TV_INV)) t + T0
+    q = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v| TV_INV)) t + T0
     torque = gain limit(q + TL dq)     16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -126,6 +126,7 @@ class BankIndex(IntEnum):
     TV_INV = 19  # SC/count, inverse of the speed at which the excess is halved
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
     T_LIMIT = 21  # DAC units, largest torque feed-forward
+    TK = 22  # DAC units per (count/SC^3), undoes delay and current loop
     REVISION = 26  # number of the law, from the host
     SEALED = 27  # 20261 once the bank was read back
     CRC_HIGH = 28
@@ -184,8 +185,8 @@ def bank_crc(values: Sequence[float]) -> int:
 class LawParameters:
     """Coefficients of the law in counts and servo cycles (the module docstring has the law).
 
-    Every value is rounded to nine significant digits at construction, so that what is compared
-    after read-back is what was meant.
+    Every value is rounded to nine significant digits and ten decimals at construction, so that
+    what is compared after read-back is what was meant; a smaller coefficient becomes zero.
     """
 
     A0: float = 0.0
@@ -209,6 +210,7 @@ class LawParameters:
     TV_INV: float = 0.0
     TE: float = 0.0
     T_LIMIT: float = 0.0
+    TK: float = 0.0
     REVISION: float = field(default=0.0, compare=True)
 
     def __post_init__(self) -> None:
@@ -258,7 +260,7 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TB", "TC", "T0", "TS", "TE")
+        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TK", "TB", "TC", "T0", "TS", "TE")
         return all(getattr(self, name) == 0.0 for name in names)
 
 
@@ -313,7 +315,7 @@ def evaluate(
     dc = np.diff(c, prepend=c[0])
     y = c + p.D1 * dc + p.D2 * np.diff(dc, prepend=dc[0])
     level = p.TC + p.TE * np.abs(a) + p.TS / (1.0 + np.abs(v) * p.TV_INV)
-    q = p.TJ * a + p.TB * v + level * t + p.T0
+    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0
     torque = np.clip(q + p.TL * np.diff(q, prepend=q[0]), -p.T_LIMIT, p.T_LIMIT)
     return LawOutput(
         correction_ct=gain * np.clip(y, -clamp_ct, clamp_ct),

@@ -13,14 +13,16 @@ from pmac_comp.base.errors import LocalProtocolError, NonFinite, RemoteProtocolE
 from pmac_comp.machine.wire.numbers import read_number
 
 SIGNIFICANT_DIGITS: Final = 9
+DECIMALS: Final = 10
 MANTISSA_LIMIT: Final = 1 << 35
 
 
 def nine_digits(value: float) -> str:
-    """Plain decimal text of a value with nine significant digits, no exponent.
+    """Plain decimal text of a value with at most nine digits and ten decimals, no exponent.
 
-    The 48-bit registers hold 10.5 digits and print ten, so nine survive the way there and back
-    (Software Reference Manual p. 486).
+    The 48-bit registers hold 10.5 digits (Software Reference Manual p. 486) and are printed with
+    at most eleven decimals, the last ones cut (real backups); this much survives the way there and
+    back.
 
     Raises
     ------
@@ -29,6 +31,7 @@ def nine_digits(value: float) -> str:
     """
     if not math.isfinite(value):
         raise NonFinite(f"{value} cannot be sent to the controller.", code="PC-NUM-001")
+    value = round(value, DECIMALS)
     if value == 0.0:
         return "0"
     text = np.format_float_positional(

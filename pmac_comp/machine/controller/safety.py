@@ -1,0 +1,235 @@
+"""Rules that no table, law or motion may break; all refusals of a check are reported together.
+
+Figures come from the bench file by way of ``workflow``, in counts. Nothing here talks to a
+controller.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.errors import AmplitudeExceeded, MotorNotSafe, SafetyRefusal, SlopeExceeded
+from pmac_comp.machine.controller.comp_table import CompTable, Table
+from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits in counts.
+
+    Parameters
+    ----------
+    max_correction_ct : float
+        Largest correction.
+    max_slope : float
+        Largest change of the correction per count of travel.
+    max_step_ct : float
+        Largest step when compensation is switched.
+    min_position_ct, max_position_ct : float
+        Travel in counts of the source motor.
+    um_per_ct : float
+        For the texts.
+    """
+
+    max_correction_ct: float
+    max_slope: float
+    max_step_ct: float
+    min_position_ct: float
+    max_position_ct: float
+    um_per_ct: float
+
+    def text_um(self, value_ct: float) -> str:
+        """A value in um for a person."""
+        return f"{value_ct * self.um_per_ct:.3g} um"
+
+
+@dataclass(frozen=True)
+class Cut:
+    """One place at which a correction was limited."""
+
+    index: int
+    position_ct: float
+    before_ct: float
+    after_ct: float
+
+
+def raise_all(refusals: Sequence[SafetyRefusal], what: str) -> None:
+    """Raise one refusal that holds all of them; nothing if there are none."""
+    if not refusals:
+        return
+    if len(refusals) == 1:
+        raise refusals[0]
+    raise SafetyRefusal(
+        f"{what} is refused for {len(refusals)} reasons:",
+        code="PC-SAF-000",
+        refusals=tuple(refusals),
+    )
+
+
+def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
+    """What forbids a table: amplitude, slope, span shorter than the travel.
+
+    Each refusal names the position and the value.
+    """
+    if not isinstance(table, CompTable):
+        return _check_span(table, limits)
+    refusals: list[SafetyRefusal] = []
+    values_ct = np.array([table.entries[-1] if table.wrap else 0, *table.entries]) / 16.0
+    position_ct = np.arange(len(values_ct)) * table.spacing_ct
+    worst = int(np.argmax(np.abs(values_ct)))
+    if abs(values_ct[worst]) > limits.max_correction_ct:
+        refusals.append(
+            AmplitudeExceeded(
+                f"Entry {worst} at {position_ct[worst]:.0f} counts corrects by "
+                f"{limits.text_um(values_ct[worst])}; the limit is "
+                f"{limits.text_um(limits.max_correction_ct)}.",
+                code="PC-SAF-001",
+                hint="Check the table, or cut it with --limit.",
+                context={"entry": worst, "correction_ct": float(values_ct[worst])},
+            )
+        )
+    slopes = np.diff(values_ct) / table.spacing_ct
+    steep = int(np.argmax(np.abs(slopes)))
+    if abs(slopes[steep]) > limits.max_slope:
+        refusals.append(
+            SlopeExceeded(
+                f"Between entries {steep} and {steep + 1} ({position_ct[steep]:.0f} counts) the "
+                f"correction changes by {slopes[steep] * 1e3:.3g} um per mm; the limit is "
+                f"{limits.max_slope * 1e3:.3g}.",
+                code="PC-SAF-002",
+                hint="Smooth the table, or raise max_slope_um_per_mm if the screw really is so.",
+                context={"entry": steep, "slope": float(slopes[steep])},
+            )
+        )
+    return refusals + _check_span(table, limits)
+
+
+def _check_span(table: Table, limits: Limits) -> list[SafetyRefusal]:
+    travel_ct = limits.max_position_ct - limits.min_position_ct
+    if table.span_ct >= travel_ct:
+        return []
+    return [
+        SafetyRefusal(
+            f"The table spans {table.span_ct} counts, the travel is {travel_ct:.0f}: it would "
+            "repeat inside the travel.",
+            code="PC-SAF-003",
+            hint="Make the table at least as long as the travel.",
+        )
+    ]
+
+
+def limit_table(table: CompTable, limits: Limits) -> tuple[CompTable, tuple[Cut, ...]]:
+    """Table cut to the amplitude and the slope, and the places that were cut."""
+    entries = np.array(table.entries, dtype=np.int64)
+    largest = int(np.floor(limits.max_correction_ct * 16.0))
+    step = max(1, int(np.floor(limits.max_slope * table.spacing_ct * 16.0)))
+    cut = np.clip(entries, -largest, largest)
+    first = 0 if not table.wrap else int(cut[-1])
+    for k in range(len(cut)):
+        before = first if k == 0 else int(cut[k - 1])
+        cut[k] = min(max(int(cut[k]), before - step), before + step)
+    for k in range(len(cut) - 2, -1, -1):
+        cut[k] = min(max(int(cut[k]), int(cut[k + 1]) - step), int(cut[k + 1]) + step)
+    if not table.wrap and cut[-1] != 0:
+        cut = _ramp_to_zero(cut, step)
+    places = tuple(
+        Cut(k + 1, (k + 1) * table.spacing_ct, entries[k] / 16.0, cut[k] / 16.0)
+        for k in np.flatnonzero(cut != entries).tolist()
+    )
+    return replace(table, entries=tuple(int(v) for v in cut)), places
+
+
+def _ramp_to_zero(values: np.ndarray, step: int) -> np.ndarray:
+    distance = np.arange(len(values) - 1, -1, -1) * step
+    return np.asarray(np.clip(values, -distance, distance))
+
+
+def check_step(
+    old: Iterable[Table],
+    new: Iterable[Table],
+    position_ct: dict[int, float],
+    closed_loop: dict[int, bool],
+    limits: Limits,
+) -> list[SafetyRefusal]:
+    """What forbids to switch where the axes stand: a jump of a closed-loop motor.
+
+    Both the disappearance of the old correction and the appearance of the new one are steps.
+    Parameters are keyed by motor; motors that are killed follow without a jump.
+    """
+    refusals: list[SafetyRefusal] = []
+    for name, tables in (("off", old), ("on", new)):
+        step_ct: dict[int, float] = {}
+        for table in tables:
+            if isinstance(table, CompTable) and closed_loop.get(table.target, False):
+                value = float(table.correction_ct(position_ct[table.source]))
+                step_ct[table.target] = step_ct.get(table.target, 0.0) + value
+        for motor, value in step_ct.items():
+            if abs(value) > limits.max_step_ct:
+                refusals.append(_step_refusal(motor, name, value, limits, tables))
+    return refusals
+
+
+def _step_refusal(
+    motor: int, name: str, value_ct: float, limits: Limits, tables: Iterable[Table]
+) -> SafetyRefusal:
+    places = [quiet_place(t, limits) for t in tables if isinstance(t, CompTable)]
+    where = next((p for p in places if p is not None), None)
+    hint = "Kill the motor first" + (
+        f", or stand near {where:.0f} counts, where the correction is small." if where else "."
+    )
+    return MotorNotSafe(
+        f"Switching compensation {name} would move motor #{motor} by "
+        f"{limits.text_um(value_ct)} at once; the limit is {limits.text_um(limits.max_step_ct)}.",
+        code="PC-SAF-004",
+        hint=hint,
+        context={"motor": motor, "step_ct": value_ct, "stand_at_ct": where},
+    )
+
+
+def quiet_place(table: CompTable, limits: Limits) -> float | None:
+    """Position inside the travel at which the table is smallest."""
+    grid = np.linspace(limits.min_position_ct, limits.max_position_ct, 2001)
+    values = np.abs(table.correction_ct(grid))
+    best = int(np.argmin(values))
+    return float(grid[best]) if values[best] <= limits.max_step_ct else None
+
+
+def check_law(
+    parameters: LawParameters,
+    clamp_ct: float,
+    limits: Limits,
+    position_ct: FloatArray | None = None,
+) -> list[SafetyRefusal]:
+    """What forbids a law: clamp above the amplitude limit, or a motion that meets the clamp.
+
+    Parameters
+    ----------
+    parameters, clamp_ct
+        The bank and the clamp in counts.
+    limits : Limits
+        Limits of the bench.
+    position_ct : FloatArray, optional
+        A commanded motion at every servo cycle: its correction is checked against the clamp.
+    """
+    refusals: list[SafetyRefusal] = []
+    if not 0.0 < clamp_ct <= limits.max_correction_ct:
+        refusals.append(
+            AmplitudeExceeded(
+                f"A clamp of {limits.text_um(clamp_ct)} is outside 0 .. "
+                f"{limits.text_um(limits.max_correction_ct)}.",
+                code="PC-SAF-005",
+            )
+        )
+    if position_ct is not None:
+        out = evaluate(parameters, finite_array("position_ct", position_ct), clamp_ct=clamp_ct)
+        if out.n_clamped:
+            refusals.append(
+                AmplitudeExceeded(
+                    f"The clamp would act in {out.n_clamped} servo cycles of this motion.",
+                    code="PC-SAF-007",
+                    hint="Slow the motion down, or check the law.",
+                )
+            )
+    return refusals
