@@ -1,1 +1,1 @@
-"""Lead table, dynamic law, trajectory pre-compensation and limiting; all in SI."""
+"""Compensation in SI: dynamic law, lead table, pre-compensated trajectory, limits. No counts."""

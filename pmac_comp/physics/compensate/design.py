@@ -1,0 +1,339 @@
+"""Coefficients of the compensation law from a drive model, and what the model promises of it.
+
+What lives here: the start from the closed forms (regression of the simulated mechanical error on
+acceleration, velocity and direction), the refinement of all coefficients through the closed loop
+of the model, and the promise. What may not: captures, counts. Imports ``physics.model``,
+``physics.signals``, ``files`` and ``base``.
+
+The refinement is what makes the law right with the loop around it: latency of the door, current
+loop, delay and the controller's own feed-forward all act in the simulation, so the coefficients
+that undo them come out instead of being assumed.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
+
+Progress = Callable[[str, float], None]
+_MECHANICAL_WEIGHT = 4.0  # the mechanical error is several times smaller than the control error
+_DECIMATION = 4  # residual samples per servo cycle that enter the fit
+
+# Free coefficients with the size of a typical change.
+_OFFSET_SCALES = {
+    "inertia_s2": 2e-6,
+    "inertia_per_m_s2_per_m": 2e-6,
+    "viscous_s": 4e-6,
+    "viscous_per_m_s_per_m": 4e-6,
+    "coulomb_m": 1e-6,
+    "coulomb_per_m": 1e-6,
+    "jerk_s3": 1e-9,
+    "breakaway_m": 1e-5,
+    "lead_s": 4e-4,
+    "lead2_s2": 2e-7,
+}
+_TORQUE_SCALES = {
+    "torque_inertia_Nm_s2_per_m": 0.02,
+    "torque_jerk_Nm_s3_per_m": 5e-4,
+    "torque_viscous_Nm_s_per_m": 0.2,
+    "torque_coulomb_Nm": 0.2,
+    "torque_load_Nm_s2_per_m": 0.02,
+    "torque_excess_Nm": 0.1,
+    "torque_breakaway_m": 1e-5,
+    "torque_lead_s": 1e-3,
+    "torque_constant_Nm": 0.02,
+}
+_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6}
+
+
+@dataclass(frozen=True)
+class LoopSignals:
+    """Positions in m of one closed-loop simulation, without sensors; shape (n,) each."""
+
+    motor_position_m: FloatArray
+    table_position_m: FloatArray
+    torque_Nm: FloatArray
+
+
+LoopRunner = Callable[[FloatArray, FloatArray | None, FloatArray | None], LoopSignals]
+
+
+@dataclass(frozen=True)
+class MotionPromise:
+    """What a model promises for one motion, rms in um.
+
+    Parameters
+    ----------
+    e_before_um, e_r_after_um : float
+        Mechanical error without, residual mechanical error with compensation.
+    e_c_before_um, e_c_after_um, total_before_um, total_after_um : float
+        Control tracking error and total error.
+    """
+
+    e_before_um: float
+    e_r_after_um: float
+    e_c_before_um: float
+    e_c_after_um: float
+    total_before_um: float
+    total_after_um: float
+
+
+def model_loop(model: Any) -> LoopRunner:
+    """Closed loop of a drive model as a function of command, desired position and torque."""
+    from pmac_comp.physics.model.drive import simulate
+
+    def run(
+        commanded: FloatArray, desired: FloatArray | None, torque: FloatArray | None
+    ) -> LoopSignals:
+        response = simulate(
+            model, commanded, desired_position_m=desired, torque_feedforward_Nm=torque
+        )
+        if response.table_position_m is None:
+            raise ModelError(
+                "The model has no table position.",
+                code="PC-LAW-030",
+                hint="Compensation at the table needs a bench with a scale.",
+            )
+        return LoopSignals(
+            response.motor_position_m, response.table_position_m, response.torque_command_Nm
+        )
+
+    return run
+
+
+def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
+    """Motions over the usable range of a bench on which the coefficients are refined.
+
+    Sinusoids from slow to the acceleration limit and two jerk-limited trapezoids, at three places
+    of the travel. Verification motions are drawn elsewhere.
+    """
+    period = bench.servo_period_s
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    middle, span = 0.5 * (low + high), high - low
+    speed = min(bench.safety.max_speed_mm_per_s / 1e3, _rated_speed(bench))
+    acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
+
+    def sine(amplitude: float, frequency: float, place: float, cycles: float) -> Trajectory:
+        amplitude = min(amplitude, 0.2 * span)
+        omega = 2.0 * math.pi * frequency
+        amplitude = min(amplitude, 0.9 * speed / omega, 0.9 * acceleration / omega**2)
+        return sinusoid(
+            period_s=period,
+            amplitude_m=amplitude,
+            frequency_Hz=frequency,
+            cycles=cycles,
+            centre_m=middle + place * span,
+            dwell_s=0.05,
+        )
+
+    def move(fraction: float, place: float) -> Trajectory:
+        return trapezoid(
+            period_s=period,
+            distance_m=0.2 * span,
+            speed_m_per_s=0.8 * fraction * speed,
+            acceleration_m_per_s2=min(5.0, acceleration) * fraction,
+            s_curve_s=0.015,
+            start_m=middle + place * span,
+            dwell_s=0.1,
+        )
+
+    return (
+        sine(0.010, 1.0, 0.0, 2.0),
+        sine(0.010, 2.0, -0.3, 3.0),
+        sine(0.010, 5.0, 0.0, 5.0),
+        sine(0.025, 2.0, 0.25, 3.0),
+        sine(0.050, 0.8, 0.0, 2.0),
+        move(1.0, -0.3),
+        move(0.5, 0.1),
+    )
+
+
+def _rated_speed(bench: Bench) -> float:
+    rpm = bench.known.rated_speed_rpm
+    return math.inf if rpm is None else rpm / 60.0 * bench.pitch_m
+
+
+def design_law(
+    bench: Bench,
+    loop: LoopRunner,
+    *,
+    latency_cycles: int = 1,
+    with_torque: bool = True,
+    motions: Sequence[Trajectory] | None = None,
+    provenance: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> CompensationLaw:
+    """Law whose coefficients remove the model's mechanical and control error.
+
+    Parameters
+    ----------
+    bench : Bench
+        Limits, travel, period.
+    loop : LoopRunner
+        Closed loop of the model (``model_loop``).
+    latency_cycles : int
+        Servo cycles by which the door delivers late (1 for PLC 0, 0 for the open servo).
+    with_torque : bool
+        Whether the route carries torque feed-forward.
+    motions : sequence of Trajectory, optional
+        Where the coefficients are refined; ``design_motions`` if not given.
+    provenance : dict, optional
+        Kept with the law.
+    progress : callable, optional
+        Called with a step and a fraction.
+
+    Raises
+    ------
+    ModelError
+        The model gives no finite response.
+    """
+    chosen = tuple(motions or design_motions(bench))
+    start = _start(bench, loop, chosen, latency_cycles, with_torque=with_torque)
+    start = replace(
+        start,
+        provenance=dict(provenance or {}),
+        valid_speed_m_per_s=max(float(np.max(np.abs(m.velocity_m_per_s))) for m in chosen),
+        valid_acceleration_m_per_s2=max(
+            float(np.max(np.abs(m.acceleration_m_per_s2))) for m in chosen
+        ),
+    )
+    return _refined(start, loop, chosen, latency_cycles, with_torque, progress)  # noqa: FBT003
+
+
+def _start(
+    bench: Bench,
+    loop: LoopRunner,
+    motions: Sequence[Trajectory],
+    latency: int,
+    *,
+    with_torque: bool,
+) -> CompensationLaw:
+    """Regression of what the model does on what its motor does (ballscrew facts 2.8, 2.9)."""
+    period = bench.servo_period_s
+    rows, errors, torques = [], [], []
+    for motion in motions:
+        signals = loop(motion.position_m, None, None)
+        row, valid = _regressors(signals.motor_position_m, period, bench.mid_travel_m)
+        error = signals.table_position_m - signals.motor_position_m
+        rows.append(row[valid])
+        errors.append((error - error[0])[valid])
+        torques.append(signals.torque_Nm[valid])
+    matrix = np.concatenate(rows)
+    offset, *_ = np.linalg.lstsq(matrix[:, :7], -np.concatenate(errors), rcond=None)
+    torque, *_ = np.linalg.lstsq(matrix[:, [0, 2, 4, 6]], np.concatenate(torques), rcond=None)
+    late = (latency + 1) * period
+    law = CompensationLaw(
+        inertia_s2=float(offset[0]),
+        inertia_per_m_s2_per_m=float(offset[1]),
+        viscous_s=float(offset[2]),
+        viscous_per_m_s_per_m=float(offset[3]),
+        coulomb_m=float(offset[4]),
+        coulomb_per_m=float(offset[5]),
+        lead_s=late,
+        origin_m=bench.mid_travel_m,
+        amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,
+    )
+    if not with_torque:
+        return law
+    return replace(
+        law,
+        torque_jerk_Nm_s3_per_m=float(torque[3]),
+        torque_coulomb_Nm=0.9 * float(torque[2]),
+        torque_lead_s=late,
+        torque_limit_Nm=0.9 * bench.drive.torque_limit_Nm,
+    )
+
+
+def _regressors(
+    position: FloatArray, period: float, origin: float
+) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Columns a, a x, v, v x, s, s x, jerk of a smooth motion and where direction is clear."""
+    v = np.gradient(position, period)
+    a = np.gradient(v, period)
+    j = np.gradient(a, period)
+    x = position - origin
+    s = np.tanh(v / 2e-3)
+    moving = np.abs(v) > 1e-2
+    moving[:5] = moving[-5:] = False
+    return np.column_stack([a, a * x, v, v * x, s, s * x, j]), moving
+
+
+def _refined(
+    start: CompensationLaw,
+    loop: LoopRunner,
+    motions: Sequence[Trajectory],
+    latency: int,
+    with_torque: bool,
+    progress: Progress | None,
+) -> CompensationLaw:
+    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if with_torque else {})}
+    names = list(scales)
+    size = np.array([scales[name] for name in names])
+    first = np.array([getattr(start, name) for name in names]) / size
+    lowest = np.array([_LOWEST.get(name, -np.inf) for name in names]) / size
+    count = 0
+
+    def residual(point: FloatArray) -> FloatArray:
+        nonlocal count
+        count += 1
+        if progress is not None:
+            progress("computing the law", min(0.99, count / (8.0 * len(names))))
+        law = start.with_values(**dict(zip(names, (point * size).tolist(), strict=True)))
+        return np.concatenate([_errors(law, loop, m, latency) for m in motions])
+
+    solved = least_squares(
+        residual,
+        np.maximum(first, lowest + 0.05),
+        bounds=(lowest, np.inf),
+        diff_step=1e-3,
+        max_nfev=7,
+        xtol=1e-4,
+        ftol=1e-3,
+    )
+    return start.with_values(**dict(zip(names, (solved.x * size).tolist(), strict=True)))
+
+
+def _errors(law: CompensationLaw, loop: LoopRunner, motion: Trajectory, latency: int) -> FloatArray:
+    """Weighted residual mechanical error and total error in um of one motion."""
+    sent = evaluate_law(law, motion.position_m, motion.sample_period_s, latency_cycles=latency)
+    desired = motion.position_m + sent.correction_m
+    signals = loop(motion.position_m, desired, sent.torque_Nm)
+    residual = signals.table_position_m - signals.motor_position_m + sent.correction_m
+    total = signals.table_position_m - motion.position_m
+    both = np.concatenate([_MECHANICAL_WEIGHT * (residual - residual[0]), total - total[0]])
+    return np.asarray(both[::_DECIMATION] * UM_PER_M / math.sqrt(motion.n))
+
+
+def promise(
+    law: CompensationLaw, loop: LoopRunner, motion: Trajectory, *, latency_cycles: int = 1
+) -> MotionPromise:
+    """What the model expects of a law on one motion; the relaxed start is the zero of errors."""
+    before = loop(motion.position_m, None, None)
+    sent = evaluate_law(
+        law, motion.position_m, motion.sample_period_s, latency_cycles=latency_cycles
+    )
+    desired = motion.position_m + sent.correction_m
+    after = loop(motion.position_m, desired, sent.torque_Nm)
+    r = motion.position_m
+    return MotionPromise(
+        e_before_um=_rms_um(before.table_position_m - before.motor_position_m),
+        e_r_after_um=_rms_um(after.table_position_m - after.motor_position_m + sent.correction_m),
+        e_c_before_um=_rms_um(before.motor_position_m - r),
+        e_c_after_um=_rms_um(after.motor_position_m - desired),
+        total_before_um=_rms_um(before.table_position_m - r),
+        total_after_um=_rms_um(after.table_position_m - r),
+    )
+
+
+def _rms_um(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean((values - values[0]) ** 2)) * UM_PER_M)
