@@ -493,6 +493,8 @@ def _open_loop(
     write_long(x, y, base + reg.M_PREVIOUS_NET, position)
     write_long(x, y, base + reg.M_FOLLOWING_ERROR, 0)
     write_long(x, y, base + reg.M_INTEGRATOR, 0)
+    # History register L:(R1-$29) of the open servo: zero while the loop is open (p. 179).
+    write_long(x, y, base + 0x07, 0)
     k[: law.N_LAW] = 0.0
     k[K_VELOCITY] = 0.0
     k[K_FILTERED] = position
@@ -713,6 +715,7 @@ def servo_cycles(
                         out = 0.0
                         _event(head, events, EV_SERVO_FAULT, m, 0)
                     write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
+                    k[: law.N_LAW] = 0.0
                 else:
                     # Ixx68 may be rewritten every cycle by a law.
                     d[law.G_FRICTION] = int(y[base + reg.M_IXX68])

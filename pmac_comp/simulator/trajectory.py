@@ -4,7 +4,7 @@ What lives here: the queue that the servo kernel evaluates every servo cycle, an
 jog, stop and abort moves. What may not: motion programs (they plan blended moves and push the
 segments here), memory addresses. Imports numba and ``base``.
 
-One segment is a polynomial ``c0 + c1 t + ... + c5 t^5`` in units of 1/(32 Ixx08) count with
+One segment is a polynomial ``c0 + c1 t + ... + c5 t^5`` in units of 1/(32 Ixx08) count, with
 ``t`` in servo cycles from its start at 100 % time base. A motor whose queue is empty stands at its
 last position. All motors of a coordinate system get segments of the same durations, so they change
 segment in the same servo cycle whatever the time base does.
