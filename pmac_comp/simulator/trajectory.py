@@ -9,7 +9,7 @@ One segment is a polynomial ``c0 + c1 t + ... + c5 t^5`` in units of 1/(32 Ixx08
 last position. All motors of a coordinate system get segments of the same durations, so they change
 segment in the same servo cycle whatever the time base does.
 
-Source: Turbo PMAC Software Reference Manual p. 97-108, 152 (Ixx15, Ixx19-23, Ixx92), 332-340 (jogs).
+Source: Turbo PMAC Software Reference Manual p. 97-108, 152 (Ixx15, Ixx19-23, Ixx92), 332-340.
 """
 
 import math
