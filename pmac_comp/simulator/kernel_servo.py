@@ -162,6 +162,13 @@ def _signed24(value: int) -> int:
 
 
 @njit(cache=True)
+def _signed16(value: int) -> int:
+    """Sixteen-bit variables occupy the low bits of their word."""
+    value &= 0xFFFF
+    return value - 0x10000 if value >= 0x8000 else value
+
+
+@njit(cache=True)
 def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None:
     """Decode the block of one motor into gains, limits (units) and addresses."""
     base = 0x80 * m
@@ -194,7 +201,7 @@ def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None
     d[D_BACKLASH_RATE] = int(x[base + reg.M_IXX85_IXX87]) * sixteenth
     d[D_BACKLASH_HYSTERESIS] = int(y[base + reg.M_IXX85_IXX87]) * sixteenth
     d[D_BACKLASH_SIZE] = read_word_signed(x, base + reg.M_IXX86) * sixteenth
-    d[D_I2T_CONTINUOUS] = read_word_signed(x, base + reg.M_IXX57_IXX58)
+    d[D_I2T_CONTINUOUS] = _signed16(int(x[base + reg.M_IXX57_IXX58]))
     d[D_I2T_LIMIT] = int(y[base + reg.M_IXX57_IXX58])
     a[A_POSITION] = x[base + reg.M_IXX03_IXX08] & 0x7FFFF
     a[A_VELOCITY] = x[base + reg.M_IXX04_IXX67] & 0x7FFFF
@@ -757,7 +764,7 @@ def servo_cycles(
                     elif index[m, traj.I_COUNT] == 0:
                         k[K_ARMED] = 0.0
                         _event(head, events, EV_TRIGGER_MISSED, m, position)
-            bias = 256.0 * read_word_signed(y, base + reg.M_IXX79_IXX29)
+            bias = 256.0 * _signed16(int(y[base + reg.M_IXX79_IXX29]))
             if tables_on:
                 y[base + reg.M_COMMAND] = math.floor(torque_table[m] + 0.5) & _WORD
                 bias += torque_table[m]
