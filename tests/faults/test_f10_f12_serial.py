@@ -9,8 +9,9 @@ import tty
 import pytest
 
 from pmac_comp.base.clock import Deadline, VirtualClock
-from pmac_comp.base.errors import ConnectFailed, PmacCompError, ProtocolError
+from pmac_comp.base.errors import ConnectFailed, LinkError, PmacCompError, ProtocolError
 from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY
 from pmac_comp.machine.client.modes import Modes
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
@@ -50,7 +51,7 @@ def test_f10_noise_never_gives_a_wrong_value(exhaustive):
     card.variables.update({f"P{k}": str(7919 * k % 100003) for k in range(1000)})
     clock = VirtualClock()
     rng = random.Random(10)
-    wrong = answered = sessions = hits = 0
+    wrong = answered = sessions = hits = told = 0
     commander = None
     for _ in range(10_000 if exhaustive else 3_000):
         if commander is None:
@@ -60,20 +61,24 @@ def test_f10_noise_never_gives_a_wrong_value(exhaustive):
             commander = Commander(line, clock=clock, checksum=True)
             line.rate = 1e-3
         k = rng.randrange(1000)
-        before = len(card.executed)
+        del card.executed[:]
         try:
             value = commander.query(f"P{k}")
-        except PmacCompError:
+        except LinkError:
             hits += line.hits
             commander = None
             continue
-        assert len(card.executed) - before < 20
+        except ProtocolError as error:
+            # Noise may turn a question into an assignment: that is told, not asked again.
+            told += error.code == CHANGED_ON_THE_WAY
+            continue
+        assert not any("=" in text for text in card.executed)
         answered += 1
         wrong += value != [card.variables[f"P{k}"]]
     assert wrong == 0
     assert answered > 0.97 * (10_000 if exhaustive else 3_000)
     assert hits + line.hits > 20
-    assert not any("=" in text for text in card.executed if text.startswith("P"))
+    assert told > 0
 
 
 @pytest.mark.parametrize("checksum", [True, False])
@@ -218,6 +223,6 @@ def test_serial_line_on_a_pty():
 def test_garbled_writes_are_reported_not_repeated():
     bench = LinkBench(Framing.LINES, checksum=True)
     bench.break_link([Fault(FaultKind.FLIP, Way.SEND, at=3, argument=1)])
-    with pytest.raises(ProtocolError, match="received another line"):
+    with pytest.raises(ProtocolError, match="carried it out"):
         bench.commander.command("P1=4")
     assert sum(text.startswith("P1") for text in bench.card.executed) == 1

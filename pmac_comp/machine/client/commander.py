@@ -23,7 +23,7 @@ from pmac_comp.base.errors import (
     RemoteProtocolError,
     ReplyTimeout,
 )
-from pmac_comp.machine.client.link import LineLink, PacketLink, Statistics
+from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY, LineLink, PacketLink, Statistics
 from pmac_comp.machine.client.modes import Modes, establish, restore
 from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.transport.base import Framing, Transport
@@ -39,6 +39,8 @@ DEFAULT_TIMEOUT_S = 3.0
 BULK_LINE = 250
 """Longest line that bulk reads put together; the card's queue takes 255 characters."""
 _FIRST_TRY = 0.5
+_PERHAPS_NOISE = (3, 4)
+"""Errors with which an ASCII port refuses a question that noise has changed."""
 _REPORTING = frozenset({0x02, 0x03, 0x06, 0x07, 0x10, 0x16})
 
 
@@ -174,7 +176,12 @@ class Commander:
         with self._lock:
             if not is_read(text):
                 return _accepted(self._link.exchange(command, deadline), text)
-            return _accepted(self._read(partial(self._exchange_clean, command), deadline), text)
+            ask = partial(self._exchange_clean, command)
+            reply = self._read(ask, deadline)
+            if reply.error in _PERHAPS_NOISE and not self.capabilities.packets:
+                self._statistics.retries += 1
+                reply = self._read(ask, deadline)
+            return _accepted(reply, text)
 
     def command(self, text: str, *, timeout_s: float | None = None) -> list[str]:
         """Lines that answer a command, usually none; sent exactly once.
@@ -420,7 +427,9 @@ class Commander:
         first = Deadline.after(self.clock, _FIRST_TRY * deadline.remaining_s())
         try:
             return ask(first)
-        except (ReplyTimeout, RemoteProtocolError):
+        except (ReplyTimeout, RemoteProtocolError) as error:
+            if error.code == CHANGED_ON_THE_WAY:
+                raise
             self._statistics.retries += 1
             self._link.unsettled = True
             return ask(deadline)

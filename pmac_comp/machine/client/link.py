@@ -22,6 +22,8 @@ from pmac_comp.machine.wire.dialog import Reply, ReplyReader
 
 QUIET_S = 0.25
 """A pause inside an answer after which the packet port is asked for more."""
+CHANGED_ON_THE_WAY = "PC-LINK-SUM"
+"""Code of the error that a changed command earns; it is never answered by asking again."""
 _SETTLE_S = 0.06
 _BUSY_POLL_S = 0.02
 _MARK_LENGTH = 16
@@ -310,16 +312,22 @@ class LineLink(BaseLink):
             pass
         self.unsettled = False
         reply = self._finish(reader)
+        self._check_command(reply, command)
         if reply.faults:
             self.unsettled = True
-        return self._with_command_check(reply, command)
+        return reply
 
-    def _with_command_check(self, reply: Reply, command: bytes) -> Reply:
+    def _check_command(self, reply: Reply, command: bytes) -> None:
+        """Raise if the line that the card carried out was not ours."""
         expected = dialog.command_sum(command)
-        if reply.command_sum in (None, expected):
-            return reply
-        fault = f"the controller received another line (sum {reply.command_sum}, not {expected})"
-        return replace(reply, faults=(*reply.faults, fault))
+        if reply.command_sum not in (None, expected):
+            self.unsettled = True
+            raise RemoteProtocolError(
+                f"noise changed '{dialog.visible(command)}' on its way: the controller received "
+                f"a line with the sum {reply.command_sum}, not {expected}, and carried it out",
+                code=CHANGED_ON_THE_WAY,
+                hint="Read back what you rely on, and check the cable and its shield.",
+            )
 
     def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
         """Send a control character as it is."""
