@@ -149,8 +149,9 @@ def _connect(
     except socket.gaierror as error:
         raise ConnectFailed(f"the name '{endpoint.host}' is not known: {error.strerror}") from error
     except (paramiko.SSHException, OSError, EOFError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise ConnectFailed(
-            f"no SSH connection to {endpoint.host}:{endpoint.port}: {error}",
+            f"no SSH connection to {endpoint.host}:{endpoint.port}: {reason}",
             hint="Check the gateway's address and that its SSH server runs.",
         ) from error
 

@@ -1,0 +1,278 @@
+"""F13 (host keys) and F14 (shells) against an SSH server in process, and against OpenSSH."""
+
+import getpass
+import logging
+import os
+import re
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import paramiko
+import pytest
+
+from pmac_comp.base.errors import (
+    CommandRefused,
+    ConfigError,
+    ConnectFailed,
+    HostKeyRefused,
+    LinkError,
+)
+from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.transport.gpascii import GpasciiTerminal
+from tests.contract.scripted_card import PacketPort, ScriptedCard
+from tests.faults.socket_peers import card_handler, peer
+from tests.faults.ssh_gateway import SECRET, USER, Gateway, ShellStyle
+
+pytestmark = pytest.mark.faults
+PACKAGE = Path(__file__).resolve().parents[2] / "pmac_comp"
+
+
+@pytest.fixture(scope="module")
+def keys():
+    return [paramiko.ECDSAKey.generate() for _ in range(3)]
+
+
+@pytest.fixture
+def secret(monkeypatch):
+    monkeypatch.setenv("BENCH_SECRET", SECRET)
+
+
+@pytest.fixture
+def gateway(keys):
+    made = []
+
+    def make(**options) -> Gateway:
+        made.append(Gateway(keys[0], **options))
+        return made[-1]
+
+    yield make
+    for server in made:
+        server.close()
+
+
+def trusting(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "known_hosts"
+    path.write_text(text)
+    return path
+
+
+def tunnel_url(server: Gateway, port: int, known_hosts: Path, login: str = "") -> str:
+    options = f"known_hosts={known_hosts}&{login or 'password_env=BENCH_SECRET'}"
+    return f"ssh://{USER}@127.0.0.1:{server.port}/127.0.0.1:{port}?{options}"
+
+
+@pytest.mark.usefixtures("secret")
+def test_a_card_behind_a_gateway(gateway, tmp_path, caplog):
+    caplog.set_level(logging.DEBUG)
+    card = ScriptedCard(I3=1)
+    with peer(card_handler(card, PacketPort)) as server:
+        front = gateway(reachable={("127.0.0.1", server.port)})
+        known = trusting(tmp_path, front.known_hosts_line)
+        with Commander.open(tunnel_url(front, server.port, known)) as commander:
+            assert commander.query("ver") == ["1.947  "]
+            assert len(commander.query("P0..999")) == 1000
+            commander.set_memory(0x400, b"abcd")
+            assert commander.get_memory(0x400, 4) == b"abcd"
+        assert card.mode("I3") == 1
+    assert SECRET not in caplog.text  # F45: no password in any log
+
+
+def test_a_key_file_serves_as_login(gateway, tmp_path):
+    user_key = paramiko.ECDSAKey.generate()
+    path = tmp_path / "id_bench"
+    user_key.write_private_key_file(str(path))
+    with peer(card_handler(ScriptedCard(), PacketPort)) as server:
+        front = gateway(reachable={("127.0.0.1", server.port)})
+        front.user_key = user_key
+        known = trusting(tmp_path, front.known_hosts_line)
+        url = tunnel_url(front, server.port, known, f"identity={path}")
+        with Commander.open(url) as commander:
+            assert commander.query("cid") == ["603382"]
+        path.chmod(0o644)
+        with pytest.raises(ConfigError, match="others can read"):
+            Commander.open(url)
+
+
+@pytest.mark.usefixtures("secret")
+@pytest.mark.parametrize("case", ["unknown", "changed", "no file"])
+def test_f13_keys_that_nobody_trusted_are_refused(gateway, keys, tmp_path, case):
+    front = gateway(reachable={("127.0.0.1", 1025)})
+    other = f"[127.0.0.1]:{front.port} {keys[1].get_name()} {keys[1].get_base64()}\n"
+    text = {"unknown": f"elsewhere {keys[2].get_name()} {keys[2].get_base64()}\n", "changed": other}
+    known = tmp_path / "absent"
+    if case in text:
+        known = trusting(tmp_path, text[case])
+    before = known.read_bytes() if known.exists() else None
+    with pytest.raises(HostKeyRefused) as caught:
+        Commander.open(tunnel_url(front, 1025, known))
+    error = caught.value
+    assert error.exit_code == 3
+    assert "SHA256:" in error.message
+    assert error.context["fingerprint"] in error.message
+    assert str(known) in error.hint
+    assert ("ssh-keygen" if case == "changed" else "ssh-keyscan") in error.hint
+    assert front.logins == 0
+    assert (known.read_bytes() if known.exists() else None) == before  # nothing was added
+
+
+def test_f13_the_fingerprint_is_openssh_s(keys, tmp_path):
+    tool = shutil.which("ssh-keygen")
+    if tool is None:
+        pytest.skip("ssh-keygen is not installed")
+    path = tmp_path / "key.pub"
+    path.write_text(f"{keys[0].get_name()} {keys[0].get_base64()} x\n")
+    shown = subprocess.run([tool, "-lf", path], capture_output=True, text=True, check=True).stdout
+    from pmac_comp.machine.transport.ssh import fingerprint
+
+    assert fingerprint(keys[0]) in shown
+
+
+def test_f13_no_policy_that_adds_keys_by_itself():
+    pattern = re.compile(r"AutoAdd|WarningPolicy|set_missing_host_key_policy\((?!_RefuseUnknown)")
+    offenders = [p for p in PACKAGE.rglob("*.py") if pattern.search(p.read_text())]
+    assert offenders == []
+
+
+def test_f46_agent_and_home_keys_are_offered_only_on_request(gateway, tmp_path, monkeypatch):
+    offered = {}
+
+    def connect(self, host, *_, **options):
+        offered.update(options)
+        raise paramiko.AuthenticationException
+
+    monkeypatch.setattr(paramiko.SSHClient, "connect", connect)
+    front = gateway()
+    known = trusting(tmp_path, front.known_hosts_line)
+    with pytest.raises(ConnectFailed):
+        Commander.open(tunnel_url(front, 1, known, "agent=no"))
+    assert offered["allow_agent"] is False
+    assert offered["look_for_keys"] is False
+    with pytest.raises(ConnectFailed):
+        Commander.open(tunnel_url(front, 1, known, "agent=yes"))
+    assert offered["allow_agent"] is True
+
+
+def test_logins_that_fail_say_what_to_do(gateway, tmp_path, monkeypatch):
+    front = gateway()
+    known = trusting(tmp_path, front.known_hosts_line)
+    with pytest.raises(ConfigError, match="BENCH_SECRET is not set"):
+        Commander.open(tunnel_url(front, 1, known))
+    monkeypatch.setenv("BENCH_SECRET", "canary-wrong")
+    with pytest.raises(ConnectFailed, match="refuses the login") as caught:
+        Commander.open(tunnel_url(front, 1, known))
+    assert "canary" not in str(caught.value)
+    monkeypatch.setenv("BENCH_SECRET", SECRET)
+    with pytest.raises(ConnectFailed, match="does not reach"):
+        Commander.open(tunnel_url(front, 1, known))
+
+
+STYLES = {
+    "plain": ShellStyle(),
+    "banner": ShellStyle(banner=b"\x1b[31mWelcome to ASCII art\x1b[0m\r\n" * 20),
+    "echo": ShellStyle(echo=True),
+    "other prompt": ShellStyle(prompt=b"root@power:/opt/ppmac# "),
+    "no prompt": ShellStyle(prompt=b""),
+    "command echo": ShellStyle(command_echo=True, echo=True, banner=b"ready?\n"),
+}
+
+
+def gpascii_url(server: Gateway, known: Path) -> str:
+    options = f"known_hosts={known}&password_env=BENCH_SECRET"
+    return f"gpascii://{USER}@127.0.0.1:{server.port}?{options}"
+
+
+@pytest.mark.usefixtures("secret")
+@pytest.mark.parametrize("name", STYLES)
+def test_f14_shells_of_every_kind(gateway, tmp_path, name):
+    answers = {"vers": "2.6.1.0", "type": "PowerPMAC,460EX", "bad": "stdin:1:1: error #20: ILLEGAL"}
+    front = gateway(style=STYLES[name], answer=answers.__getitem__)
+    known = trusting(tmp_path, front.known_hosts_line)
+    with GpasciiTerminal(gpascii_url(front, known)) as terminal:
+        assert terminal.query("vers") == ["2.6.1.0"]
+        assert terminal.query("type") == ["PowerPMAC,460EX"]
+        with pytest.raises(CommandRefused, match="error #20"):
+            terminal.query("bad")
+
+
+@pytest.mark.usefixtures("secret")
+@pytest.mark.parametrize("lines", [0, 1, 2, 3])
+def test_f14_a_channel_that_dies_is_noticed(gateway, tmp_path, lines):
+    front = gateway(style=ShellStyle(dies_after=lines))
+    known = trusting(tmp_path, front.known_hosts_line)
+    with pytest.raises(LinkError):
+        GpasciiTerminal(gpascii_url(front, known), timeout_s=3.0).query("vers")
+
+
+@pytest.mark.usefixtures("secret")
+def test_f14_a_machine_without_gpascii_is_refused(gateway, tmp_path):
+    front = gateway(style=ShellStyle(has_gpascii=False))
+    known = trusting(tmp_path, front.known_hosts_line)
+    with pytest.raises(ConnectFailed, match="gpascii does not start"):
+        GpasciiTerminal(gpascii_url(front, known), timeout_s=1.0)
+
+
+# A real OpenSSH server --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def openssh(tmp_path):
+    server = shutil.which("sshd") or next(
+        (p for p in ("/usr/sbin/sshd", "/usr/local/sbin/sshd") if Path(p).exists()), None
+    )
+    keygen = shutil.which("ssh-keygen")
+    if server is None or keygen is None:
+        pytest.skip("the OpenSSH server is not installed (apt-get install openssh-server)")
+    for name in ("host", "user"):
+        make = [keygen, "-q", "-t", "ed25519", "-N", "", "-f", str(tmp_path / name)]
+        subprocess.run(make, check=True)
+    authorized = tmp_path / "authorized"
+    authorized.write_text((tmp_path / "user.pub").read_text())
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config = tmp_path / "sshd_config"
+    config.write_text(
+        f"Port {port}\nListenAddress 127.0.0.1\nHostKey {tmp_path / 'host'}\n"
+        f"AuthorizedKeysFile {authorized}\nPasswordAuthentication no\nUsePAM no\n"
+        f"StrictModes no\nAllowTcpForwarding yes\nPidFile {tmp_path / 'pid'}\n"
+    )
+    if os.geteuid() == 0:
+        Path("/run/sshd").mkdir(exist_ok=True)  # the privilege separation folder of Debian
+    process = subprocess.Popen(
+        [server, "-D", "-e", "-f", str(config)], stderr=subprocess.PIPE, text=True
+    )
+    deadline_s = time.monotonic() + 10.0
+    while time.monotonic() < deadline_s and process.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                break
+        time.sleep(0.05)
+    if process.poll() is not None:
+        assert process.stderr is not None
+        pytest.fail(f"sshd ended: {process.stderr.read()}")
+    host = " ".join((tmp_path / "host.pub").read_text().split()[:2])
+    known = trusting(tmp_path, f"[127.0.0.1]:{port} {host}\n")
+    yield port, known, tmp_path / "user"
+    process.terminate()
+    process.wait(10.0)
+    assert process.stderr is not None
+    process.stderr.close()
+
+
+@pytest.mark.system
+def test_a_card_behind_a_real_openssh_server(openssh, tmp_path):
+    port, known, identity = openssh
+    with peer(card_handler(ScriptedCard(), PacketPort)) as server:
+        url = (
+            f"ssh://{getpass.getuser()}@127.0.0.1:{port}/127.0.0.1:{server.port}"
+            f"?known_hosts={known}&identity={identity}"
+        )
+        with Commander.open(url, timeout_s=10.0) as commander:
+            assert commander.query("ver") == ["1.947  "]
+            assert len(commander.query("P0..999")) == 1000
+        known.write_text("")
+        with pytest.raises(HostKeyRefused):
+            Commander.open(url, timeout_s=10.0)
