@@ -84,7 +84,7 @@ class Trajectory:
         return out
 
     def then(self, other: "Trajectory") -> "Trajectory":
-        """This trajectory followed by another, shifted so that the path stays connected."""
+        """Both trajectories one after the other, shifted so that the path stays connected."""
         shifted = other.position_m + (self.position_m[-1] - other.position_m[0])
         position = np.concatenate([self.position_m, shifted[1:]])
         return _on_grid(position, self.sample_period_s)
@@ -444,14 +444,15 @@ def _sampled(
     n = _samples(period_s, total_s)
     body = shape(np.minimum(np.arange(n) * period_s, total_s))
     still = np.zeros(rest)
-    position = _real("centre_m", centre_m) + np.concatenate([still, body, still])
+    centre = _real("centre_m", centre_m)
+    position: FloatArray = np.concatenate([still, body, still]) + centre
     return _on_grid(position, period_s)
 
 
 def _window(t: FloatArray, total: float, ramp: float) -> FloatArray:
     """Quintic rise from 0 to 1, flat, quintic fall: first and second derivative vanish at ends."""
     inside = np.clip(np.minimum(t, total - t) / ramp, 0.0, 1.0)
-    return np.asarray(inside**3 * (10.0 - 15.0 * inside + 6.0 * inside**2))
+    return np.asarray(inside**3 * (10.0 - 15.0 * inside + 6.0 * inside**2), dtype=np.float64)
 
 
 def _on_grid(position_m: FloatArray, period_s: float) -> Trajectory:

@@ -1,1 +1,1 @@
-"""One file per physical effect."""
+"""The physical effects, one file each, each with one ``EFFECT``."""

@@ -1,0 +1,454 @@
+"""The drive model as a value, and its closed-loop simulation.
+
+What lives here: ``DriveModel`` (bench, effects, parameters), ``simulate`` and ``simulate_many``.
+What may not: equations (they are in ``kernel``) and fitting. Imports ``files.bench``, ``base``,
+``signals``.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.errors import ModelError, NonFinite
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.model import slots as s
+from pmac_comp.physics.model.chain import (
+    apply_chain,
+    apply_quantisation,
+    chain_specs,
+    is_rigid,
+)
+from pmac_comp.physics.model.effect import Effect, effect_library, split_name
+from pmac_comp.physics.model.parameters import ParameterSpec, merged, within
+from pmac_comp.physics.model.terms import TableTerm, packed
+from pmac_comp.physics.signals.trajectory import Trajectory
+
+BASE_EFFECTS = ("coulomb", "viscous")
+NODE_SPACING_m = 0.01
+# Largest share of the screw length that the step matrices may be tabulated beyond the command.
+_MARGIN_m = 0.02
+_SUBSTEP_s = 1.15e-4
+_MAX_SUBSTEPS = 256
+_HISTORY_CYCLES = 250
+
+
+@dataclass(frozen=True)
+class DriveModel:
+    """A drive: what the bench file states, the effects it contains and their parameters.
+
+    Parameters
+    ----------
+    bench : Bench
+        Geometry, controller and nominal values.
+    effects : tuple of str
+        Effects in the order they were added, ``effect`` or ``effect@place``.
+    parameters : Mapping of str to float
+        SI values under ``effect.parameter``; what is missing is nominal.
+    library : Mapping of str to Effect or None
+        Further effects (a user's own).
+
+    Raises
+    ------
+    ModelError
+        Unknown effect, place or parameter, or a value outside its bounds.
+    NonFinite
+        A value is NaN or infinite.
+    """
+
+    bench: Bench
+    effects: tuple[str, ...] = BASE_EFFECTS
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    library: Mapping[str, Effect] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(self.effects))
+        names = [split_name(name)[0] for name in self.effects]
+        if len(set(names)) != len(names):
+            raise ModelError(
+                f"An effect is named twice in {', '.join(self.effects)}.", code="PC-MOD-008"
+            )
+        values = merged(self.specs, self.parameters)
+        object.__setattr__(self, "parameters", MappingProxyType(values))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "bench": self.bench,
+            "effects": self.effects,
+            "parameters": dict(self.parameters),
+            "library": dict(self.library),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "parameters", MappingProxyType(state["parameters"]))
+
+    @classmethod
+    def base(cls, bench: Bench, parameters: Mapping[str, float] | None = None) -> "DriveModel":
+        """Elastic chain of the bench with Coulomb and viscous friction, loop and sensors."""
+        return cls(bench, BASE_EFFECTS, parameters or {})
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether the bench is one mass."""
+        return is_rigid(self.bench)
+
+    @cached_property
+    def specs(self) -> tuple[ParameterSpec, ...]:
+        """All parameters of the model in a fixed order, under their full names."""
+        found = list(chain_specs(self.bench))
+        for name in self.effects:
+            effect, place = self.effect(name)
+            found += [within(effect.name, spec) for spec in effect.specs(place)]
+        return tuple(found)
+
+    def spec(self, name: str) -> ParameterSpec:
+        """Specification of one parameter by its full name."""
+        for spec in self.specs:
+            if spec.name == name:
+                return spec
+        raise ModelError(f"The model has no parameter {name}.", code="PC-MOD-003")
+
+    def effect(self, name: str) -> tuple[Effect, str]:
+        """Effect and place of a name in ``effects``."""
+        bare, place = split_name(name)
+        effect = self.library.get(bare) or effect_library().get(bare)
+        if effect is None:
+            raise ModelError(
+                f"There is no effect '{bare}'.",
+                code="PC-MOD-009",
+                hint="Known: " + ", ".join([*effect_library(), *self.library]),
+            )
+        if place and place not in effect.places:
+            raise ModelError(
+                f"Effect '{bare}' has no place '{place}'.",
+                code="PC-MOD-009",
+                hint="It has " + (", ".join(effect.places) or "none"),
+            )
+        if self.is_rigid and "rigid" in effect.place_parameters:
+            return effect, "rigid"
+        return effect, place or (effect.places[0] if effect.places else "")
+
+    def with_effect(
+        self,
+        name: str,
+        values: Mapping[str, float] | None = None,
+        *,
+        library: Mapping[str, Effect] | None = None,
+    ) -> "DriveModel":
+        """Copy with an effect added; ``values`` are SI under bare or full parameter names."""
+        bare = split_name(name)[0]
+        given = {
+            key if "." in key else f"{bare}.{key}": value for key, value in (values or {}).items()
+        }
+        return DriveModel(
+            self.bench,
+            (*self.effects, name),
+            {**self.parameters, **given},
+            {**self.library, **(library or {})},
+        )
+
+    def without_effect(self, name: str) -> "DriveModel":
+        """Copy without an effect and its parameters."""
+        bare = split_name(name)[0]
+        kept = tuple(item for item in self.effects if split_name(item)[0] != bare)
+        if len(kept) == len(self.effects):
+            raise ModelError(f"The model has no effect '{name}'.", code="PC-MOD-009")
+        values = {
+            key: value for key, value in self.parameters.items() if not key.startswith(f"{bare}.")
+        }
+        return DriveModel(self.bench, kept, values, self.library)
+
+    def with_parameters(self, values: Mapping[str, float]) -> "DriveModel":
+        """Copy with some parameters (full names, SI) changed."""
+        return replace(self, parameters={**self.parameters, **values})
+
+    def values_of(self, effect: str) -> dict[str, float]:
+        """Parameters of one effect under bare names, SI."""
+        prefix = f"{split_name(effect)[0]}."
+        return {
+            key.removeprefix(prefix): value
+            for key, value in self.parameters.items()
+            if key.startswith(prefix)
+        }
+
+    def kernel_vector(self, *, quantise: bool = False) -> FloatArray:
+        """Parameters in the layout of the kernel, shape (N_SLOTS,)."""
+        vector = s.neutral_vector()
+        apply_chain(vector, self.values_of("chain"), self.bench)
+        # Levels and masses first: break distances and harmonics refer to them.
+        ordered = sorted(self.effects, key=lambda name: split_name(name)[0] not in _FIRST)
+        for name in ordered:
+            effect, place = self.effect(name)
+            effect.apply(vector, self.values_of(name), self.bench, place)
+        if quantise:
+            apply_quantisation(vector, self.bench)
+        return vector
+
+    def terms(self) -> tuple[TableTerm, ...]:
+        """Table terms of all effects."""
+        found: list[TableTerm] = []
+        for name in self.effects:
+            effect, _ = self.effect(name)
+            if effect.terms is not None:
+                found += effect.terms(self.values_of(name), self.bench)
+        return tuple(found)
+
+    @property
+    def substeps(self) -> int:
+        """Substeps per servo period that the model asks for."""
+        needed = [self.effect(name)[0].min_substeps for name in self.effects]
+        return max(4, math.ceil(self.bench.servo_period_s / _SUBSTEP_s), *needed, 1)
+
+
+_FIRST = ("coulomb", "viscous", "payload")
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a simulated run gives, all shapes (n,).
+
+    Parameters
+    ----------
+    time_s, commanded_position_m, desired_position_m : ndarray
+        Grid and the two inputs.
+    motor_position_m, table_position_m : ndarray
+        Readings of encoder (expressed at the table) and scale.
+    torque_command_Nm : ndarray
+        Controller output.
+    motor_torque_Nm, joint_force_N : ndarray
+        Torque at the shaft and elastic force in the nut.
+    """
+
+    time_s: FloatArray
+    commanded_position_m: FloatArray
+    desired_position_m: FloatArray
+    motor_position_m: FloatArray
+    table_position_m: FloatArray
+    torque_command_Nm: FloatArray
+    motor_torque_Nm: FloatArray
+    joint_force_N: FloatArray
+
+    @property
+    def mechanical_error_m(self) -> FloatArray:
+        """Table minus motor in m."""
+        return self.table_position_m - self.motor_position_m
+
+    @property
+    def control_error_m(self) -> FloatArray:
+        """Motor minus desired position in m."""
+        return self.motor_position_m - self.desired_position_m
+
+
+def simulate(
+    model: DriveModel,
+    commanded_position_m: FloatArray | Trajectory,
+    *,
+    desired_position_m: FloatArray | None = None,
+    torque_feedforward_Nm: FloatArray | None = None,
+    external_force_N: FloatArray | None = None,
+    time_origin_s: float = 0.0,
+    substeps: int | None = None,
+    quantise: bool = False,
+    extra_terms: Sequence[TableTerm] = (),
+) -> Response:
+    """Response of the closed loop to a command sampled at the servo period.
+
+    The drive starts at rest, relaxed, on the first desired position.
+
+    Parameters
+    ----------
+    model : DriveModel
+        The drive.
+    commanded_position_m : ndarray, shape (n,), or Trajectory
+        Trajectory r in m, one sample per servo period.
+    desired_position_m : ndarray, shape (n,), or None
+        r plus correction, what the controller follows; None means no correction.
+    torque_feedforward_Nm : ndarray, shape (n,), or None
+        Added to the controller's output.
+    external_force_N : ndarray, shape (n,), or None
+        Force on the table, positive pushes against positive motion.
+    time_origin_s : float
+        Time of the first sample, for effects that depend on time.
+    substeps : int or None
+        Substeps per servo period; None takes what the model asks for.
+    quantise : bool
+        Round what encoder, scale and output resolve, inside the loop.
+    extra_terms : sequence of TableTerm
+        Further forces or readings, e.g. a flexible competitor.
+
+    Returns
+    -------
+    Response
+        Readings and torque, shape (n,) each.
+
+    Raises
+    ------
+    NonFinite
+        An input is not finite, or the loop became unstable.
+    ModelError
+        Lengths differ, or the delay is longer than 250 servo periods.
+
+    Source
+    ------
+    Ball-screw facts 2.1-2.6; method in ``kernel``.
+    """
+    if isinstance(commanded_position_m, Trajectory):
+        _check_grid(model, commanded_position_m)
+        commanded_position_m = commanded_position_m.position_m
+    commanded = finite_array("commanded_position_m", commanded_position_m, min_size=2)
+    desired = _like(commanded, "desired_position_m", desired_position_m, commanded)
+    zeros = np.zeros(commanded.size)
+    torque = _like(commanded, "torque_feedforward_Nm", torque_feedforward_Nm, zeros)
+    force = _like(commanded, "external_force_N", external_force_N, zeros)
+    origin = float(finite_array("time_origin_s", [time_origin_s])[0])
+    vector = model.kernel_vector(quantise=quantise)
+    n_sub = _checked_substeps(model.substeps if substeps is None else substeps)
+    rows, values = packed([*model.terms(), *extra_terms])
+    out = _run(vector, n_sub, desired, torque, force, rows, values, origin)
+    return Response(
+        time_s=origin + np.arange(commanded.size) * model.bench.servo_period_s,
+        commanded_position_m=commanded,
+        desired_position_m=desired,
+        motor_position_m=out[0],
+        table_position_m=out[1],
+        torque_command_Nm=out[2],
+        motor_torque_Nm=out[3],
+        joint_force_N=out[4],
+    )
+
+
+def _run(
+    vector: FloatArray,
+    n_sub: int,
+    desired: FloatArray,
+    torque: FloatArray,
+    force: FloatArray,
+    rows: FloatArray,
+    values: FloatArray,
+    origin_s: float,
+) -> FloatArray:
+    from pmac_comp.physics.model import kernel
+
+    period = vector[s.PERIOD]
+    if vector[s.DELAY] > _HISTORY_CYCLES * period:
+        raise ModelError(
+            f"An actuator delay of {vector[s.DELAY]:g} s is longer than {_HISTORY_CYCLES} cycles.",
+            code="PC-MOD-010",
+        )
+    first, n_nodes = _nodes(vector, float(desired.min()), float(desired.max()))
+    bank = kernel.step_bank(vector, first, NODE_SPACING_m, n_nodes, period / n_sub)
+    out = np.zeros((5, desired.size))
+    done = kernel.run(
+        vector, bank, first, NODE_SPACING_m, n_sub, desired, torque, force, rows, values, origin_s,
+        out,
+    )  # fmt: skip
+    if done < desired.size or not np.all(np.isfinite(out)):
+        raise NonFinite(
+            f"The simulated loop became unstable at sample {done}.",
+            code="PC-MOD-011",
+            hint="Check gains, delay and the parameters of the model.",
+            context={"index": int(done)},
+        )
+    return out
+
+
+def _nodes(vector: FloatArray, low_m: float, high_m: float) -> tuple[float, int]:
+    """First node (a multiple of the spacing) and number of nodes along the screw."""
+    if vector[s.RIGID] > 0.5:
+        return 0.0, 1
+    origin, length = vector[s.X_ORIGIN], vector[s.LENGTH]
+    low = min(max(low_m + origin - _MARGIN_m, 0.0), length)
+    high = min(max(high_m + origin + _MARGIN_m, 0.0), length)
+    start = math.floor(low / NODE_SPACING_m)
+    stop = math.ceil(high / NODE_SPACING_m)
+    return start * NODE_SPACING_m, max(stop - start + 1, 2)
+
+
+def simulate_many(
+    models: Sequence[DriveModel],
+    commands: Sequence[FloatArray | Trajectory],
+    *,
+    executor: Executor | None = None,
+    options: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None,
+    workers: int = 2,
+) -> list[Response]:
+    """Responses of ``models[i]`` to ``commands[i]`` on all cores.
+
+    Parameters
+    ----------
+    models, commands : sequences of equal length; a single command serves all models.
+        What to simulate.
+    executor : concurrent.futures.Executor or None
+        Where to run; None uses threads (the kernel releases the interpreter lock).
+    options : mapping, sequence of mappings or None
+        Keyword arguments of ``simulate`` for all, or for each.
+    workers : int
+        Threads if no executor is given.
+
+    Raises
+    ------
+    ModelError
+        Lengths differ; further as ``simulate``.
+    """
+    n = len(models)
+    all_commands = list(commands) * n if len(commands) == 1 else list(commands)
+    each = [options or {}] * n if options is None or isinstance(options, Mapping) else list(options)
+    if len(all_commands) != n or len(each) != n:
+        raise ModelError(
+            f"{n} models, {len(commands)} commands and {len(each)} options do not belong together.",
+            code="PC-MOD-012",
+        )
+    jobs = list(zip(models, all_commands, each, strict=True))
+    if executor is not None:
+        return list(executor.map(_simulate_job, jobs))
+    if n < 2:
+        return [_simulate_job(job) for job in jobs]
+    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
+        return list(pool.map(_simulate_job, jobs))
+
+
+def _simulate_job(
+    job: tuple[DriveModel, FloatArray | Trajectory, Mapping[str, Any]],
+) -> Response:
+    model, command, options = job
+    return simulate(model, command, **options)
+
+
+def _check_grid(model: DriveModel, trajectory: Trajectory) -> None:
+    period = model.bench.servo_period_s
+    if abs(trajectory.sample_period_s / period - 1.0) > 1e-4:
+        raise ModelError(
+            f"The trajectory is sampled at {trajectory.sample_period_s:g} s, "
+            f"the servo period is {period:g} s.",
+            code="PC-MOD-013",
+            hint="Sample the command once per servo period.",
+        )
+
+
+def _like(
+    reference: FloatArray, name: str, value: FloatArray | None, default: FloatArray
+) -> FloatArray:
+    if value is None:
+        return default
+    array = finite_array(name, value)
+    if array.size != reference.size:
+        raise ModelError(
+            f"{name} has {array.size} samples, the command {reference.size}.", code="PC-MOD-014"
+        )
+    return array
+
+
+def _checked_substeps(n_sub: int) -> int:
+    if not 1 <= n_sub <= _MAX_SUBSTEPS:
+        raise ModelError(
+            f"{n_sub} substeps are not possible; 1 to {_MAX_SUBSTEPS} are.", code="PC-MOD-015"
+        )
+    return int(n_sub)

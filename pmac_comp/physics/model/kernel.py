@@ -1,0 +1,776 @@
+"""The compiled drive: exact steps of the elastic chain, friction solved within each step.
+
+What lives here: numba code only, SI, flat arrays (places in ``slots``). What may not: bench files,
+names of effects, units other than SI. Imports ``slots`` only.
+
+Method. Within a substep the position-dependent chain is linear: its exact step matrices (with the
+current loop as an exponentially fading input) are tabulated along the screw and interpolated.
+Friction elements are integrated exactly over the displacement of the substep and solved together
+with that displacement (Newton), so that stick and slip need no events and no small steps.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.physics.model import slots as s
+
+# Inputs of a substep: motor torque, fading motor torque, nut torque, table force, joint force.
+N_STATES = 8
+N_COLUMNS = 13
+_TAYLOR = 9
+_HISTORY = 256
+
+
+@njit(cache=True, nogil=True)
+def _solve_inverse(matrix: FloatArray, size: int) -> FloatArray:
+    """Inverse by Gauss-Jordan with pivoting; small matrices only."""
+    work = np.zeros((size, 2 * size))
+    for i in range(size):
+        for j in range(size):
+            work[i, j] = matrix[i, j]
+        work[i, size + i] = 1.0
+    for i in range(size):
+        pivot = i
+        for r in range(i + 1, size):
+            if abs(work[r, i]) > abs(work[pivot, i]):
+                pivot = r
+        if pivot != i:
+            for c in range(2 * size):
+                work[i, c], work[pivot, c] = work[pivot, c], work[i, c]
+        scale = 1.0 / work[i, i]
+        for c in range(2 * size):
+            work[i, c] *= scale
+        for r in range(size):
+            if r != i:
+                factor = work[r, i]
+                for c in range(2 * size):
+                    work[r, c] -= factor * work[i, c]
+    return work[:, size:].copy()
+
+
+@njit(cache=True, nogil=True)
+def chain_matrices(par: FloatArray, x_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mass, damping and stiffness of [motor angle, screw angle, screw axial, table] at x."""
+    mass = np.zeros((4, 4))
+    damping = np.zeros((4, 4))
+    stiffness = np.zeros((4, 4))
+    length = par[s.LENGTH]
+    x = min(max(x_m, 1e-3 * length), length)
+    flexibility = 1.0 / par[s.K_COUPLING] + x / par[s.GJ]
+    a = 1.0 / par[s.K_COUPLING] / flexibility
+    axial = 1.0 / par[s.K_BEARING] + x / par[s.EA]
+    b = 1.0 / par[s.K_BEARING] / axial
+    near = par[s.J_SCREW] * x / length
+    # The coupling output turns by (1-a) theta_m + a theta_s; the screw is linear from there.
+    c0 = 1.0 - a
+    mass[0, 0] = par[s.J_MOTOR] + (par[s.J_COUPLING] + near / 3.0) * c0 * c0
+    mass[0, 1] = (par[s.J_COUPLING] + near / 3.0) * c0 * a + near / 6.0 * c0
+    mass[1, 0] = mass[0, 1]
+    mass[1, 1] = (
+        (par[s.J_COUPLING] + near / 3.0) * a * a
+        + near / 3.0 * (a + 1.0)
+        + par[s.J_SCREW] * (1.0 - x / length)
+    )
+    mass[2, 2] = par[s.M_SCREW] * (x / length / 3.0 * (b * b + b + 1.0) + 1.0 - x / length)
+    mass[3, 3] = par[s.M_TABLE]
+    k_torsion = 1.0 / flexibility
+    stiffness[0, 0] += k_torsion
+    stiffness[0, 1] -= k_torsion
+    stiffness[1, 0] -= k_torsion
+    stiffness[1, 1] += k_torsion
+    stiffness[2, 2] += 1.0 / axial
+    rho = par[s.LEAD]
+    v = np.array([0.0, -rho, -1.0, 1.0])
+    for i in range(4):
+        for j in range(4):
+            stiffness[i, j] += par[s.K_NUT] * v[i] * v[j]
+            damping[i, j] = par[s.BETA] * stiffness[i, j]
+    damping[0, 0] += par[s.MOTOR + s.VISCOUS]
+    damping[1, 1] += par[s.NUT + s.VISCOUS]
+    damping[3, 3] += par[s.GUIDE + s.VISCOUS]
+    return mass, damping, stiffness
+
+
+@njit(cache=True, nogil=True)
+def _chain_system(par: FloatArray, x_m: float) -> tuple[FloatArray, float]:
+    """Continuous matrices [A | B] (8 x 13) at x and a bound of their rates in 1/s."""
+    rho = par[s.LEAD]
+    system = np.zeros((N_STATES, N_COLUMNS))
+    if par[s.RIGID] > 0.5:
+        inertia = par[s.RIGID_MASS] * rho * rho
+        drag = (
+            par[s.GUIDE + s.VISCOUS] * rho * rho + par[s.NUT + s.VISCOUS] + par[s.MOTOR + s.VISCOUS]
+        )
+        ratio = np.array([1.0, 1.0, 0.0, rho])
+        gain = np.array([1.0, 1.0, 1.0, rho, 0.0])
+        for i in range(4):
+            system[i, 4] = ratio[i]
+            system[4 + i, 4] = -ratio[i] * drag / inertia
+            for c in range(5):
+                system[4 + i, 8 + c] = ratio[i] * gain[c] / inertia
+        return system, drag / inertia
+    mass, damping, stiffness = chain_matrices(par, x_m)
+    inverse = _solve_inverse(mass, 4)
+    columns = np.zeros((4, 5))
+    columns[0, 0] = 1.0
+    columns[0, 1] = 1.0
+    columns[1, 2] = 1.0
+    columns[3, 3] = 1.0
+    columns[1, 4] = rho
+    columns[2, 4] = 1.0
+    columns[3, 4] = -1.0
+    trace = 0.0
+    drag = 0.0
+    for i in range(4):
+        system[i, 4 + i] = 1.0
+        for j in range(4):
+            k_sum = 0.0
+            c_sum = 0.0
+            for n in range(4):
+                k_sum += inverse[i, n] * stiffness[n, j]
+                c_sum += inverse[i, n] * damping[n, j]
+            system[4 + i, j] = -k_sum
+            system[4 + i, 4 + j] = -c_sum
+            if i == j:
+                trace += k_sum
+                drag += c_sum
+        for c in range(5):
+            total = 0.0
+            for n in range(4):
+                total += inverse[i, n] * columns[n, c]
+            system[4 + i, 8 + c] = total
+    # The trace of M^-1 K is the sum of the squared natural frequencies: a bound of the largest.
+    return system, max(math.sqrt(trace), drag)
+
+
+@njit(cache=True, nogil=True)
+def step_matrices(par: FloatArray, x_m: float, step_s: float) -> FloatArray:
+    """Exact step of the chain at x over ``step_s``: [A | B], shape (8, 13).
+
+    Taylor series of the scaled exponential, then squaring; the second input fades with the
+    current loop.
+    """
+    system, rate = _chain_system(par, x_m)
+    fade = par[s.CURRENT_RATE]
+    rate = max(rate, fade)
+    halvings = 0
+    h = step_s
+    while rate * h > 0.25 and halvings < 40:
+        h *= 0.5
+        halvings += 1
+    result = np.zeros((N_STATES, N_COLUMNS))
+    low = np.exp(-fade * h)
+    for i in range(N_STATES):
+        result[i, i] = 1.0
+    term = result.copy()
+    for n in range(1, _TAYLOR + 1):
+        # term <- term * G h / n with G = [[A, B], [0, diag(0, -fade, 0, 0, 0)]]
+        following = np.zeros((N_STATES, N_COLUMNS))
+        for i in range(N_STATES):
+            for j in range(N_COLUMNS):
+                total = 0.0
+                for m in range(N_STATES):
+                    total += term[i, m] * system[m, j]
+                if j == 9:
+                    total -= term[i, 9] * fade
+                following[i, j] = total * h / n
+        term = following
+        for i in range(N_STATES):
+            for j in range(N_COLUMNS):
+                result[i, j] += term[i, j]
+    for _ in range(halvings):
+        squared = np.zeros((N_STATES, N_COLUMNS))
+        for i in range(N_STATES):
+            for j in range(N_COLUMNS):
+                total = 0.0
+                for m in range(N_STATES):
+                    total += result[i, m] * result[m, j]
+                if j == 9:
+                    total += result[i, 9] * low
+                elif j > 7:
+                    total += result[i, j]
+                squared[i, j] = total
+        low *= low
+        result = squared
+    return result
+
+
+@njit(cache=True, nogil=True)
+def step_bank(par: FloatArray, first_m: float, spacing_m: float, n_nodes: int, step_s: float):  # type: ignore[no-untyped-def] # noqa: ANN201
+    """Step matrices at equidistant nodes along the screw, shape (n_nodes, 8, 13)."""
+    bank = np.zeros((n_nodes, N_STATES, N_COLUMNS))
+    for node in range(n_nodes):
+        bank[node] = step_matrices(par, first_m + node * spacing_m, step_s)
+    return bank
+
+
+@njit(cache=True, nogil=True)
+def _dahl(
+    force: float, moved: float, level: float, distance: float, damping: float, mobility: float
+) -> tuple[float, float, float]:
+    """Mean force, end force and displacement of one friction element over a substep.
+
+    ``moved`` is the displacement with the force left out; the force F follows
+    dF/dx = (level - F sign(x')) / distance and acts back with ``mobility``; ``damping`` is that of
+    the bristle divided by the substep, times distance over level.
+    """
+    if level <= 0.0:
+        return 0.0, 0.0, moved
+    shift = moved - mobility * force
+    mean = force
+    end = force
+    for _ in range(3):
+        sign = 1.0 if shift >= 0.0 else -1.0
+        y = abs(shift) / distance
+        gap = level - sign * force
+        if y > 30.0:
+            decay = 0.0
+            share = 1.0 / y
+            slope = share / y
+        elif y > 1e-3:
+            decay = math.exp(-y)
+            share = (1.0 - decay) / y
+            slope = (share - decay) / y
+        else:
+            decay = 1.0 - y + 0.5 * y * y
+            share = 1.0 - 0.5 * y + y * y / 6.0
+            slope = 0.5 - y / 3.0 + 0.125 * y * y
+        end = sign * (level - gap * decay)
+        mean = sign * (level - gap * share) + damping * (end - force)
+        rate = (gap * slope + damping * gap * decay) / distance
+        miss = shift - moved + mobility * mean
+        change = miss / (1.0 + mobility * rate)
+        shift -= change
+        if abs(change) < 1e-14 + 1e-9 * abs(shift):
+            break
+    return mean, end, shift
+
+
+@njit(cache=True, nogil=True)
+def _slip_elements(
+    forces: FloatArray, par: FloatArray, moved: float, level: float, mobility: float
+) -> tuple[float, float]:
+    """Mean force of parallel slip elements over a substep (``forces`` is advanced), and shift."""
+    n = int(par[s.GMS_N])
+    total = 0.0
+    stiffness = 0.0
+    for i in range(n):
+        total += forces[i]
+        stiffness += par[s.GMS + 2 * i] * level / par[s.GMS + 2 * i + 1]
+    shift = (moved - mobility * total) / (1.0 + 0.5 * mobility * stiffness)
+    mean = 0.0
+    for _ in range(2):
+        mean = 0.0
+        slope = 0.0
+        for i in range(n):
+            top = par[s.GMS + 2 * i] * level
+            spring = top / par[s.GMS + 2 * i + 1]
+            end = forces[i] + spring * shift
+            if end > top:
+                end = top
+            elif end < -top:
+                end = -top
+            else:
+                slope += 0.5 * spring
+            mean += 0.5 * (forces[i] + end)
+        miss = shift - moved + mobility * mean
+        shift -= miss / (1.0 + mobility * slope)
+    for i in range(n):
+        top = par[s.GMS + 2 * i] * level
+        end = forces[i] + top / par[s.GMS + 2 * i + 1] * shift
+        forces[i] = min(max(end, -top), top)
+    return mean, shift
+
+
+@njit(cache=True, nogil=True)
+def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float]:
+    """Elastic force of the nut joint beyond k_n delta, and its derivative.
+
+    Dead zone (backlash), soft centre (preload loss) and softening of a preloaded double nut.
+    """
+    k = par[s.K_NUT]
+    force = 0.0
+    slope = 0.0
+    half = par[s.GAP_HALF]
+    rest = delta_m
+    if half > 0.0:
+        if abs(delta_m) <= half:
+            return -k * delta_m, -k
+        rest = delta_m - math.copysign(half, delta_m)
+        force = -math.copysign(k * half, delta_m)
+    soft = par[s.SOFT_HALF]
+    if soft > 0.0:
+        loss = (1.0 - par[s.SOFT_RATIO]) * k
+        if abs(rest) <= soft:
+            force -= loss * rest
+            slope -= loss
+        else:
+            force -= math.copysign(loss * soft, rest)
+    softening = par[s.HERTZ]
+    if softening > 0.0:
+        # F = k d / (1 + (k d)^2 / (36 F0^2)) to first order: stiffness k (1 - F^2 / (36 F0^2)).
+        spring = k * rest
+        cube = softening * spring * spring / 3.0
+        bounded = min(cube, 0.25)
+        force -= spring * bounded
+        slope -= k * (3.0 * bounded if cube < 0.25 else 0.25)
+    return force, slope
+
+
+@njit(cache=True, nogil=True)
+def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
+    """Table term at a coordinate: linear between knots, held at the ends or periodic."""
+    if term[s.TERM_PERIOD] > 0.0:
+        where = where - math.floor(where / term[s.TERM_PERIOD]) * term[s.TERM_PERIOD]
+    place = (where - term[s.TERM_START]) / term[s.TERM_STEP]
+    last = int(term[s.TERM_COUNT]) - 1
+    if not place > 0.0:
+        return values[0]
+    if place >= last:
+        return values[last]
+    i = int(place)
+    return values[i] + (place - i) * (values[i + 1] - values[i])
+
+
+@njit(cache=True, nogil=True)
+def run(
+    par: FloatArray,
+    bank: FloatArray,
+    first_m: float,
+    spacing_m: float,
+    n_sub: int,
+    desired_m: FloatArray,
+    torque_ff_Nm: FloatArray,
+    external_N: FloatArray,
+    terms: FloatArray,
+    term_values: FloatArray,
+    start_s: float,
+    out: FloatArray,
+) -> int:
+    """Closed loop over all servo cycles; ``out`` is (5, n): see the last lines of the loop.
+
+    Rows: motor reading m, table reading m, torque command N m, motor torque N m, joint force N.
+    Returns the number of cycles that stayed finite.
+    """
+    n = desired_m.size
+    Ts = par[s.PERIOD]
+    h = Ts / n_sub
+    rho = par[s.LEAD]
+    origin = par[s.X_ORIGIN]
+    n_nodes = bank.shape[0]
+    rigid = par[s.RIGID] > 0.5
+    fade = 0.0 if par[s.CURRENT_RATE] <= 0.0 else math.exp(-par[s.CURRENT_RATE] * h)
+    ideal_current = par[s.CURRENT_RATE] <= 0.0
+    W = np.zeros((N_STATES, N_COLUMNS))
+    z = np.zeros(N_STATES)
+    zf = np.zeros(N_STATES)
+    history = np.zeros(_HISTORY)
+    slip = np.zeros(8)
+    delay_steps = par[s.DELAY] / h
+
+    use_stribeck = (
+        par[s.STRIBECK_GUIDE] != 0.0 or par[s.STRIBECK_NUT] != 0.0 or par[s.STRIBECK_MOTOR] != 0.0
+    )
+    use_wobble = par[s.WOBBLE] != 0.0
+    use_joint = (
+        par[s.GAP_HALF] > 0.0 or par[s.SOFT_HALF] > 0.0 or par[s.HERTZ] > 0.0 or use_wobble
+    ) and not rigid
+    use_waves = par[s.COGGING] != 0.0 or par[s.RIPPLE] != 0.0
+    use_base = par[s.BASE_MASS] > 0.0
+    use_power = par[s.POWER_FORCE] != 0.0
+    use_asymmetry = (
+        par[s.ASYMMETRY_VISCOUS] != 0.0
+        or par[s.ASYMMETRY_SLIDING] != 0.0
+        or par[s.ASYMMETRY_ROTARY] != 0.0
+    )
+    use_dip = par[s.DIP] != 0.0
+    use_warmup = par[s.WARMUP] != 0.0
+    use_load = par[s.NUT_LOAD] != 0.0 and not rigid
+    n_terms = terms.shape[0]
+    n_gms = int(par[s.GMS_N])
+
+    # At rest and relaxed on the first desired position.
+    theta0 = desired_m[0] / rho
+    z[0] = theta0
+    z[1] = theta0
+    z[3] = desired_m[0]
+    wobble_mid = 0.0
+    if use_wobble and not rigid:
+        wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * theta0 + par[s.WOBBLE + 2])
+        z[3] += wobble_mid
+    motor_torque = 0.0
+    force_guide = 0.0
+    force_nut = 0.0
+    force_motor = 0.0
+    base_x = 0.0
+    base_v = 0.0
+    base_a = 0.0
+    table_a = 0.0
+    extreme = theta0
+    heading = 1.0
+    since = 1e9
+    nut_state = 0.0
+    guide_state = 0.0
+
+    # Controller memory; the first reading is taken as having always been there.
+    old_read = 0.0
+    older_read = 0.0
+    old_desired = desired_m[0]
+    old_vc = 0.0
+    vf = 0.0
+    integral = 0.0
+    n_u1 = 0.0
+    n_u2 = 0.0
+    n_y1 = 0.0
+    n_y2 = 0.0
+
+    for k in range(n):
+        t = start_s + k * Ts
+        # ---- sensors
+        motor_read = rho * z[0]
+        if par[s.ECCENTRICITY] != 0.0:
+            motor_read += par[s.ECCENTRICITY] * math.cos(
+                par[s.ECCENTRICITY + 1] * z[0] + par[s.ECCENTRICITY + 2]
+            )
+        x_seen = z[3] - par[s.SKEW] * (z[7] - 0.5 * par[s.SKEW] * table_a)
+        table_read = x_seen + (par[s.LEAD_SLOPE] + par[s.SCALE_SLOPE]) * x_seen
+        if rigid and use_wobble:
+            table_read += par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
+        if par[s.GROWTH] != 0.0:
+            grown = par[s.GROWTH] * (1.0 - math.exp(-t / par[s.GROWTH_TIME]))
+            table_read += grown * (x_seen + origin)
+        if par[s.SUBDIVISION] != 0.0:
+            table_read += par[s.SUBDIVISION] * math.cos(
+                par[s.SUBDIVISION + 1] * x_seen + par[s.SUBDIVISION + 2]
+            )
+        for j in range(n_terms):
+            site = int(terms[j, s.TERM_SITE])
+            if site == 3 or site == 4:
+                value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
+                if site == 3:
+                    motor_read += value
+                else:
+                    table_read += value
+        if par[s.MOTOR_STEP] > 0.0:
+            motor_read = math.floor(motor_read / par[s.MOTOR_STEP] + 0.5) * par[s.MOTOR_STEP]
+        if par[s.TABLE_STEP] > 0.0:
+            table_read = math.floor(table_read / par[s.TABLE_STEP] + 0.5) * par[s.TABLE_STEP]
+        if k == 0:
+            old_read = motor_read
+            older_read = motor_read
+
+        # ---- control law
+        desired = desired_m[k]
+        error = min(max(desired - motor_read, -par[s.FE_LIMIT]), par[s.FE_LIMIT])
+        vc = (desired - old_desired) / Ts
+        if par[s.LAW] < 0.5:
+            ac = (vc - old_vc) / Ts
+            vf += par[s.FILTER] * ((motor_read - old_read) / Ts - vf)
+            u = par[s.KP] * error + integral + par[s.KVFF] * vc + par[s.KAFF] * ac - par[s.KD] * vf
+            filtered = (
+                u
+                + par[s.NOTCH] * n_u1
+                + par[s.NOTCH + 1] * n_u2
+                - par[s.NOTCH + 2] * n_y1
+                - par[s.NOTCH + 3] * n_y2
+            )
+            n_u2 = n_u1
+            n_u1 = u
+            n_y2 = n_y1
+            n_y1 = filtered
+            u = filtered
+            if vc > 0.0:
+                u += par[s.FRICTION_FF]
+            elif vc < 0.0:
+                u -= par[s.FRICTION_FF]
+        else:
+            u = par[s.CASCADE_GAIN] * (
+                par[s.CASCADE_KP] * error - (motor_read - older_read) / (2.0 * Ts)
+            )
+        u += par[s.OFFSET] + torque_ff_Nm[k]
+        command = min(max(u, -par[s.LIMIT]), par[s.LIMIT])
+        clipped = u - command
+        frozen = clipped != 0.0 and (par[s.FREEZE_ALWAYS] > 0.5 or clipped * error > 0.0)
+        if not frozen and (par[s.INTEGRATE_AT_REST] < 0.5 or vc == 0.0):
+            integral += par[s.KI] * Ts * error
+            integral = min(max(integral, -par[s.INTEGRATOR_LIMIT]), par[s.INTEGRATOR_LIMIT])
+        if par[s.TORQUE_STEP] > 0.0:
+            command = math.floor(command / par[s.TORQUE_STEP] + 0.5) * par[s.TORQUE_STEP]
+        older_read = old_read
+        old_read = motor_read
+        old_desired = desired
+        old_vc = vc
+        history[k % _HISTORY] = min(max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT])
+
+        delta = z[3] - rho * z[1] - z[2] - wobble_mid
+        out[0, k] = motor_read
+        out[1, k] = table_read
+        out[2, k] = command
+        out[3, k] = motor_torque
+        out[4, k] = par[s.K_NUT] * delta + (joint_force(par, delta)[0] if use_joint else 0.0)
+        if not (abs(z[3]) < 1e6 and abs(z[4]) < 1e9):
+            return k
+
+        # ---- step matrices of this cycle
+        place = (z[3] + origin - first_m) / spacing_m
+        if not place > 0.0:
+            place = 0.0
+        if place > n_nodes - 1:
+            place = n_nodes - 1.0
+        node = min(int(place), max(n_nodes - 2, 0))
+        w1 = place - node
+        after = min(node + 1, n_nodes - 1)
+        for i in range(N_STATES):
+            for j in range(N_COLUMNS):
+                W[i, j] = bank[node, i, j] + w1 * (bank[after, i, j] - bank[node, i, j])
+        mobility_joint = -(W[3, 12] - rho * W[1, 12] - W[2, 12])
+
+        warm = 1.0
+        if use_warmup:
+            warm = 1.0 - par[s.WARMUP] * (1.0 - math.exp(-t / par[s.WARMUP_TIME]))
+
+        for sub in range(n_sub):
+            # ---- torque that the drive holds: mean over the substep of the delayed command
+            late = k * n_sub + sub - delay_steps
+            cell = math.floor(late / n_sub)
+            to_next = (cell + 1.0) * n_sub - late
+            held = 0.0
+            if cell >= 0:
+                held = history[int(cell) % _HISTORY]
+            if to_next < 1.0:
+                following = 0.0
+                if cell + 1 >= 0:
+                    following = history[int(cell + 1) % _HISTORY]
+                held = to_next * held + (1.0 - to_next) * following
+            fading = motor_torque - held
+            if ideal_current:
+                fading = 0.0
+
+            # ---- explicit torques and forces at the middle of the substep
+            mid_theta = z[0] + 0.5 * h * z[4]
+            mid_x = z[3] + 0.5 * h * z[7]
+            speed = z[7]
+            push_motor = 0.0
+            push_nut = 0.0
+            push_table = par[s.BIAS] - external_N[k]
+            if use_waves:
+                push_motor += par[s.COGGING] * math.cos(
+                    par[s.COGGING + 1] * mid_theta + par[s.COGGING + 2]
+                )
+                push_motor += (
+                    par[s.RIPPLE]
+                    * (held + 0.5 * (1.0 + fade) * fading)
+                    * math.cos(par[s.RIPPLE + 1] * mid_theta + par[s.RIPPLE + 2])
+                )
+            if par[s.CABLE_K] != 0.0:
+                push_table -= par[s.CABLE_K] * (mid_x - par[s.CABLE_CENTRE])
+            if par[s.EXTERNAL] != 0.0:
+                mid_t = t + (sub + 0.5) * h
+                push_table -= par[s.EXTERNAL] * math.sin(
+                    par[s.EXTERNAL + 1] * mid_t + par[s.EXTERNAL + 2]
+                )
+            mid_speed = speed + 0.5 * h * table_a
+            if use_power:
+                push_table -= math.copysign(
+                    par[s.POWER_FORCE] * abs(mid_speed) ** par[s.POWER_EXPONENT], mid_speed
+                )
+            if use_asymmetry:
+                push_table -= (
+                    (par[s.ASYMMETRY_VISCOUS] + par[s.ASYMMETRY_SLIDING])
+                    * par[s.GUIDE + s.VISCOUS]
+                    * abs(mid_speed)
+                )
+                push_nut -= par[s.ASYMMETRY_ROTARY] * par[s.NUT + s.VISCOUS] * abs(z[5])
+                push_motor -= par[s.ASYMMETRY_ROTARY] * par[s.MOTOR + s.VISCOUS] * abs(z[4])
+            if use_base:
+                # Bed on its foundation, positions relative to the bed: the table feels -M x_b''.
+                omega = par[s.BASE_OMEGA]
+                base_a = (
+                    -par[s.M_TABLE] * table_a
+                    - par[s.BASE_MASS] * omega * (2.0 * par[s.BASE_ZETA] * base_v + omega * base_x)
+                ) / (par[s.BASE_MASS] + par[s.M_TABLE])
+                base_v += h * base_a
+                base_x += h * base_v
+                push_table -= par[s.M_TABLE] * base_a
+            level_guide = par[s.GUIDE + s.LEVEL]
+            level_nut = par[s.NUT + s.LEVEL]
+            level_motor = par[s.MOTOR + s.LEVEL]
+            if use_stribeck:
+                ratio = mid_speed / par[s.STRIBECK_SPEED]
+                level_guide += par[s.STRIBECK_GUIDE] * math.exp(-ratio * ratio)
+                ratio = rho * z[5] / par[s.STRIBECK_SPEED]
+                level_nut += par[s.STRIBECK_NUT] * math.exp(-ratio * ratio)
+                ratio = rho * z[4] / par[s.STRIBECK_SPEED]
+                level_motor += par[s.STRIBECK_MOTOR] * math.exp(-ratio * ratio)
+            if par[s.PER_REV] != 0.0:
+                level_nut += par[s.PER_REV] * math.cos(
+                    par[s.PER_REV + 1] * (z[1] + 0.5 * h * z[5]) + par[s.PER_REV + 2]
+                )
+            if use_dip:
+                level_nut *= 1.0 - par[s.DIP] * math.exp(-since / par[s.DIP_LENGTH])
+            if use_asymmetry:
+                level_guide *= 1.0 + math.copysign(par[s.ASYMMETRY_SLIDING], mid_speed)
+            for j in range(n_terms):
+                site = int(terms[j, s.TERM_SITE])
+                if site == 3 or site == 4:
+                    continue
+                value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
+                if site == 0:
+                    push_motor += value
+                elif site == 1:
+                    push_nut += value
+                elif site == 2:
+                    push_table += value
+                elif site == 5:
+                    level_nut += value
+                elif site == 6:
+                    level_guide += value
+                else:
+                    level_motor += value
+            level_guide *= warm
+            level_nut *= warm
+            level_motor *= warm
+            if use_load:
+                delta = z[3] - rho * z[1] - z[2] - wobble_mid
+                pull = par[s.K_NUT] * delta
+                if use_joint:
+                    pull += joint_force(par, delta)[0]
+                level_nut += par[s.NUT_LOAD] * rho * abs(pull)
+
+            # ---- chain without friction
+            drive = held + push_motor
+            for i in range(N_STATES):
+                total = W[i, 8] * drive + W[i, 9] * fading
+                for j in range(N_STATES):
+                    total += W[i, j] * z[j]
+                zf[i] = total + W[i, 10] * push_nut + W[i, 11] * push_table
+
+            # ---- joint beyond its linear spring
+            if use_joint:
+                old_delta = z[3] - rho * z[1] - z[2] - wobble_mid
+                lead_rate = 0.0
+                if use_wobble:
+                    angle = par[s.WOBBLE + 1] * 0.5 * (z[1] + zf[1]) + par[s.WOBBLE + 2]
+                    wobble_mid = par[s.WOBBLE] * math.cos(
+                        par[s.WOBBLE + 1] * zf[1] + par[s.WOBBLE + 2]
+                    )
+                    middle = par[s.WOBBLE] * math.cos(angle)
+                    lead_rate = -par[s.WOBBLE] * par[s.WOBBLE + 1] * math.sin(angle) * z[5]
+                else:
+                    middle = 0.0
+                new_delta = zf[3] - rho * zf[1] - zf[2] - wobble_mid
+                mean_delta = 0.5 * (old_delta + new_delta)
+                extra, slope = joint_force(par, mean_delta)
+                # The bank's spring and damper follow x - rho theta - u; take the lead out of it.
+                base_force = -par[s.K_NUT] * (middle + par[s.BETA] * lead_rate)
+                gain = 0.5 * mobility_joint
+                # One Newton step on the mean deflection; a negative slope only helps.
+                guess = mean_delta
+                for _ in range(4):
+                    force, slope = joint_force(par, guess)
+                    miss = guess - mean_delta - gain * (-(force + base_force))
+                    change = miss / (1.0 + gain * slope) if 1.0 + gain * slope > 0.2 else miss
+                    guess -= change
+                    if abs(change) < 1e-13:
+                        break
+                extra, slope = joint_force(par, guess)
+                extra += base_force
+                for i in range(N_STATES):
+                    zf[i] += W[i, 12] * extra
+
+            # ---- friction, solved with the displacement that it lets through
+            mean, force_motor, _shift = _site(
+                force_motor, zf[0] - z[0], level_motor, par, s.MOTOR, W[0, 8], h, z[4]
+            )
+            mean_nut, force_nut, _shift = _site(
+                force_nut, zf[1] - z[1], level_nut, par, s.NUT, W[1, 10], h, z[5]
+            )
+            if n_gms > 0:
+                mean_guide, _shift = _slip_elements(slip, par, zf[3] - z[3], level_guide, W[3, 11])
+                force_guide = 0.0
+                for i in range(n_gms):
+                    force_guide += slip[i]
+            else:
+                mean_guide, force_guide, _shift = _site(
+                    force_guide, zf[3] - z[3], level_guide, par, s.GUIDE, W[3, 11], h, z[7]
+                )
+            old_speed = z[7]
+            for i in range(N_STATES):
+                z[i] = zf[i] - W[i, 8] * mean - W[i, 10] * mean_nut - W[i, 11] * mean_guide
+            table_a = (z[7] - old_speed) / h
+            motor_torque = held + fade * fading
+            if use_wobble and not rigid:
+                wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
+            if level_guide > 0.0:
+                guide_state = force_guide / level_guide
+            if level_nut > 0.0:
+                nut_state = force_nut / level_nut
+
+            # ---- distance since reversal of the nut; a reversal is a return by 0.05 mrad
+            if (z[1] - extreme) * heading >= 0.0:
+                since += abs(z[1] - extreme)
+                extreme = z[1]
+            elif (extreme - z[1]) * heading > 5e-5:
+                heading = -heading
+                since = abs(z[1] - extreme)
+                extreme = z[1]
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _site(
+    force: float,
+    moved: float,
+    level: float,
+    par: FloatArray,
+    site: int,
+    mobility: float,
+    h: float,
+    speed: float,
+) -> tuple[float, float, float]:
+    """Friction element of one site over a substep; bristle damping fades with speed."""
+    if level <= 0.0:
+        return 0.0, 0.0, moved
+    bristle = par[site + s.BRISTLE]
+    distance = par[site + s.BREAK]
+    damping = 0.0
+    if bristle > 0.0:
+        ratio = speed * bristle / level
+        if abs(ratio) < 5.0:
+            damping = bristle * math.exp(-ratio * ratio) * distance / (level * h)
+    return _dahl(force, moved, level, distance, damping, mobility)
+
+
+@njit(cache=True, nogil=True)
+def _term(
+    term: FloatArray,
+    values: FloatArray,
+    z: FloatArray,
+    t: float,
+    since: float,
+    guide_state: float,
+    nut_state: float,
+) -> float:
+    """Value of one table term (coordinates and factors: ``terms.py``)."""
+    coordinate = int(term[s.TERM_COORDINATE])
+    where = t
+    if coordinate == 0:
+        where = z[3]
+    elif coordinate == 1:
+        where = z[7]
+    elif coordinate == 2:
+        where = z[0]
+    elif coordinate == 3:
+        where = since
+    value = _lookup(values, term, where)
+    factor = int(term[s.TERM_FACTOR])
+    if factor == 1:
+        value *= guide_state
+    elif factor == 2:
+        value *= nut_state
+    elif factor == 3:
+        value *= z[7]
+    return value
