@@ -21,8 +21,11 @@ class Link(Protocol):
         """Lines that answer a question."""
         ...
 
-    def command(self, text: str) -> None:
-        """Send a line that changes something; raises CommandRefused on an error answer."""
+    def command(self, text: str, *, timeout_s: float | None = None) -> list[str]:
+        """Send a line that changes something, once; lines of the questions it holds.
+
+        Raises CommandRefused on an error answer.
+        """
         ...
 
     def write_buffer(self, lines: Sequence[str]) -> None:

@@ -1,0 +1,75 @@
+"""Tables in files: as JSON values and as sealed backups."""
+
+import time
+from pathlib import Path
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.machine.controller.comp_table import (
+    BacklashTable,
+    CompTable,
+    Table,
+    TableKind,
+    TorqueTable,
+)
+from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.transaction import read_sealed_json, write_sealed_json
+
+
+def write_table_backup(path: Path, tables: TableSet, *, enabled: bool) -> None:
+    """Store a set with its switch; synced, read again and compared."""
+    write_sealed_json(
+        path,
+        {
+            "kind": "tables",
+            "enabled": int(enabled),
+            "crc": tables.crc,
+            "written_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "tables": [table_to_json(t) for t in tables],
+        },
+    )
+
+
+def table_to_json(table: Table) -> dict[str, object]:
+    """A table as JSON."""
+    data: dict[str, object] = {
+        "kind": table.kind.value,
+        "motor": table.motor,
+        "span_ct": table.span_ct,
+        "wrap": int(table.wrap),
+        "entries": [int(v) for v in table.entries],
+    }
+    if isinstance(table, CompTable):
+        data |= {
+            "source": table.source,
+            "target": table.target,
+            "by_desired": int(table.by_desired),
+        }
+    return data
+
+
+def table_from_json(data: object) -> Table:
+    """A table from JSON; raises ConfigError on anything unexpected."""
+    try:
+        item = dict(data)  # type: ignore[call-overload]
+        kind = TableKind(item["kind"])
+        entries = tuple(int(v) for v in item["entries"])
+        common = (int(item["motor"]), entries, int(item["span_ct"]), bool(item["wrap"]))
+        if kind is TableKind.COMP:
+            return CompTable(
+                *common,
+                source=int(item["source"]),
+                target=int(item["target"]),
+                by_desired=bool(item["by_desired"]),
+            )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"A stored table is not understood: {error}.") from error
+    return BacklashTable(*common) if kind is TableKind.BLCOMP else TorqueTable(*common)
+
+
+def read_table_backup(path: Path) -> tuple[TableSet, bool]:
+    """Tables of a backup and whether they acted; the digest is checked."""
+    data = read_sealed_json(path)
+    stored = data.get("tables")
+    if data.get("kind") != "tables" or not isinstance(stored, list):
+        raise ConfigError(f"{path} is no backup of tables.", code="PC-UPL-014")
+    return TableSet(tuple(table_from_json(t) for t in stored)), bool(data["enabled"])

@@ -1,0 +1,707 @@
+"""The upload of tables as a transaction: old, new or switched off, at every instant.
+
+Order of steps: pre-flight, backup, intent, disable, write, read back, seal, enable, persist. Every
+journal entry is synced before its step. A line is never sent twice: a lost or repeated number
+shifts all later entries, so any doubt ends in DISABLED and ``recover`` begins anew.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from pmac_comp.base.clock import Deadline
+from pmac_comp.base.errors import (
+    CommandRefused,
+    ControllerState,
+    ForeignChange,
+    LinkError,
+    MotorNotSafe,
+    PmacCompError,
+    ProtocolError,
+    SafetyRefusal,
+    UploadIncomplete,
+    VerifyMismatch,
+)
+from pmac_comp.machine.controller.comp_table import (
+    CompTable,
+    Table,
+)
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.law_bank import Index
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import (
+    MANIFEST_SIZE,
+    Decision,
+    Lease,
+    Manifest,
+    ManifestState,
+    clear_lines,
+    decide,
+)
+from pmac_comp.machine.controller.motors import (
+    MotorReading,
+    MotorStatus,
+    moving_motors,
+    read_motors,
+)
+from pmac_comp.machine.controller.safety import check_step, check_table, raise_all
+from pmac_comp.machine.controller.table_files import table_to_json, write_table_backup
+from pmac_comp.machine.controller.table_set import (
+    Key,
+    TableSet,
+    plan,
+    read_tables,
+    with_lookup,
+)
+from pmac_comp.machine.controller.transaction import (
+    Context,
+    UploadResult,
+    host_lock,
+    mark_left,
+    new_transaction_id,
+    open_journal,
+    parse_lease,
+    read_clock,
+    refuse_foreign_lease,
+    release_lease,
+    take_lease,
+)
+from pmac_comp.machine.wire.numbers import read_number
+
+PACKET_BYTES: Final = 1024
+WATCH_CYCLES: Final = 100
+WATCH_POLLS: Final = 4
+HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
+FRESH_s: Final = 5.0
+SAVE_TIMEOUT_s: Final = 15.0
+_BUFFER_BITS: Final = {
+    1 << 20: "a binary rotary buffer",
+    1 << 19: "a motion program buffer",
+    1 << 18: "a rotary buffer",
+    1 << 17: "a PLC buffer",
+}
+_GATHERING: Final = 1 << 19
+
+
+@dataclass(frozen=True)
+class Head:
+    """What one question tells about tables, manifest and lease."""
+
+    i51: int
+    i30: int
+    free_long_words: int
+    manifest: Manifest | None
+    lease: Lease
+    global1: int
+    global2: int
+
+
+@dataclass(frozen=True)
+class UploadPlan:
+    """What an upload would do, for a person to look at before it is done.
+
+    Parameters
+    ----------
+    old, new : TableSet
+        Tables before and after.
+    enabled_old : bool
+        Whether tables act now.
+    refusals : tuple of SafetyRefusal
+        Everything that forbids it.
+    largest_change_ct : float
+        Largest difference between old and new position correction in the travel.
+    lines : tuple of str
+        What would be sent for the tables.
+    motors : tuple of int
+        Motors that must stand still.
+    """
+
+    old: TableSet
+    new: TableSet
+    enabled_old: bool
+    refusals: tuple[SafetyRefusal, ...]
+    largest_change_ct: float
+    lines: tuple[str, ...]
+    motors: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TableStatus:
+    """State of the tables on a controller."""
+
+    decision: Decision
+    tables: TableSet
+    manifest: Manifest | None
+    i51: int
+
+
+def read_head(link: Link, context: Context) -> Head:
+    """I51, I30, SIZE, manifest, lease and global status in one question."""
+    first = context.block.p(Index.MANIFEST)
+    lines = link.query(f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???")
+    values = [float(read_number(v)) for v in lines[:-1]]
+    digits = lines[-1].strip()
+    if len(values) != 3 + MANIFEST_SIZE + 2 or len(digits) != 12:
+        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
+    return Head(
+        i51=int(values[0]),
+        i30=int(values[1]),
+        free_long_words=int(values[2]),
+        manifest=Manifest.from_values(values[3 : 3 + MANIFEST_SIZE]),
+        lease=parse_lease(values[3 + MANIFEST_SIZE :]),
+        global1=int(digits[:6], 16),
+        global2=int(digits[6:], 16),
+    )
+
+
+def table_status(
+    link: Link, context: Context, *, journal_manifest: Manifest | None = None
+) -> TableStatus:
+    """What stands on the controller, judged by ``decide``."""
+    head = read_head(link, context)
+    tables = read_tables(link)
+    manifest = head.manifest or journal_manifest
+    return TableStatus(decide(manifest, head.i51, tables.crc), tables, manifest, head.i51)
+
+
+class TableUpload:
+    """One upload of tables: ``prepare`` looks, ``execute`` does it, ``with`` holds the locks.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation; nobody else should use it meanwhile.
+    context : Context
+        Limits, folder, block.
+    tables : sequence of Table
+        New tables; they replace tables of the same kind and motor.
+    without : sequence of (TableKind, int)
+        Tables to remove.
+    persist : bool
+        SAVE afterwards; only with all motors killed.
+    route : str
+        For the result: ``table`` or ``cam``.
+    exactly : TableSet or None
+        Complete new set instead of a change (rollback).
+    enable_after : bool
+        Whether tables act at the end; False only to restore a set that was off.
+    check_limits : bool
+        False only to restore what was there before.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        context: Context,
+        tables: Sequence[Table] = (),
+        *,
+        without: Sequence[Key] = (),
+        persist: bool = False,
+        route: str = "table",
+        exactly: TableSet | None = None,
+        enable_after: bool = True,
+        check_limits: bool = True,
+    ) -> None:
+        self.link = link
+        self.context = context
+        self.persist = persist
+        self.route = route
+        self.enable_after = enable_after
+        self._check_limits = check_limits
+        self._tables = tuple(tables)
+        self._without = tuple(without)
+        self._exactly = exactly
+        self._stack = ExitStack()
+        self._plan: UploadPlan | None = None
+        self._prepared_s = 0.0
+        self._has_lease = False
+        self._i30 = 0
+        self._left = ControllerState.OLD
+        self._disabled_at_s: float | None = None
+        self._disabled_s = 0.0
+
+    def __enter__(self) -> "TableUpload":
+        self._stack.enter_context(host_lock(self.context))
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        try:
+            if self._has_lease and failure[0] is None:
+                self._release()
+        finally:
+            self._stack.close()
+
+    # Looking --------------------------------------------------------------------------------------
+
+    def prepare(self) -> UploadPlan:
+        """Pre-flight: everything that can be known before anything is changed.
+
+        Returns
+        -------
+        UploadPlan
+            With all refusals; ``execute`` raises them together.
+        """
+        self.context.progress("pre-flight", 0, 1)
+        head = read_head(self.link, self.context)
+        self._i30 = head.i30
+        now = read_clock(self.link)
+        old = with_lookup(read_tables(self.link), self._wanted(TableSet()))
+        new = self._wanted(old)
+        motors = tuple(sorted(set(old.motors) | set(new.motors)))
+        refusals = self._refusals(head, now, old, new, motors)
+        steps = plan(old, new)
+        self._plan = UploadPlan(
+            old=old,
+            new=new,
+            enabled_old=bool(head.i51),
+            refusals=tuple(refusals),
+            largest_change_ct=largest_change_ct(old, new, self.context),
+            lines=(*steps.delete_lines, *steps.define_lines),
+            motors=motors,
+        )
+        self._prepared_s = self.link.clock.now_s()
+        self.context.progress("pre-flight", 1, 1)
+        return self._plan
+
+    def _wanted(self, old: TableSet) -> TableSet:
+        if self._exactly is not None:
+            return self._exactly
+        return old.with_tables(self._tables, without=self._without)
+
+    def _refusals(
+        self, head: Head, now: int, old: TableSet, new: TableSet, motors: tuple[int, ...]
+    ) -> list[SafetyRefusal]:
+        limits = self.context.limits
+        refusals: list[SafetyRefusal] = []
+        lease = refuse_foreign_lease(head.lease, self.context.owner, now)
+        if lease is not None:
+            refusals.append(lease)
+        refusals += _buffer_refusals(head)
+        if self._check_limits:
+            changed = [t for t in new if old.get(t.kind, t.motor) != t]
+            refusals += [r for table in changed for r in check_table(table, limits)]
+        refusals += _memory_refusals(head, old, new)
+        readings: dict[int, MotorReading] = {}
+        if motors:
+            refusals += _motion_refusals(self.link, motors)
+            readings = read_motors(self.link, motors)
+        refusals += self._step_refusals(readings, old if head.i51 else TableSet(), new)
+        return refusals
+
+    def _step_refusals(
+        self, readings: dict[int, MotorReading], old: TableSet, new: TableSet
+    ) -> list[SafetyRefusal]:
+        position = {m: r.position_ct for m, r in readings.items()}
+        closed = {m: r.status.is_closed_loop for m, r in readings.items()}
+        after = new if self.enable_after else TableSet()
+        return check_step(old.tables, after.tables, position, closed, self.context.limits)
+
+    # Doing ----------------------------------------------------------------------------------------
+
+    def execute(self) -> UploadResult:
+        """Carry the plan out.
+
+        Raises
+        ------
+        SafetyRefusal
+            All refusals of the pre-flight together; nothing was changed.
+        PmacCompError
+            Anything that stopped it; ``left`` says in which state, ``context["confirmed"]``
+            whether that was read back.
+        """
+        the_plan = self._fresh_plan()
+        try:
+            raise_all(the_plan.refusals, "The upload")
+        except SafetyRefusal as error:
+            mark_left(error, ControllerState.OLD, confirmed=True)
+            raise
+        transaction = new_transaction_id()
+        journal = open_journal(self.context, transaction)
+        with self._explained():
+            take_lease(self.link, self.context, read_clock(self.link))
+            self._has_lease = True
+            backup = self._backup(the_plan, transaction)
+            manifest = self._intend(the_plan, journal, transaction, backup)
+            self._disable(journal, the_plan)
+            self._write(journal, the_plan)
+            self._read_back(the_plan, manifest)
+            self._seal(journal, manifest)
+            if self.enable_after:
+                self._enable(journal, the_plan)
+            if self.persist:
+                self._persist(journal, the_plan)
+            journal.write("done", {"verdict": self._left.value})
+            self._release()
+        return UploadResult(
+            verdict=self._left,
+            route=self.route,
+            crc_old=the_plan.old.crc,
+            crc_new=the_plan.new.crc,
+            disabled_s=self._disabled_s,
+            backup=backup,
+            journal=journal.path,
+        )
+
+    def _fresh_plan(self) -> UploadPlan:
+        age_s = self.link.clock.now_s() - self._prepared_s
+        if self._plan is None or age_s > FRESH_s:
+            before = self._plan
+            again = self.prepare()
+            if before is not None and before.old.crc != again.old.crc:
+                raise ForeignChange(
+                    "The tables changed since they were looked at.",
+                    code="PC-UPL-001",
+                    hint="Look at the plan again.",
+                    left=ControllerState.OLD,
+                )
+            return again
+        return self._plan
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Errors leave with the state of the controller on them."""
+        try:
+            yield
+        except PmacCompError as error:
+            lost = isinstance(error, LinkError | ProtocolError)
+            if error.left is None:
+                mark_left(error, self._left, confirmed=not lost)
+            if not lost and self._has_lease:
+                self._release_after(error)
+            raise
+
+    def _release_after(self, error: PmacCompError) -> None:
+        try:
+            self._release()
+        except PmacCompError as second:
+            error.add_note(f"The lease could not be given back: {second.message}")
+
+    def _release(self) -> None:
+        if self._has_lease:
+            release_lease(self.link, self.context)
+            self._has_lease = False
+
+    def _backup(self, the_plan: UploadPlan, transaction: int) -> Path:
+        path = self.context.store / f"{self.context.controller}-{transaction:010d}.tables.json"
+        write_table_backup(path, the_plan.old, enabled=the_plan.enabled_old)
+        return path
+
+    def _intend(
+        self, the_plan: UploadPlan, journal: Journal, transaction: int, backup: Path
+    ) -> Manifest:
+        manifest = Manifest(
+            state=ManifestState.WRITING,
+            transaction=transaction,
+            n_entries=the_plan.new.n_entries,
+            crc_old=the_plan.old.crc,
+            crc_new=the_plan.new.crc,
+            enabled_old=int(the_plan.enabled_old),
+        )
+        journal.write(
+            "intent",
+            {
+                "manifest": list(manifest.values()),
+                "backup": backup.name,
+                "new": [table_to_json(t) for t in the_plan.new],
+                "enable_after": int(self.enable_after),
+            },
+        )
+        self.link.write_buffer(manifest.lines(self.context.block))
+        head = read_head(self.link, self.context)
+        self._require_ours(head, manifest, int(the_plan.enabled_old))
+        return manifest
+
+    def _require_ours(self, head: Head, manifest: Manifest, i51: int) -> None:
+        """Manifest, lease and I51 are as we left them; raises ForeignChange."""
+        live = head.i51 and not i51
+        if live:
+            self.link.command("I51=0")
+        found = head.manifest
+        same = found is not None and found.transaction == manifest.transaction
+        if same and head.lease.owner == self.context.owner and head.i51 == i51:
+            return
+        if self._left is ControllerState.OLD and not live:
+            self._disarm_manifest()
+        what = "enabled the tables" if live else "changed the manifest, the lease or I51"
+        raise ForeignChange(
+            f"Another client {what} during the upload"
+            + (": incomplete tables were live until now." if live else "."),
+            code="PC-UPL-002",
+            hint="Find out who writes to this controller, then run `pmac-comp recover`.",
+            context={"was_live": bool(live)},
+        )
+
+    def _disarm_manifest(self) -> None:
+        self.link.write_buffer(clear_lines(self.context.block))
+
+    def _disable(self, journal: Journal, the_plan: UploadPlan) -> None:
+        journal.write("disable")
+        self.context.progress("disable", 0, 1)
+        # From here on the answer may be lost while the command acted.
+        self._left = ControllerState.DISABLED if the_plan.enabled_old else self._left
+        self._disabled_at_s = self.link.clock.now_s()
+        self._switch(0, the_plan)
+        if not the_plan.enabled_old:
+            self._left = ControllerState.DISABLED
+
+    def _switch(self, value: int, the_plan: UploadPlan) -> None:
+        """Set I51 with the motors' status in the same line, before and after.
+
+        Raises
+        ------
+        MotorNotSafe
+            A motor moved: what was switched on is off again, what was switched off stays off.
+        """
+        status = "".join(f"#{m}?" for m in the_plan.motors)
+        lines = self.link.command(f"{status}I51={value}{status}I51")
+        words = [MotorStatus.parse(text) for text in lines[:-1]]
+        if int(read_number(lines[-1])) != value:
+            raise VerifyMismatch(f"I51 is {lines[-1]} after I51={value}.", code="PC-UPL-003")
+        motors = [*the_plan.motors, *the_plan.motors]
+        moving = [
+            f"motor #{m}"
+            for m, w in zip(motors, words, strict=True)
+            if w.is_activated and w.is_closed_loop and not w.is_commanded_still
+        ]
+        if not moving:
+            return
+        if value == 1:
+            self.link.command("I51=0")
+        if value == 0 and the_plan.enabled_old:
+            self._left = ControllerState.DISABLED
+        raise MotorNotSafe(
+            f"{moving[0]} started to move when compensation was to be switched.",
+            code="PC-UPL-004",
+            hint="Stop the motion, then run `pmac-comp recover`.",
+        )
+
+    def _write(self, journal: Journal, the_plan: UploadPlan) -> None:
+        steps = plan(the_plan.old, the_plan.new)
+        journal.write("write", {"delete": steps.delete_lines, "n_lines": len(steps.define_lines)})
+        lines = ["DELETE GATHER", *steps.delete_lines, *steps.define_lines, f"I30={self._i30}"]
+        packets = list(_packets(lines))
+        for k, packet in enumerate(packets):
+            if self.context.stop_requested():
+                raise UploadIncomplete(
+                    "Stopped on request while tables were being written.",
+                    code="PC-UPL-005",
+                    hint="`pmac-comp recover` writes the old tables back.",
+                )
+            try:
+                self.link.write_buffer(packet)
+            except CommandRefused as error:
+                self._after_refusal(error, the_plan)
+                raise
+            self.context.progress("write", k + 1, len(packets))
+
+    def _after_refusal(self, error: CommandRefused, the_plan: UploadPlan) -> None:
+        """A refused line: if the old tables still stand whole, switch them on again."""
+        tables = read_tables(self.link)
+        if tables.crc != the_plan.old.crc:
+            mark_left(error, ControllerState.DISABLED, confirmed=True)
+            return
+        if the_plan.enabled_old:
+            self._switch(1, the_plan)
+        self._disarm_manifest()
+        mark_left(error, ControllerState.OLD, confirmed=True)
+
+    def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:
+        self.context.progress("read back", 0, 1)
+        head = read_head(self.link, self.context)
+        self._require_ours(head, manifest, 0)
+        found = read_tables(self.link)
+        if found.crc != the_plan.new.crc:
+            raise VerifyMismatch(
+                f"The tables on the controller are not those that were sent: "
+                f"{difference(the_plan.new, found)}.",
+                code="PC-UPL-006",
+                hint="`pmac-comp recover` writes the old tables back; then try again.",
+            )
+        self.context.progress("read back", 1, 1)
+
+    def _seal(self, journal: Journal, manifest: Manifest) -> None:
+        journal.write("seal")
+        state = self.context.block.p(Index.MANIFEST) + 1
+        self.link.command(f"P{state}={int(ManifestState.VALID)}")
+        head = read_head(self.link, self.context)
+        self._require_ours(head, manifest, 0)
+        if head.manifest is None or head.manifest.state is not ManifestState.VALID:
+            raise VerifyMismatch("The manifest could not be sealed.", code="PC-UPL-007")
+
+    def _enable(self, journal: Journal, the_plan: UploadPlan) -> None:
+        motors = the_plan.motors
+        if motors:
+            refusals = _motion_refusals(self.link, motors)
+            readings = read_motors(self.link, motors)
+            refusals += self._step_refusals(readings, TableSet(), the_plan.new)
+            raise_all(refusals, "Enabling")
+        journal.write("enable")
+        self.context.progress("enable", 0, 1)
+        try:
+            self._switch(1, the_plan)
+        except (LinkError, ProtocolError):
+            self._left = ControllerState.NEW  # sent once; unconfirmed
+            raise
+        if self._disabled_at_s is not None:
+            self._disabled_s = self.link.clock.now_s() - self._disabled_at_s
+        self._left = ControllerState.NEW
+        self._watch(motors)
+        self.context.progress("enable", 1, 1)
+
+    def _watch(self, motors: tuple[int, ...]) -> None:
+        """Following errors for 100 servo cycles; too large ones switch compensation off."""
+        if not motors:
+            return
+        bound_ct = 2.0 * self.context.limits.max_step_ct
+        begin = {m: r.following_error_ct for m, r in read_motors(self.link, motors).items()}
+        deadline = Deadline.after(self.link.clock, WATCH_CYCLES * self.context.servo_period_s)
+        while not deadline.expired():
+            self.link.clock.sleep_s(WATCH_CYCLES * self.context.servo_period_s / WATCH_POLLS)
+            for motor, reading in read_motors(self.link, motors).items():
+                jump = abs(reading.following_error_ct - begin[motor])
+                if jump > bound_ct and reading.status.is_closed_loop:
+                    self.link.command("I51=0")
+                    self._left = ControllerState.DISABLED
+                    raise MotorNotSafe(
+                        f"Motor #{motor} left its place by {jump:.1f} counts after enabling; "
+                        "compensation was switched off again.",
+                        code="PC-UPL-008",
+                    )
+
+    def _persist(self, journal: Journal, the_plan: UploadPlan) -> None:
+        journal.write("persist")
+        save(self.link)
+        after = table_status(self.link, self.context)
+        if after.tables.crc != the_plan.new.crc or after.decision.state is not self._left:
+            raise VerifyMismatch(
+                "After SAVE the controller holds something else.", code="PC-UPL-009"
+            )
+
+
+def upload_tables(
+    link: Link, context: Context, tables: Sequence[Table], **options: bool | str
+) -> UploadResult:
+    """Upload tables in one call; see ``TableUpload`` for the options and errors."""
+    with TableUpload(link, context, tables, **options) as upload:  # type: ignore[arg-type]
+        upload.prepare()
+        return upload.execute()
+
+
+def remove_tables(link: Link, context: Context, keys: Sequence[Key]) -> UploadResult:
+    """Take tables off; the rest acts as before (none left: compensation stays off)."""
+    remaining = read_tables(link).with_tables((), without=keys)
+    with TableUpload(
+        link, context, exactly=remaining, enable_after=len(remaining) > 0, check_limits=False
+    ) as upload:
+        return upload.execute()
+
+
+def save(link: Link) -> None:
+    """SAVE with all motors killed; the answer takes seconds and may be a NUL over Ethernet.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor is enabled: nothing else runs during SAVE, not even limit checks (p. 394).
+    """
+    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if int(read_number(v))]
+    alive = [m for m, r in read_motors(link, active).items() if not r.status.is_killed]
+    if alive:
+        raise MotorNotSafe(
+            f"SAVE needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
+            code="PC-UPL-010",
+        )
+    link.command("SAVE", timeout_s=SAVE_TIMEOUT_s)
+
+
+# Texts and checks ---------------------------------------------------------------------------------
+
+
+def difference(meant: TableSet, found: TableSet) -> str:
+    """First difference between two sets, in words."""
+    for table in meant:
+        twin = found.get(table.kind, table.motor)
+        name = f"{table.kind.value} of motor #{table.motor}"
+        if twin is None:
+            return f"{name} is missing"
+        if len(twin.entries) != len(table.entries):
+            return f"{name} has {len(twin.entries)} entries instead of {len(table.entries)}"
+        for k, (a, b) in enumerate(zip(table.entries, twin.entries, strict=True), start=1):
+            if a != b:
+                return f"{name}: entry {k} is {b} instead of {a}"
+        if table.canonical != twin.canonical:
+            return f"{name} has another source, target or span"
+    return f"{len(found)} tables instead of {len(meant)}"
+
+
+def largest_change_ct(old: TableSet, new: TableSet, context: Context) -> float:
+    """Largest change of any motor's position correction within the travel, in counts."""
+    low, high = context.limits.min_position_ct, context.limits.max_position_ct
+    grid = np.linspace(low, high, 2001)
+    largest = 0.0
+    keys = {(t.kind, t.motor) for t in (*old, *new) if isinstance(t, CompTable)}
+    for key in keys:
+        before, after = (s.get(*key) for s in (old, new))
+        values = [
+            t.correction_ct(grid) if isinstance(t, CompTable) else np.zeros(len(grid))
+            for t in (before, after)
+        ]
+        largest = max(largest, float(np.max(np.abs(values[1] - values[0]))))
+    return largest
+
+
+def _buffer_refusals(head: Head) -> list[SafetyRefusal]:
+    refusals = [
+        SafetyRefusal(
+            f"{name.capitalize()} is open on the controller.",
+            code="PC-UPL-020",
+            hint="Close it (CLOSE) where it was opened.",
+        )
+        for bit, name in _BUFFER_BITS.items()
+        if head.global2 & bit
+    ]
+    if head.global1 & _GATHERING:
+        refusals.append(
+            SafetyRefusal(
+                "Data gathering is running.", code="PC-UPL-021", hint="Stop it (ENDGATHER)."
+            )
+        )
+    return refusals
+
+
+def _memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefusal]:
+    freed = old.n_entries + HEADER_LONG_WORDS * len(old)
+    needed = new.n_entries + HEADER_LONG_WORDS * len(new)
+    if needed <= freed + head.free_long_words:
+        return []
+    return [
+        SafetyRefusal(
+            f"The tables need {needed} long words, {freed + head.free_long_words} are free.",
+            code="PC-UPL-022",
+            hint="Use fewer entries, or delete buffers.",
+        )
+    ]
+
+
+def _motion_refusals(link: Link, motors: Sequence[int]) -> list[SafetyRefusal]:
+    return [
+        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
+        for reason in moving_motors(link, motors)
+    ]
+
+
+def _packets(lines: Sequence[str]) -> Iterator[list[str]]:
+    packet: list[str] = []
+    size = 0
+    for line in lines:
+        if packet and size + len(line) + 1 > PACKET_BYTES:
+            yield packet
+            packet, size = [], 0
+        packet.append(line)
+        size += len(line) + 1
+    if packet:
+        yield packet
