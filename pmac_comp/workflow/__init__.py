@@ -1,1 +1,1 @@
-"""The bridge: calibrate, deploy, verify, improve; the only place where the towers meet."""
+"""The bridge between the towers: calibrate, deploy, verify, improve. The only place of both."""

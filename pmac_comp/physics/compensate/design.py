@@ -207,7 +207,7 @@ def design_law(
             float(np.max(np.abs(m.acceleration_m_per_s2))) for m in chosen
         ),
     )
-    return _refined(start, loop, chosen, latency_cycles, with_torque, progress)  # noqa: FBT003
+    return _refined(start, loop, chosen, latency_cycles, with_torque, progress)
 
 
 def _start(

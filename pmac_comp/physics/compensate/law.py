@@ -113,7 +113,7 @@ class CompensationLaw:
 
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""
-        zero = {name: 0.0 for name in TORQUE_NAMES}
+        zero = dict.fromkeys(TORQUE_NAMES, 0.0)
         return replace(self, **zero, torque_limit_Nm=0.0)  # type: ignore[arg-type]
 
 

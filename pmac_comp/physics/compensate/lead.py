@@ -1,0 +1,164 @@
+"""Lead-error map from slow bidirectional runs, with the dynamic part removed first.
+
+What lives here: the binned map of both directions, its mean (lead table) and its difference (the
+direction-dependent remainder), and ISO 230-2 style figures of the map. What may not: counts.
+
+The lead error is taken from the mean of both directions, so that the elastic lost motion of the
+friction is not swallowed by the table (ballscrew facts 2.5). The dynamic law, evaluated on the
+motion, is subtracted before, because even a slow run carries its Coulomb term.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+
+_REVERSAL_CLEARANCE_m = 0.2e-3  # samples closer than this to a reversal carry the friction step
+_LEAST_SPEED_m_per_s = 1e-3
+_COVERED = 0.9  # share of the knots that both directions must have seen
+
+
+@dataclass(frozen=True)
+class LeadMap:
+    """Static error of the table against the motor.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (n,)
+        Equidistant commanded positions.
+    error_m : ndarray, shape (n,)
+        Mean of both directions, zero where the map crosses position zero (or at its middle).
+    reversal_m : ndarray, shape (n,)
+        Forward minus backward after the dynamic part was removed.
+    noise_m : float
+        Standard deviation of a knot from the scatter of the samples in it.
+    """
+
+    position_m: FloatArray
+    error_m: FloatArray
+    reversal_m: FloatArray
+    noise_m: float
+
+    @property
+    def spacing_m(self) -> float:
+        """Distance between knots in m."""
+        return float((self.position_m[-1] - self.position_m[0]) / (self.position_m.size - 1))
+
+    def at(self, position_m: FloatArray) -> FloatArray:
+        """Lead error in m at positions in m, linear between knots, held beyond the ends."""
+        return np.asarray(np.interp(position_m, self.position_m, self.error_m))
+
+    def summary(self) -> dict[str, float]:
+        """Figures for people: peak to peak and slope of the lead, mean reversal error, um."""
+        slope = np.polyfit(self.position_m, self.error_m, 1)[0]
+        return {
+            "lead_peak_to_peak_um": float(np.ptp(self.error_m) * UM_PER_M),
+            "lead_slope_um_per_m": float(slope * UM_PER_M),
+            "mean_reversal_um": float(np.mean(self.reversal_m) * UM_PER_M),
+            "knot_noise_um": self.noise_m * UM_PER_M,
+        }
+
+
+def lead_map(
+    captures: Sequence[Capture], law: CompensationLaw | None, *, spacing_m: float = 1e-3
+) -> LeadMap:
+    """Lead-error map of slow bidirectional runs.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs over the travel in both directions, with a table position, compensation off.
+    law : CompensationLaw or None
+        Dynamic law that is removed first.
+    spacing_m : float
+        Distance between knots; at most a tenth of the screw pitch shows its wobble.
+
+    Raises
+    ------
+    NotIdentifiable
+        No table position, or a direction does not cover the range.
+    """
+    parts = [_samples(capture, law) for capture in captures]
+    position = np.concatenate([p for p, _, _ in parts])
+    error = np.concatenate([e for _, e, _ in parts])
+    forward = np.concatenate([f for _, _, f in parts])
+    if position.size == 0:
+        raise _uncovered("no sample moves")
+    low = np.ceil(position.min() / spacing_m) * spacing_m
+    high = np.floor(position.max() / spacing_m) * spacing_m
+    knots = low + spacing_m * np.arange(max(2, round((high - low) / spacing_m) + 1))
+    up, n_up, noise = _knot_means(position[forward], error[forward], knots)
+    down, n_down, _ = _knot_means(position[~forward], error[~forward], knots)
+    seen = (n_up > 0) & (n_down > 0)
+    if np.mean(seen) < _COVERED:
+        raise _uncovered(f"both directions cover only {100 * np.mean(seen):.0f} % of the range")
+    up = np.interp(knots, knots[seen], up[seen])
+    down = np.interp(knots, knots[seen], down[seen])
+    mean = 0.5 * (up + down)
+    zero = 0.0 if knots[0] <= 0.0 <= knots[-1] else float(np.median(knots))
+    mean -= np.interp(zero, knots, mean)
+    return LeadMap(knots, mean, up - down, noise)
+
+
+def _samples(
+    capture: Capture, law: CompensationLaw | None
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Position, error without its dynamic part, and direction of the samples that count."""
+    if capture.table_position_m is None:
+        raise _uncovered("the capture has no table position")
+    period = capture.sample_period_s
+    r = capture.commanded_position_m
+    error = capture.table_position_m - capture.motor_position_m
+    if law is not None:
+        error = error + evaluate_law(law, r, period).correction_m
+    speed = np.gradient(r, period)
+    moving = np.abs(speed) > _LEAST_SPEED_m_per_s
+    use = moving & capture.mask & (_since_reversal(r, speed) > _REVERSAL_CLEARANCE_m)
+    return capture.motor_position_m[use], error[use], (speed > 0.0)[use]
+
+
+def _since_reversal(position: FloatArray, speed: FloatArray) -> FloatArray:
+    """Distance in m travelled since the direction last changed."""
+    direction = np.sign(speed)
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
+    turned = np.concatenate([[True], np.diff(direction) != 0.0])
+    start = np.maximum.accumulate(np.where(turned, np.arange(position.size), 0))
+    return np.asarray(travel - travel[start])
+
+
+def _knot_means(
+    position: FloatArray, error: FloatArray, knots: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Local linear means around the knots, numbers of samples, scatter of a mean."""
+    spacing = knots[1] - knots[0]
+    index = np.round((position - knots[0]) / spacing).astype(np.int64)
+    inside = (index >= 0) & (index < knots.size)
+    index, error, offset = index[inside], error[inside], (position - knots[0])[inside]
+    offset = offset - index * spacing
+    count = np.bincount(index, minlength=knots.size).astype(np.float64)
+    safe = np.maximum(count, 1.0)
+    mean = np.bincount(index, error, knots.size) / safe
+    square = np.bincount(index, error**2, knots.size) / safe - mean**2
+    # A straight line through the samples of a knot removes what their uneven places would add.
+    o = np.bincount(index, offset, knots.size) / safe
+    oo = np.bincount(index, offset**2, knots.size) / safe - o**2
+    oe = np.bincount(index, offset * error, knots.size) / safe - o * mean
+    slope = np.where(oo > (0.05 * spacing) ** 2, oe / np.maximum(oo, 1e-30), 0.0)
+    scatter = np.sqrt(np.maximum(square - slope * oe, 0.0) / safe)
+    good = count > 1.0
+    return mean - slope * o, count, float(np.median(scatter[good])) if good.any() else 0.0
+
+
+def _uncovered(reason: str) -> NotIdentifiable:
+    return NotIdentifiable(
+        f"The lead error cannot be mapped: {reason}.",
+        code="PC-LEAD-001",
+        hint="Capture slow runs over the travel in both directions: "
+        "`pmac-comp capture --campaign lead`.",
+    )

@@ -1,0 +1,309 @@
+"""An axis under a controller: made ready, moved along trajectories, and gathered in SI.
+
+What lives here: the sequence of one run and the conversion of raw counts to a ``Capture``. What
+may not: the registers themselves (``machine.controller``), the fit. Nothing here is repeated
+after a doubt: a run that did not come back whole is run again from its start.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import CaptureError, MotorNotSafe, SampleGap
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Attribute, Capture
+from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.controller import gather, motors, programs
+from pmac_comp.machine.controller import registers as reg
+from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.variables import read_many, write_many
+from pmac_comp.workflow.motions import PROGRAM_NUMBER, Motion, check_motion, pvt_program
+from pmac_comp.workflow.scales import Scales
+
+Progress = Callable[[str, float], None]
+_LEAD_IN_s = 0.05  # kept before the first motion of a run
+_TAIL_s = 0.15  # kept after the last
+_START_TIME_s = 0.4  # program start, calculation time and the first DWELL
+_ATTEMPTS = 3
+_SETTLE_s = 0.3
+_MISMATCH_m = 2e-3  # encoder and scale further apart than this: something slipped
+
+
+@dataclass
+class Axis:
+    """A connected axis of one bench.
+
+    Parameters
+    ----------
+    link : Commander
+        Conversation; its clock is the clock of the controller's time.
+    bench : Bench
+        What is known of the axis.
+    identity : str
+        Controller identity for captures.
+    """
+
+    link: Commander
+    bench: Bench
+    identity: str = ""
+    scales: Scales = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.scales = Scales.of(self.bench)
+
+    @property
+    def motor(self) -> int:
+        """Number of the motor that closes the loop."""
+        return self.bench.encoder.motor_number
+
+    # Set-up ---------------------------------------------------------------------------------------
+
+    def set_up(self) -> None:
+        """Bring registers, conversion, motors and PLC programs of the bench onto the card.
+
+        The motors are killed first; the variables of the bench file are written and read back.
+        """
+        for number in self._motors():
+            motors.kill(self.link, number)
+        block = LawBlock.from_p_block(self.bench.controller.p_block)
+        write_many(self.link, self._writable_variables())
+        for name in ("bench_setup.pmc", "feedforward_law.plc0", "comp_guard.plc"):
+            text = firmware_path(name).read_text(encoding="utf-8")
+            source = programs.parse_source(
+                programs.render(text, motor=self.motor, first_p=block.first)
+            )
+            programs.download_source(self.link, source)
+        self.link.command("ENABLE PLC 0")
+
+    def is_set_up(self) -> bool:
+        """Whether the law program of this version is on the card and position following is on."""
+        text = firmware_path("feedforward_law.plc0").read_text(encoding="utf-8")
+        block = LawBlock.from_p_block(self.bench.controller.p_block)
+        source = programs.parse_source(programs.render(text, motor=self.motor, first_p=block.first))
+        following = read_many(self.link, [f"I{self.motor}06"])[f"I{self.motor}06"]
+        return following == 3.0 and all(
+            programs.is_present(self.link, program) for program in source.programs
+        )
+
+    def _motors(self) -> list[int]:
+        scale = self.bench.scale
+        return [self.motor] + ([scale.motor_number] if scale else [])
+
+    def _writable_variables(self) -> dict[str, float]:
+        """Variables of the bench file that a running card takes (clocks act at power-up only)."""
+        fixed = {"I7000", "I7001", "I7002", "I10"}
+        return {k: v for k, v in self.bench.controller.ivariables.items() if k not in fixed}
+
+    # Motion ---------------------------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """Close the loop where the axis stands."""
+        motors.enable(self.link, self.motor)
+
+    def kill(self) -> None:
+        """Switch the amplifier off."""
+        motors.kill(self.link, self.motor)
+
+    def run(self, motion: Motion, *, progress: Progress | None = None) -> Capture:
+        """Run a motion from its start and gather it at the servo rate.
+
+        Raises
+        ------
+        SafetyRefusal
+            The motion leaves the travel or passes the limits.
+        CaptureError
+            No attempt gave every sample.
+        MotorNotSafe
+            The motor tripped on the way.
+        """
+        check_motion(motion, self.bench)
+        self.prepare(motion)
+        for attempt in range(_ATTEMPTS):
+            self._go_to_start(motion)
+            result = self._gather(motion, progress)
+            if not result.gaps:
+                return self.capture_of(result, motion)
+            if progress is not None:
+                progress(f"{motion.name}: samples lost, run {attempt + 2} of {_ATTEMPTS}", -1.0)
+        result.require_whole()
+        raise CaptureError("The run was not whole.", code="PC-AXI-001")
+
+    def prepare(self, motion: Motion) -> None:
+        """Download the motion as a PVT program and compare what the card lists."""
+        pvt = pvt_program(motion, self.bench)
+        gather.stop(self.link)
+        self.link.write_buffer(
+            ["UNDEFINE ALL", f"&1#{self.motor}->X", "I5190=1000", "I5113=0", "I42=0"]
+        )
+        lines = ("DWELL100", *pvt.lines, "DWELL50")
+        programs.download(
+            self.link, programs.Program(programs.ProgramKind.PROG, PROGRAM_NUMBER, lines)
+        )
+
+    def _go_to_start(self, motion: Motion) -> None:
+        start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct
+        if motors.read_motor(self.link, self.motor).status.is_killed:
+            self.enable()
+        motors.move_to(self.link, self.motor, start_ct)
+        self.link.clock.sleep_s(_SETTLE_s)
+
+    def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:
+        plan = self.plan()
+        duration_s = motion.duration_s + _START_TIME_s + _TAIL_s
+        clock = self.link.clock
+        start_s = clock.now_s()
+
+        def going_on() -> bool:
+            if progress is not None:
+                progress(motion.name, min(1.0, (clock.now_s() - start_s) / duration_s))
+            return True
+
+        def start() -> None:
+            self.link.command(f"&1B{PROGRAM_NUMBER}R")
+
+        if plan.mode is GatherMode.RING:
+            result = gather.gather_ring(
+                self.link,
+                plan,
+                duration_s,
+                self.scales.period_s,
+                during=start,
+                keep_going=going_on,
+            )
+        else:
+            result = self._gather_ram(plan, duration_s, start)
+        self._check_alive()
+        return result
+
+    def _gather_ram(
+        self, plan: GatherPlan, duration_s: float, start: Callable[[], None]
+    ) -> GatherResult:
+        n_samples = 1 + int(np.ceil(duration_s / (self.scales.period_s * plan.period_cycles)))
+        words = plan.layout.long_words * n_samples + gather.HEADER_LONG_WORDS
+        with gather.prepared(self.link, plan, words):
+            self.link.command("GATHER")
+            start()
+            self.link.clock.sleep_s(duration_s + 0.05)
+            self.link.command("ENDGATHER")
+            return gather.read_ram(self.link, plan, n_samples)
+
+    def _check_alive(self) -> None:
+        status = motors.read_motor(self.link, self.motor).status
+        if status.trips or status.is_killed:
+            raise MotorNotSafe(
+                f"Motor #{self.motor} stopped during the run: "
+                f"{', '.join(status.trips) or 'it was killed'}.",
+                code="PC-AXI-002",
+                hint="Look at `pmac-comp status`; the motor is left killed.",
+            )
+
+    # Gather ---------------------------------------------------------------------------------------
+
+    def plan(self) -> GatherPlan:
+        """What a run gathers: command, feedback, following error, scale and output."""
+        motor = self.motor
+        sources: list[GatherSource] = [
+            gather.motor_source("commanded", motor, reg.COMMANDED),
+            gather.motor_source("actual", motor, reg.ACTUAL),
+            gather.motor_source("following_error", motor, reg.FOLLOWING_ERROR),
+        ]
+        if self.bench.scale is not None:
+            sources.append(gather.motor_source("scale", self.bench.scale.motor_number, reg.ACTUAL))
+        sources.append(gather.output_source("output", motor))
+        ring = self.bench.controller.dpram != "none" and self.link.capabilities.memory
+        return GatherPlan(
+            tuple(sources),
+            mode=GatherMode.RING if ring else GatherMode.RAM,
+            dpram=self.bench.controller.dpram if ring else "large",
+        )
+
+    def capture_of(self, result: GatherResult, motion: Motion) -> Capture:
+        """Capture in SI of raw samples, cut to the motion with a little rest at both ends."""
+        raw, scales = result.raw, self.scales
+        commanded = scales.motor_m(raw["commanded"])
+        actual = scales.motor_m(raw["actual"])
+        # Feedback plus following error is the net desired position whatever sign convention the
+        # compensation register has (Software Reference Manual p. 382 and p. 516 differ).
+        desired = actual + scales.motor_m(raw["following_error"])
+        table = scales.table_m(raw["scale"]) if "scale" in raw else None
+        torque = scales.torque_Nm(raw["output"])
+        first, last = _moving_range(commanded, scales.period_s)
+        part = slice(first, last)
+        if table is not None:
+            self._check_sensors(actual[part], table[part])
+        count = commanded[part].size
+        return Capture(
+            time_s=np.arange(count) * scales.period_s,
+            commanded_position_m=commanded[part],
+            desired_position_m=desired[part],
+            motor_position_m=actual[part],
+            table_position_m=None if table is None else table[part],
+            # The word gathered in a cycle is the output of that cycle.
+            torque_command_Nm=torque[part],
+            attributes=self._attributes(motion),
+        )
+
+    def _check_sensors(self, motor: FloatArray, table: FloatArray) -> None:
+        """Refuse a run in which encoder and scale disagree by more than any elasticity."""
+        apart = table - motor
+        worst = float(np.max(np.abs(apart - apart[0])))
+        if worst > _MISMATCH_m:
+            index = int(np.argmax(np.abs(apart - apart[0])))
+            raise SampleGap(
+                f"Encoder and scale disagree by {worst * UM_PER_M:.0f} um at sample {index}.",
+                code="PC-AXI-003",
+                hint="A slipped coupling, a dead or reversed scale, or a wrong resolution in the "
+                "bench file.",
+            )
+
+    def _attributes(self, motion: Motion) -> dict[str, Attribute]:
+        return {
+            "source": "gathered at the servo rate",
+            "controller": self.identity or self.link.name,
+            "motion": motion.name,
+            "start_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "servo_period_s": self.scales.period_s,
+            "decimation": 1,
+            "gather_sources": " ".join(source.name for source in self.plan().sources),
+            "bench_text": self.bench.text,
+        }
+
+
+def _moving_range(commanded: FloatArray, period_s: float) -> tuple[int, int]:
+    """First and one past the last sample of the motion, with rest kept at both ends."""
+    moving = np.flatnonzero(np.abs(commanded - commanded[0]) > 1e-9)
+    if moving.size == 0:
+        raise CaptureError(
+            "The axis was not commanded to move while it was gathered.",
+            code="PC-AXI-004",
+            hint="Check that the motion program runs (`pmac-comp status`).",
+        )
+    first = max(0, int(moving[0]) - int(_LEAD_IN_s / period_s))
+    steps = np.flatnonzero(np.diff(commanded) != 0.0)
+    last = min(commanded.size, int(steps[-1]) + 2 + int(_TAIL_s / period_s))
+    return first, last
+
+
+def run_all(
+    axis: Axis, motions: Sequence[Motion], *, progress: Progress | None = None, what: str = ""
+) -> list[Capture]:
+    """Captures of motions, one after another, with progress over all."""
+    total_s = sum(m.duration_s for m in motions)
+    done_s = 0.0
+    captures: list[Capture] = []
+    for motion in motions:
+        share = motion.duration_s / total_s
+
+        def step(text: str, fraction: float, done: float = done_s, part: float = share) -> None:
+            if progress is not None:
+                progress(f"{what}: {text}", done / total_s + part * max(0.0, fraction))
+
+        captures.append(axis.run(motion, progress=step))
+        done_s += motion.duration_s
+    return captures

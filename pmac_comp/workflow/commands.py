@@ -1,0 +1,69 @@
+"""Command files: the two columns that ``predict``, ``cam`` and ``--motion FILE`` need."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.errors import CaptureError, SampleGap
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.capture import read_capture
+
+_TIME, _POSITION = "time_s", "commanded_position_mm"
+
+
+def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Time in s and commanded position in m of a CSV command file or of a capture.
+
+    Raises
+    ------
+    CaptureError
+        Missing file or column, or a cell that is no number.
+    SampleGap
+        Time does not run on a uniform grid.
+    """
+    if path.suffix.lower() != ".csv":
+        capture = read_capture(path)
+        return capture.time_s, capture.commanded_position_m
+    rows = _rows(path)
+    header = [name.strip() for name in rows[0]] if rows else []
+    missing = [name for name in (_TIME, _POSITION) if name not in header]
+    if missing:
+        raise CaptureError(
+            f"{path.name}: column(s) missing: {', '.join(missing)}.",
+            code="PC-CMD-001",
+            hint=f"A command file has the header {_TIME},{_POSITION}.",
+        )
+    try:
+        columns = [
+            finite_array(name, [float(row[header.index(name)]) for row in rows[1:]], min_size=2)
+            for name in (_TIME, _POSITION)
+        ]
+    except (ValueError, IndexError) as error:
+        raise CaptureError(
+            f"{path.name}: a row does not hold {len(header)} numbers: {error}.",
+            code="PC-CMD-002",
+        ) from error
+    time_s, position_mm = columns
+    steps = np.diff(time_s)
+    if not steps.min() > 0.0 or steps.max() > 1.5 * steps.min():
+        index = int(np.argmax(steps))
+        raise SampleGap(
+            f"{path.name}: time does not run on a uniform grid (step {steps[index]:.6g} s after "
+            f"row {index + 1}).",
+            code="PC-CMD-003",
+            hint="Give one row per servo period.",
+        )
+    return time_s, position_mm / MM_PER_M
+
+
+def _rows(path: Path) -> list[list[str]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(
+            f"The command file {path} cannot be read: {error}.", code="PC-CMD-004"
+        ) from error
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    return list(csv.reader(lines))

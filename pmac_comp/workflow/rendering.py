@@ -1,0 +1,125 @@
+"""The law and the lead map in counts and servo cycles: physics becomes controller data here."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.scales import Scales
+
+_ENTRY_PER_CT = 16.0  # table entries are in 1/16 count (Software Reference Manual p. 303)
+_MOST_ENTRIES = 4000
+
+
+def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -> LawParameters:
+    """Law of a bank in counts and servo cycles (SC).
+
+    With K counts per m, T the servo period and q the torque of a DAC unit, a quantity per
+    (m/s2) becomes one per (count/SC^2) by 1/(K T^2), and a correction in m becomes counts by K.
+    """
+    K = 1.0 / scales.motor_m_per_ct
+    T = scales.period_s
+    q = scales.torque_Nm_per_dac
+    return LawParameters(
+        A0=law.inertia_s2 / T**2,
+        A1=law.inertia_per_m_s2_per_m / (T**2 * K),
+        V0=law.viscous_s / T,
+        V1=law.viscous_per_m_s_per_m / (T * K),
+        S0=law.coulomb_m * K,
+        S1=law.coulomb_per_m,
+        X0=law.origin_m * K,
+        S_INV=1.0 / (law.breakaway_m * K),
+        J0=law.jerk_s3 / T**3,
+        D1=law.lead_s / T,
+        D2=law.lead2_s2 / T**2,
+        TJ=law.torque_inertia_Nm_s2_per_m / (K * T**2 * q),
+        TK=law.torque_jerk_Nm_s3_per_m / (K * T**3 * q),
+        TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
+        TC=law.torque_coulomb_Nm / q,
+        TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),
+        TS=law.torque_excess_Nm / q,
+        TV_INV=1.0 / (law.excess_speed_m_per_s * K * T),
+        T_INV=1.0 / (law.torque_breakaway_m * K),
+        T0=law.torque_constant_Nm / q,
+        TL=law.torque_lead_s / T,
+        T_LIMIT=law.torque_limit_Nm / q,
+        REVISION=float(revision),
+    )
+
+
+@dataclass(frozen=True)
+class RenderedTable:
+    """A lead map as a controller table.
+
+    Parameters
+    ----------
+    table : CompTable
+        What is uploaded.
+    quantisation_um : float
+        Largest rounding of an entry.
+    """
+
+    table: CompTable
+    quantisation_um: float
+
+
+def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> RenderedTable:
+    """COMP table that takes a lead map away: entries are minus the error, in 1/16 count.
+
+    The table spans the travel with one spacing to spare at each end; negative positions use its
+    far end (roll-over), where both ends meet the correction runs back to itself through the
+    positions that are never reached.
+
+    Raises
+    ------
+    ConfigError
+        The travel needs more entries than fit.
+    """
+    scales = Scales.of(bench)
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    reach = max(abs(low), abs(high)) + 2.0 * lead.spacing_m
+    # The zero of the motor is knot 0; both signs get the same number of knots.
+    half = math.ceil(reach / lead.spacing_m)
+    if 2 * half > _MOST_ENTRIES:
+        raise ConfigError(
+            f"The travel needs {2 * half} entries of {lead.spacing_m * 1e3:g} mm.",
+            code="PC-LEAD-010",
+            hint="Use a larger spacing.",
+        )
+    spacing_ct = round(scales.counts(lead.spacing_m))
+    knots = np.arange(1, 2 * half + 1)
+    signed = np.where(knots <= half, knots, knots - 2 * half)
+    exact = -lead.at(signed * lead.spacing_m) / scales.motor_m_per_ct * _ENTRY_PER_CT
+    exact -= -lead.at(np.zeros(1))[0] / scales.motor_m_per_ct * _ENTRY_PER_CT
+    exact = _seam(exact, half, spacing_ct, bench, scales)
+    entries = np.round(exact).astype(np.int64)
+    entries[-1] = 0
+    table = CompTable(
+        motor=bench.encoder.motor_number,
+        entries=tuple(int(e) for e in entries),
+        span_ct=2 * half * spacing_ct,
+        by_desired=by_desired,
+    )
+    rounding = float(np.max(np.abs(entries - exact))) / _ENTRY_PER_CT
+    return RenderedTable(table, rounding * scales.motor_m_per_ct * UM_PER_M)
+
+
+def _seam(
+    exact: np.ndarray, half: int, spacing_ct: int, bench: Bench, scales: Scales
+) -> np.ndarray:
+    """Entries beyond the travel blended so that the two ends of the table meet."""
+    reach_ct = max(abs(bench.travel.min_mm), abs(bench.travel.max_mm)) / 1e3
+    used = math.ceil(scales.counts(reach_ct) / spacing_ct)
+    out = exact.copy()
+    if half - used < 1:
+        return out
+    first, last = out[used - 1], out[2 * half - used - 1]
+    out[used : 2 * half - used - 1] = np.linspace(first, last, 2 * (half - used) + 1)[1:-1]
+    return out
