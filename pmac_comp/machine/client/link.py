@@ -241,21 +241,27 @@ class PacketLink(BaseLink):
 
     def _read_parts(self, reader: ReplyReader, deadline: Deadline) -> None:
         part = 0
-        extra_request = False
+        asked_early = waiting = False
         while True:
             data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
             part += len(data)
             if reader.receive(data):
                 break
-            if not data and not extra_request:
-                extra_request = True  # a part shorter than 1400 bytes that was not the last
-            elif not data.strip(b"\x00") and data:
-                self._clock.sleep_s(_BUSY_POLL_S)  # busy: a lone null byte
-            elif part != ethernet.MAX_REPLY:
+            if data:
+                waiting = False
+                if not data.strip(b"\x00"):
+                    self._clock.sleep_s(_BUSY_POLL_S)  # busy: a lone null byte
+                elif part != ethernet.MAX_REPLY:
+                    continue
+                part = 0
+            elif waiting:
                 continue
-            part = 0 if data else part
+            else:
+                # A part shorter than 1400 bytes that was not the last, or a pause inside one: if
+                # the latter, the answer to this request is one too many.
+                asked_early = waiting = True
             self._send(ethernet.encode(ethernet.get_buffer()), deadline)
-        self.unsettled = extra_request
+        self.unsettled = asked_early
 
     def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
         """Send a control character through its own request."""
