@@ -20,6 +20,7 @@ from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.simulator import servo_law as law
+from pmac_comp.simulator.compiled import keep_fresh
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.simulator.plant.door import Plant
@@ -165,6 +166,10 @@ def _run_ballscrew(
         out[i, 3] = lead * state[k.S_TH_MOTOR]
         out[i, 4] = state[k.S_TABLE]
         k.ballscrew_step(state, par, log, torque)
+
+
+keep_fresh(_run_ballscrew, law, k)
+keep_fresh(law_torque, law)
 
 
 def run_closed_loop(

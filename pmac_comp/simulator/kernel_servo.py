@@ -20,10 +20,11 @@ from numba import njit
 
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.simulator import compensation as comp
-from pmac_comp.simulator import encoder, gather, vm
+from pmac_comp.simulator import encoder, gather, memory, vm
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator import servo_law as law
 from pmac_comp.simulator import trajectory as traj
+from pmac_comp.simulator.compiled import keep_fresh
 from pmac_comp.simulator.memory import Space, read_long, read_word_signed, write_long
 from pmac_comp.simulator.plant import kernel_ballscrew as plant
 
@@ -940,3 +941,7 @@ def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word:
     k[K_CURRENT] = max(k[K_CURRENT], 0.0)
     write_long(x, y, 0x80 * m + reg.M_INTEGRATED_CURRENT, int(k[K_CURRENT]))
     return bool(k[K_CURRENT] > d[D_I2T_LIMIT])
+
+
+keep_fresh(servo_cycles, comp, encoder, gather, vm, reg, law, traj, memory, plant)
+keep_fresh(decode_all, comp, encoder, gather, reg, memory)

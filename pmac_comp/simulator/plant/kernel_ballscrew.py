@@ -130,12 +130,13 @@ _HISTORY = 32
     S_TIME,
     S_DIRECTION,
     S_TURN,  # screw angle at the last reversal, rad
+    S_EXTREME,  # farthest screw angle since then, rad
     S_EXTERNAL,  # N, positive pushes against positive motion
     S_CYCLE,
     S_WOBBLE_ZERO,
     S_RECORDED,
     S_HISTORY,
-) = range(24)
+) = range(25)
 N_STATES = S_HISTORY + _HISTORY
 # Hysteresis of the reversal detector: well below any dip length, above round-off.
 _TURN_RAD = 1e-4
@@ -172,19 +173,20 @@ def lead_error(par: FloatArray, angle_rad: float, time_s: float) -> tuple[float,
 
 @njit(cache=True)
 def _track_reversal(state: FloatArray) -> None:
-    """Remember where the screw turned last, with a small hysteresis."""
+    """Remember where the screw turned last; the farthest point decides, with a hysteresis."""
     angle = state[S_TH_SCREW]
-    if state[S_DIRECTION] >= 0.0:
-        if angle > state[S_TURN] and state[S_DIRECTION] == 2.0:
-            state[S_TURN] = angle
-        elif angle < state[S_TURN] - _TURN_RAD and state[S_DIRECTION] == 2.0:
-            state[S_DIRECTION] = -2.0
-        elif state[S_DIRECTION] < 2.0 and abs(angle - state[S_TURN]) > _TURN_RAD:
-            state[S_DIRECTION] = 2.0 if angle > state[S_TURN] else -2.0
-    elif angle < state[S_TURN]:
-        state[S_TURN] = angle
-    elif angle > state[S_TURN] + _TURN_RAD:
-        state[S_DIRECTION] = 2.0
+    way = state[S_DIRECTION]
+    if way == 0.0:
+        # Fresh from reset: the first motion counts as motion away from a reversal here.
+        if abs(angle - state[S_EXTREME]) > _TURN_RAD:
+            state[S_DIRECTION] = 1.0 if angle > state[S_EXTREME] else -1.0
+            state[S_EXTREME] = angle
+    elif (angle - state[S_EXTREME]) * way > 0.0:
+        state[S_EXTREME] = angle
+    elif (state[S_EXTREME] - angle) * way > _TURN_RAD:
+        state[S_TURN] = state[S_EXTREME]
+        state[S_EXTREME] = angle
+        state[S_DIRECTION] = -way
 
 
 @njit(cache=True)
@@ -223,6 +225,7 @@ def ballscrew_reset(state: FloatArray, par: FloatArray, table_m: float) -> None:
     state[S_TH_MOTOR] = angle
     state[S_TH_SCREW] = angle
     state[S_TURN] = angle
+    state[S_EXTREME] = angle
     error_m, _ = lead_error(par, angle, 0.0)
     state[S_TABLE] = table_m + error_m
     _read_sensors(state, par)
@@ -371,10 +374,6 @@ def ballscrew_step(
         end_n = nut_level / sigma_n
         end_g = guide_level / sigma_g
         for _ in range(n_fine):
-            drive = newer if elapsed + half >= switch_s else older
-            torque += lag * (drive - torque)
-            elapsed += dt
-
             t_k = k_th * (th_m - th_s + beta * (w_m - w_s))
             delta = xt - (rho * th_s + static_m + per_rad * (th_s - anchor) + u)
             closing = v - arm * w_s - v_u
@@ -437,6 +436,11 @@ def ballscrew_step(
                 a_t -= a_b
                 v_b += dt * a_b
                 xb += dt * v_b
+            # The current loop moves on after its torque was used: leapfrog takes forces at the
+            # start of the step.
+            drive = newer if elapsed + half >= switch_s else older
+            torque += lag * (drive - torque)
+            elapsed += dt
             w_m += dt * (i11 * r1 + i12 * r2)
             w_s += dt * (i12 * r1 + i22 * r2)
             v_u += dt * a_u
