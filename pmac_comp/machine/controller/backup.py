@@ -1,0 +1,411 @@
+"""A backup of everything a bench needs, its comparison, and putting it back.
+
+What lives here: reading the whole configuration as text the card printed, a sealed file of it,
+differences, restoring in an order the card takes. SAVE is never part of it.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pmac_comp.base.errors import (
+    CommandRefused,
+    ConfigError,
+    ControllerState,
+    FlashSuspect,
+    MotorNotSafe,
+    RemoteProtocolError,
+    VerifyMismatch,
+)
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.identity import Identity, read_identity
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
+from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.transaction import (
+    Context,
+    UploadResult,
+    read_sealed_json,
+    write_sealed_json,
+)
+from pmac_comp.machine.controller.upload import TableUpload
+from pmac_comp.machine.controller.variables import describe
+from pmac_comp.machine.wire.numbers import read_number
+
+VARIABLES: Final = 8192
+STEP: Final = 64
+PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
+N_PROGRAMS: Final = 224
+SYSTEMS: Final = 16
+FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
+SUSPECT_SHARE: Final = 0.2
+SUSPECT_LEAST: Final = 5
+# Communication modes belong to the conversation, I51 and I30 to the tables.
+NOT_RESTORED: Final = frozenset({0, 1, 3, 4, 6, 9, 30, 51, 53, 54})
+
+
+@dataclass(frozen=True)
+class Backup:
+    """Configuration of a controller as text.
+
+    Parameters
+    ----------
+    identity : dict
+        Who it was.
+    ivariables, pvariables : dict of int to str
+        Values as printed.
+    definitions : dict of int to str
+        M-variable definitions.
+    axes : tuple of (int, int, str)
+        Coordinate system, motor, definition.
+    programs : tuple of Program
+        PLCs and motion programs.
+    tables : TableSet
+        Compensation tables.
+    enabled : bool
+        I51.
+    """
+
+    identity: dict[str, object]
+    ivariables: dict[int, str]
+    pvariables: dict[int, str]
+    definitions: dict[int, str]
+    axes: tuple[tuple[int, int, str], ...] = ()
+    programs: tuple[Program, ...] = ()
+    tables: TableSet = field(default_factory=TableSet)
+    enabled: bool = False
+
+    def as_dict(self) -> dict[str, object]:
+        """For the file."""
+        return {
+            "kind": "backup",
+            "identity": self.identity,
+            "i": {str(k): v for k, v in self.ivariables.items()},
+            "p": {str(k): v for k, v in self.pvariables.items()},
+            "m": {str(k): v for k, v in self.definitions.items()},
+            "axes": [list(a) for a in self.axes],
+            "programs": [
+                {"kind": p.kind.value, "number": p.number, "lines": list(p.lines)}
+                for p in self.programs
+            ],
+            "tables": [table_to_json(t) for t in self.tables],
+            "enabled": int(self.enabled),
+        }
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One item that differs."""
+
+    item: str
+    before: str
+    after: str
+
+
+Progress = Callable[[str, int, int], None]
+
+
+def _silent(step: str, done: int, total: int) -> None:
+    del step, done, total
+
+
+def read_backup(
+    link: Link,
+    *,
+    p_range: tuple[int, int] = (0, VARIABLES - 1),
+    progress: Progress = _silent,
+) -> Backup:
+    """Read the whole configuration; nothing is changed.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    p_range : (int, int)
+        First and last P-variable to keep.
+    progress : callable
+        Told of each part.
+    """
+    identity = read_identity(link)
+    i_values = _read_range(link, "I", 0, VARIABLES - 1, "", progress)
+    p_values = _read_range(link, "P", *p_range, "", progress)
+    definitions = _read_range(link, "M", 0, VARIABLES - 1, "->", progress)
+    active = [m for m in range(1, 33) if i_values.get(100 * m, "0") == "1"]
+    return Backup(
+        identity=dict(identity.as_dict()),
+        ivariables=i_values,
+        pvariables=p_values,
+        definitions=definitions,
+        axes=tuple(_read_axes(link, active)),
+        programs=tuple(_read_programs(link)),
+        tables=read_tables(link),
+        enabled=i_values.get(51) == "1",
+    )
+
+
+def _read_range(
+    link: Link, letter: str, first: int, last: int, suffix: str, progress: Progress
+) -> dict[int, str]:
+    values: dict[int, str] = {}
+    for start in range(first, last + 1, STEP):
+        end = min(start + STEP - 1, last)
+        lines = link.query(f"{letter}{start}..{end}{suffix}")
+        if len(lines) != end - start + 1:
+            raise RemoteProtocolError(f"{letter}{start}..{end} answered {len(lines)} lines.")
+        values.update(zip(range(start, end + 1), (x.strip() for x in lines), strict=True))
+        progress(f"reading {letter}", end - first + 1, last - first + 1)
+    return values
+
+
+def _read_axes(link: Link, active: Sequence[int]) -> Iterator[tuple[int, int, str]]:
+    if not active:
+        return
+    for system in range(1, SYSTEMS + 1):
+        lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in active))
+        for motor, text in zip(active, lines, strict=True):
+            if text.strip() != "0":
+                yield system, motor, text.strip()
+
+
+def _read_programs(link: Link) -> Iterator[Program]:
+    words = [
+        parse_integer(w)
+        for line in link.query(f"RX${PROGRAM_TABLE:X},{N_PROGRAMS}")
+        for w in line.split()
+    ]
+    numbers = sorted({w & 0xFFFF for w in words if w & 0xFFFF})
+    for kind, group in ((ProgramKind.PLC, range(32)), (ProgramKind.PROG, numbers)):
+        for number in group:
+            lines = programs.listing(link, kind, number) or []
+            body = [line for line in lines if line.strip().upper() not in {"RETURN", "RET"}]
+            if body:
+                yield Program(kind, number, tuple(body))
+
+
+def write_backup(path: Path, backup: Backup) -> None:
+    """Store a backup, sealed with its SHA-256."""
+    stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    write_sealed_json(path, {**backup.as_dict(), "written_utc": stamp})
+
+
+def load_backup(path: Path) -> Backup:
+    """Read a backup file; raises ConfigError if it was changed or is none."""
+    data = read_sealed_json(path)
+    if data.get("kind") != "backup":
+        raise ConfigError(f"{path} is no backup of a controller.", code="PC-BCK-001")
+    try:
+        return _from_dict(data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path} is not understood: {error}.", code="PC-BCK-002") from error
+
+
+def _from_dict(data: Mapping[str, object]) -> Backup:
+    def numbered(name: str) -> dict[int, str]:
+        return {int(k): str(v) for k, v in dict(data[name]).items()}  # type: ignore[call-overload]
+
+    axes = [(int(c), int(m), str(t)) for c, m, t in data["axes"]]  # type: ignore[attr-defined]
+    found = [
+        Program(ProgramKind(p["kind"]), int(p["number"]), tuple(map(str, p["lines"])))
+        for p in data["programs"]  # type: ignore[attr-defined]
+    ]
+    tables = [table_from_json(t) for t in data["tables"]]  # type: ignore[attr-defined]
+    return Backup(
+        identity=dict(data["identity"]),  # type: ignore[call-overload]
+        ivariables=numbered("i"),
+        pvariables=numbered("p"),
+        definitions=numbered("m"),
+        axes=tuple(axes),
+        programs=tuple(found),
+        tables=TableSet(tuple(tables)),
+        enabled=bool(data["enabled"]),
+    )
+
+
+def compare(before: Backup, after: Backup, *, with_p: bool = False) -> tuple[Difference, ...]:
+    """What differs between two backups; P-variables live and are compared only on request."""
+    found = list(_differences("I", before.ivariables, after.ivariables))
+    found += _differences("M", before.definitions, after.definitions, suffix="->")
+    if with_p:
+        found += _differences("P", before.pvariables, after.pvariables)
+    found += _differences("", _axes(before), _axes(after))
+    found += _differences("", _programs(before), _programs(after))
+    for table in {*before.tables, *after.tables}:
+        texts = [s.get(table.kind, table.motor) for s in (before.tables, after.tables)]
+        a, b = ("" if t is None else t.canonical for t in texts)
+        if a != b:
+            found.append(Difference(f"{table.kind.value} #{table.motor}", a[:80], b[:80]))
+    return tuple(dict.fromkeys(found))
+
+
+def _differences(
+    letter: str, before: Mapping[Any, str], after: Mapping[Any, str], suffix: str = ""
+) -> Iterator[Difference]:
+    for key in {**before, **after}:
+        a, b = before.get(key, ""), after.get(key, "")
+        if a != b:
+            yield Difference(f"{letter}{key}{suffix}", a, b)
+
+
+def _axes(backup: Backup) -> dict[str, str]:
+    return {f"&{c}#{m}->": text for c, m, text in backup.axes}
+
+
+def _programs(backup: Backup) -> dict[str, str]:
+    return {p.name: "\n".join(p.tokens) for p in backup.programs}
+
+
+# Putting back -------------------------------------------------------------------------------------
+
+
+def restore(
+    link: Link, context: Context, backup: Backup, *, progress: Progress = _silent
+) -> tuple[UploadResult, tuple[Difference, ...]]:
+    """Put a backup on the controller, and say what still differs.
+
+    All motors must be killed. Differences that remain are those the card does not let anybody set.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor is enabled; nothing was changed.
+    ConfigError
+        The backup is of another kind of controller.
+    """
+    _refuse_other_card(read_identity(link), backup)
+    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if read_number(v)]
+    alive = [m for m, r in read_motors(link, active).items() if not r.status.is_killed]
+    if alive:
+        raise MotorNotSafe(
+            f"Restoring needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
+            code="PC-BCK-003",
+            left=ControllerState.OLD,
+        )
+    link.write_buffer(["CLOSE", "I5=0"])
+    present = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+    _write_programs(link, present, backup)
+    _write_each(link, _lines_for(present, backup))
+    with TableUpload(
+        link,
+        context,
+        exactly=backup.tables,
+        enable_after=backup.enabled and len(backup.tables) > 0,
+        check_limits=False,
+    ) as upload:
+        result = upload.execute()
+    _write_each(link, [f"I5={backup.ivariables.get(5, '0')}"])
+    after = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+    return result, compare(backup, after)
+
+
+def _span(values: Mapping[int, str]) -> tuple[int, int]:
+    return (min(values), max(values)) if values else (0, 0)
+
+
+def _refuse_other_card(identity: Identity, backup: Backup) -> None:
+    if identity.card != backup.identity.get("card"):
+        raise ConfigError(
+            f"The backup is of card {backup.identity.get('card')}, this is {identity.card}.",
+            code="PC-BCK-004",
+            left=ControllerState.OLD,
+        )
+
+
+def _lines_for(present: Backup, backup: Backup) -> list[str]:
+    lines = [
+        f"I{n}={v}"
+        for n, v in backup.ivariables.items()
+        if n not in NOT_RESTORED
+        and n != 5
+        and not describe(n).read_only
+        and present.ivariables.get(n) != v
+    ]
+    lines += [
+        f"M{n}->{v}" for n, v in backup.definitions.items() if present.definitions.get(n) != v
+    ]
+    lines += [f"P{n}={v}" for n, v in backup.pvariables.items() if present.pvariables.get(n) != v]
+    if present.axes != backup.axes:
+        lines += ["UNDEFINE ALL", *(f"&{c}#{m}->{text}" for c, m, text in backup.axes)]
+    return lines
+
+
+def _write_programs(link: Link, present: Backup, backup: Backup) -> None:
+    wanted = {(p.kind, p.number): p for p in backup.programs}
+    for old in present.programs:
+        if (old.kind, old.number) not in wanted:
+            programs.delete(link, old.kind, old.number)
+    there = {(p.kind, p.number): p.tokens for p in present.programs}
+    for key, program in wanted.items():
+        if there.get(key) != program.tokens:
+            programs.download(link, program)
+
+
+def _write_each(link: Link, lines: Sequence[str]) -> None:
+    """Send lines; one that the card refuses is left out, the comparison afterwards shows it."""
+    rest = list(lines)
+    while rest:
+        try:
+            link.write_buffer(rest)
+        except CommandRefused as error:
+            accepted = int(str(error.context.get("lines_accepted", 0)))
+            rest = rest[accepted:]
+            rest = _one_by_one(link, rest[:64]) + rest[64:]
+        else:
+            return
+
+
+def _one_by_one(link: Link, lines: Sequence[str]) -> list[str]:
+    for line in lines:
+        try:
+            link.command(line)
+        except CommandRefused:
+            continue
+    return []
+
+
+def check_flash(link: Link, backup: Backup) -> None:
+    """Recognise a card that came up with other values than those of a backup.
+
+    Raises
+    ------
+    FlashSuspect
+        The card reports a flash or checksum error, or too many I-variables differ: a power cut
+        during SAVE reverts it to factory values (p. 394).
+    """
+    status = int(link.query("???")[0].strip()[:6], 16)
+    numbers = [n for n in backup.ivariables if 100 <= n < 3300 and n % 100 in range(2, 70)]
+    active = [m for m in range(1, 33) if backup.ivariables.get(100 * m) == "1"]
+    keys = [n for n in numbers if n // 100 in active]
+    found: dict[int, str] = {}
+    for motor in active:
+        first = 100 * motor + 2
+        lines = link.query(f"I{first}..{first + 67}")
+        found.update(zip(range(first, first + 68), (x.strip() for x in lines), strict=True))
+    wrong = [n for n in keys if found.get(n) != backup.ivariables[n]]
+    bad_share = len(wrong) > max(SUSPECT_LEAST, SUSPECT_SHARE * len(keys))
+    if status & FLASH_FAULTS or bad_share:
+        raise FlashSuspect(
+            f"The controller came up with other values than its backup: {len(wrong)} of "
+            f"{len(keys)} motor variables differ"
+            + (", and it reports a flash error." if status & FLASH_FAULTS else "."),
+            code="PC-BCK-005",
+            hint="`pmac-comp restore` brings the backup back; check the axis before moving it.",
+            context={"differ": [f"I{n}" for n in wrong[:20]]},
+            left=ControllerState.DISABLED,
+        )
+
+
+def require_same(remaining: Sequence[Difference], *, allowed: frozenset[str] = frozenset()) -> None:
+    """Raise VerifyMismatch unless only allowed items differ."""
+    wrong = [d for d in remaining if d.item not in allowed]
+    if wrong:
+        raise VerifyMismatch(
+            f"{len(wrong)} item(s) could not be restored, e.g. {wrong[0].item}: "
+            f"{wrong[0].after!r} instead of {wrong[0].before!r}.",
+            code="PC-BCK-006",
+            context={"items": [d.item for d in wrong]},
+        )
