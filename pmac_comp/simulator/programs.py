@@ -78,9 +78,27 @@ class Program:
             and self.statements[following].kind != "line_end"
         )
 
+    def reassemble(self) -> None:
+        """Make the runnable form; a wrong structure leaves none."""
+        try:
+            self.assembled = assemble(self.statements, self.kind)
+        except CardError:
+            self.assembled = None
+
     def offset_of(self, statement: int) -> int:
         """Word offset of a statement."""
         return sum(s.words for s in self.statements[:statement])
+
+
+def end_line(statements: list[Statement]) -> None:
+    """Mark the end of a line whose IF, ELSE or WHILE has its action on the same line."""
+    for statement in reversed(statements):
+        if statement.kind in ("if", "else", "while"):
+            if statement is not statements[-1]:
+                statements.append(Statement("line_end", starts_line=False))
+            return
+        if statement.starts_line or statement.kind == "line_end":
+            return
 
 
 class ProgramStore:
@@ -149,16 +167,7 @@ class ProgramStore:
         program = self.open_program
         if program is None or program.kind != MOTION or not program.statements:
             return
-        if program.statements[-1].kind != "line_end" and self._line_is_inline(program):
-            program.statements.append(Statement("line_end", starts_line=False))
-
-    def _line_is_inline(self, program: Program) -> bool:
-        for statement in reversed(program.statements):
-            if statement.kind in ("if", "else", "while"):
-                return statement is not program.statements[-1]
-            if statement.starts_line or statement.kind == "line_end":
-                return False
-        return False
+        end_line(program.statements)
 
     def clear_all(self, *, plcs_only: bool = False) -> None:
         """CLEAR ALL (PLCS): drop program buffers."""
@@ -279,4 +288,6 @@ def parse_program(text: str, kind: str) -> list[Statement]:
             statement.starts_line = first
             first = False
             statements.append(statement)
+        if kind == MOTION:
+            end_line(statements)
     return statements

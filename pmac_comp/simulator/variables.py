@@ -81,6 +81,10 @@ class Variables:
         m = self.memory
         vm.write_i(m.x, m.y, m.dirty, self.imap, self.iscale, number, value)
 
+    def write_float(self, address: int, value: float) -> None:
+        """Store a 48-bit float register."""
+        write_float48(self.memory.x, self.memory.y, address, value)
+
     def q_address(self, cs: int, number: int) -> int:
         """Cell of a Q-variable seen from a coordinate system."""
         start = int(self.memory.y[r.cs_base(cs)])

@@ -83,7 +83,7 @@ def _jog_to(context: LineContext, motor: int, form: str) -> None:
     scanner, memory = context.scanner, context.card.memory
     value: float | None
     if scanner.take("*"):
-        value = read_float48(memory.x, memory.y, r.motor_base(motor) + r.M_JOG_VARIABLE)
+        value = float(read_float48(memory.x, memory.y, r.motor_base(motor) + r.M_JOG_VARIABLE))
     else:
         value = scanner.signed_number()
     if value is None and form != "=":

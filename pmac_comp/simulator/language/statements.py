@@ -155,7 +155,7 @@ class StatementParser(ExpressionParser):
         parts: list[tuple[str, bool]] = []
         while True:
             start = self.scanner.position
-            letter = self.scanner.take(*AXES, "I", "J", "K", "R")
+            letter = self.scanner.take(*AXES)
             if letter is None or not self.starts_data():
                 self.scanner.position = start
                 break
@@ -215,8 +215,6 @@ _plain("endif", "ENDI", "ENDIF", "ENDIF", "ENDI")
 _plain("endwhile", "ENDW", "ENDWHILE", "ENDWHILE", "ENDW")
 _plain("linear", "LIN", "LINEAR", "LINEAR", "LIN", only=MOTION)
 _plain("rapid", "RPD", "RAPID", "RAPID", "RPD", only=MOTION)
-_plain("circle1", "CIR1", "CIRCLE1", "CIRCLE1", "CIR1", only=MOTION)
-_plain("circle2", "CIR2", "CIRCLE2", "CIRCLE2", "CIR2", only=MOTION)
 _plain("spline1", "SPLINE1", "SPLINE1", "SPLINE1", only=MOTION)
 _plain("wait", "WAIT", "WAIT", "WAIT", "WAI", only=MOTION)
 _plain("return", "RET", "RETURN", "RETURN", "RET", only=MOTION)

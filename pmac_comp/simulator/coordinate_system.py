@@ -1,0 +1,814 @@
+"""Coordinate systems: axes, the pointer to a motion program, and its execution.
+
+A program is calculated ahead of the motion: whenever a move starts, the next one is calculated, so
+one complete move waits behind the executing one (blended LINEAR moves need one more).
+Source: Turbo PMAC Software Reference Manual p. 391-393 (run), 405-485 (statements).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from pmac_comp.simulator import registers as r
+from pmac_comp.simulator import trajectory as traj
+from pmac_comp.simulator import vm
+from pmac_comp.simulator.axes import AxisDefinition
+from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.language.statements import Statement
+from pmac_comp.simulator.machine import Context
+from pmac_comp.simulator.memory import read_float48, write_float48
+from pmac_comp.simulator.motion_planner import LinearMove, Planner, Segments, join
+from pmac_comp.simulator.programs import Program
+
+if TYPE_CHECKING:
+    from pmac_comp.simulator.card import Card
+
+_AXES = "ABCUVWXYZ"
+_CALCULATION_BUDGET = 50_000
+_AHEAD = 1  # moves that wait behind the executing one
+_MOST_TAG = 1 << 30
+_MODE_BITS = {
+    "linear": 0,
+    "rapid": r.CS2_MODE1,
+    "spline": r.CS2_MODE4 | r.CS2_MODE0,
+    "pvt": r.CS2_MODE4 | r.CS2_MODE1,
+}
+# Run-time error codes of Y:+$14 (p. 505).
+ERROR_LABEL, ERROR_STACK, ERROR_COUNTER, ERROR_AXES = 6, 5, 3, 10
+
+
+@dataclass
+class Frame:
+    """One level of program execution."""
+
+    program: Program
+    context: Context = field(default_factory=Context)
+
+
+@dataclass
+class Modal:
+    """Modal settings of a running program."""
+
+    mode: str = "linear"
+    incremental: set[str] = field(default_factory=set)
+    feed_axes: tuple[str, ...] = ("X", "Y", "Z")
+    ta_ms: float = 0.0
+    ts_ms: float = 0.0
+    tm_ms: float | None = None
+    feed: float | None = None
+
+
+class CoordinateSystem:
+    """One of the sixteen coordinate systems."""
+
+    def __init__(self, card: Card, number: int) -> None:
+        self.card = card
+        self.number = number
+        self.axes: dict[int, AxisDefinition] = {}
+        self.frames: list[Frame] = []
+        self.pointer: tuple[int, int] | None = None
+        self.modal = Modal()
+        self.running = False
+        self.single = False
+        self.stopping = False
+        self.holding = False
+        self.planner: Planner | None = None
+        self.targets: dict[str, float] = {}
+        self.velocities: dict[str, float] = {}
+        self.waiting: Callable[[], bool] | None = None
+        self._tags = 0
+        self._queued: list[int] = []
+        self._assignments: list[tuple[int, str, float]] = []
+        self._at_start: dict[int, list[tuple[int, str, float]]] = {}
+        self._calculating = False
+        self.executing: tuple[int, int] | None = None
+        self._places: dict[int, tuple[int, int]] = {}
+
+    # --- axes and positions ---------------------------------------------------------------------
+
+    @property
+    def base(self) -> int:
+        """Address of the register block."""
+        return r.cs_base(self.number)
+
+    @property
+    def motors(self) -> list[int]:
+        """Motors assigned to this coordinate system."""
+        return sorted(self.axes)
+
+    def _isx(self, index: int) -> float:
+        return self.card.variables.read_i(5000 + 100 * self.number + index)
+
+    def match(self) -> None:
+        """PMATCH: axis positions from the commanded positions of the motors (p. 387)."""
+        rows: list[tuple[AxisDefinition, float]] = []
+        for motor, definition in self.axes.items():
+            counts = self.card.servo.queue.last_position(motor)[0] / self.card.servo.unit(motor)
+            rows.append((definition, counts + self._bias(motor)))
+        letters = sorted({letter for definition, _ in rows for letter, _ in definition.terms})
+        if letters:
+            self.targets.update(_solve(letters, rows))
+        self._write_targets()
+
+    def _bias(self, motor: int) -> float:
+        return self.card.bias(motor)
+
+    def _write_targets(self) -> None:
+        memory = self.card.memory
+        for letter, value in self.targets.items():
+            address = self.base + r.C_TARGETS + _AXES.index(letter)
+            write_float48(memory.x, memory.y, address, value)
+
+    def motor_targets(self, targets: dict[str, float]) -> dict[int, float]:
+        """Motor positions in units of axis positions."""
+        found: dict[int, float] = {}
+        for motor, definition in self.axes.items():
+            counts = definition.offset - self._bias(motor)
+            counts += sum(s * targets.get(letter, 0.0) for letter, s in definition.terms)
+            found[motor] = counts * self.card.servo.unit(motor)
+        return found
+
+    def motor_rates(self, rates: dict[str, float]) -> dict[int, float]:
+        """Motor velocities in units per cycle of axis velocities in axis units per ms."""
+        cycle_ms = self.card.servo.cycle_ms
+        return {
+            motor: sum(s * rates.get(letter, 0.0) for letter, s in definition.terms)
+            * self.card.servo.unit(motor)
+            * cycle_ms
+            for motor, definition in self.axes.items()
+        }
+
+    # --- pointing, running, stopping ------------------------------------------------------------
+
+    def point(self, number: int, label: int) -> None:
+        """B command: point to a program and label."""
+        if self.running:
+            raise CardError(1)
+        program = self.card.find_program(self.number, number)
+        if program is None or program.assembled is None:
+            raise CardError(15)
+        if label not in program.assembled.labels:
+            raise CardError(3 if program.statements else 15)
+        frame = self._frame(program)
+        frame.context.state[vm.S_PC] = program.assembled.labels[label]
+        self.frames = [frame]
+        self.pointer = (number, label)
+        self.modal = Modal()
+        self._load_defaults()
+
+    def _frame(self, program: Program) -> Frame:
+        frame = Frame(program)
+        self._prepare(frame)
+        return frame
+
+    def _prepare(self, frame: Frame) -> None:
+        frame.context.state[vm.S_SUSPEND] = 1
+        frame.context.state[vm.S_CS] = self.number - 1
+
+    def _load_defaults(self) -> None:
+        self.modal.ta_ms = self._isx(87)
+        self.modal.ts_ms = self._isx(88)
+        self.modal.feed = self._isx(89)
+        self.modal.tm_ms = None
+
+    def forget_program(self) -> None:
+        """Programs were edited: every coordinate system must be pointed again (p. 381)."""
+        self.stop_now()
+        self.frames = []
+        self.pointer = None
+
+    def run(self, *, single: bool = False) -> None:
+        """R or S."""
+        if self.holding:
+            self._resume()
+            return
+        if self.running:
+            if single:
+                self.quit()
+                return
+            raise CardError(1)
+        self._check_ready()
+        self.match()
+        self.planner = Planner(self._commanded())
+        self.velocities = {}
+        self.running, self.single, self.stopping = True, single, False
+        self._queued = []
+        self._set_status()
+        self.card.background_needed()
+        self.calculate()
+
+    def _commanded(self) -> dict[int, float]:
+        return {m: self.card.servo.queue.last_position(m)[0] for m in self.motors}
+
+    def _check_ready(self) -> None:
+        servo = self.card.servo
+        if not self.axes:
+            raise CardError(14)
+        if self.card.programs.open_program is not None:
+            from pmac_comp.simulator.language.statements import MOTION
+
+            if self.card.programs.open_program.kind == MOTION:
+                raise CardError(15)
+        if not self.frames:
+            raise CardError(15)
+        if self.frames[-1].program.assembled is None:
+            raise CardError(16)
+        for motor in self.motors:
+            status = int(self.card.memory.x[r.motor_base(motor) + r.M_STATUS1])
+            both = r.S1_NEGATIVE_LIMIT | r.S1_POSITIVE_LIMIT
+            if not servo.is_active(motor):
+                raise CardError(13)
+            if status & both == both:
+                raise CardError(10)
+            if servo.is_open_loop(motor):
+                raise CardError(12)
+            if servo.is_moving(motor):
+                raise CardError(11)
+
+    def _resume(self) -> None:
+        for motor in self.motors:
+            if self.card.servo.is_open_loop(motor):
+                raise CardError(12)
+        self.holding = False
+        self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
+
+    def hold(self) -> None:
+        """H: the time base slews to zero."""
+        self.holding = self.running
+        self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 1
+
+    def quit(self) -> None:
+        """Q: no further move is calculated."""
+        if self.running and not self.stopping:
+            self.stopping = True
+            self.waiting = None
+            self._settle()
+
+    def stop_now(self) -> None:
+        """Abort or fault: the program stops where it is, trajectories are replaced outside."""
+        self.running = self.stopping = self.holding = self.single = False
+        self.waiting = None
+        self.planner = None
+        self._queued, self._at_start, self._assignments = [], {}, []
+        self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
+        self._set_status()
+
+    def fail(self, code: int) -> None:
+        """Run-time error: code to Y:+$14, status bit, motors decelerate."""
+        self.card.memory.y[self.base + r.C_ERROR] = code
+        self.card.memory.y[self.base + r.C_STATUS2_ADDRESS] |= r.CS2_RUNTIME_ERROR
+        self.stop_now()
+        for motor in self.motors:
+            self.card.servo.abort_motion(motor)
+
+    def flush_assignments(self) -> None:
+        """MFLUSH: forget synchronous assignments that wait."""
+        self._assignments, self._at_start = [], {}
+
+    # --- calculation ----------------------------------------------------------------------------
+
+    def segment_started(self, motor: int, tag: int) -> None:
+        """A tagged segment has started: its assignments act and the next move is calculated."""
+        if not self.motors or motor != self.motors[0] or tag not in self._queued:
+            return
+        while self._queued:
+            passed = self._queued.pop(0)
+            self.executing = self._places.pop(passed, self.executing)
+            for number, op, value in self._at_start.pop(passed, []):
+                self.card.synchronous_assignment(number, op, value)
+            if passed == tag:
+                break
+        self.calculate()
+
+    def tick(self) -> None:
+        """Background: what waits for a condition, and the end of the program."""
+        if not self.running:
+            return
+        if self.waiting is not None:
+            if not self.waiting():
+                return
+            self.waiting = None
+        self.calculate()
+        if self.stopping and not any(self.card.servo.is_moving(m) for m in self.motors):
+            self._ended()
+
+    def _ended(self) -> None:
+        self.running = self.stopping = self.single = False
+        self.planner = None
+        self._queued = []
+        self._set_status()
+
+    def calculate(self) -> None:
+        """Calculate moves until enough of them wait."""
+        if self._calculating or not self.running or self.stopping or self.waiting is not None:
+            return
+        self._calculating = True
+        try:
+            budget = _CALCULATION_BUDGET
+            while self._wants_more() and budget > 0:
+                budget -= self._step(budget)
+        except CardError as error:
+            self.fail(ERROR_LABEL if error.code == 16 else ERROR_COUNTER)
+        finally:
+            self._calculating = False
+
+    def _wants_more(self) -> bool:
+        return (
+            self.running
+            and not self.stopping
+            and self.waiting is None
+            and len(self._queued) <= _AHEAD
+        )
+
+    def _step(self, budget: int) -> int:
+        frame = self.frames[-1]
+        if frame.program.assembled is None:
+            raise CardError(16)
+        status = self.card.machine.run(frame.program.assembled.compiled, frame.context, budget)
+        used = max(int(frame.context.state[vm.S_STEPS]), 1)
+        for index, arguments in frame.context.take_events():
+            self._event(frame.program.statements[index], arguments)
+        if status == vm.FINISHED:
+            self._finished()
+        elif status == vm.FAULT:
+            self.fail(ERROR_STACK)
+        elif status == vm.JUMPED_BACK:
+            # Two jumps back without a move end blending (p. 433).
+            self._settle()
+            self.waiting = lambda: True
+            self.card.background_needed()
+        return used
+
+    def _finished(self) -> None:
+        if len(self.frames) > 1:
+            self.frames.pop()
+            return
+        if self.card.rotary.more(self):
+            return
+        frame = self.frames[0]
+        frame.context.restart()
+        self._prepare(frame)
+        self.stopping = True
+        self._settle()
+
+    def idle(self) -> None:
+        """Nothing to calculate now: stop at the end of what is planned, go on when woken."""
+        self._settle()
+        self.frames[0].context.restart()
+        self._prepare(self.frames[0])
+        self.waiting = lambda: bool(self.card.rotary.buffers[self.number].lines)
+        self.card.background_needed()
+
+    def replace_program(self, program: Program) -> None:
+        """Go on with another program at the same level (next rotary line)."""
+        self.frames = [self._frame(program)]
+
+    def _settle(self) -> None:
+        if self.planner is not None:
+            self._push(self.planner.finish())
+
+    def _push(self, segments: Segments) -> None:
+        for motor, pieces in segments.items():
+            self.card.servo.queue.push(motor, pieces)
+
+    # --- statements -----------------------------------------------------------------------------
+
+    def _event(self, statement: Statement, arguments: tuple[float, ...]) -> None:
+        method = getattr(self, f"_do_{statement.kind}", None)
+        if method is not None:
+            method(statement, arguments)
+        else:
+            self.card.do_statement(statement, 1, self.number, origin="PROG")
+
+    def _do_linear(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self._mode("linear")
+
+    def _do_rapid(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self._mode("rapid")
+
+    def _do_spline1(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self._mode("spline")
+
+    def _do_pvt(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        self._mode("pvt")
+        self.modal.tm_ms = arguments[0]
+
+    def _mode(self, mode: str) -> None:
+        if mode != self.modal.mode:
+            self._settle()
+            self.velocities = {}
+        self.modal.mode = mode
+        self._set_status()
+
+    def _do_abs(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self.modal.incremental -= set(statement.data or _AXES)
+
+    def _do_inc(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self.modal.incremental |= set(statement.data or _AXES)
+
+    def _do_frax(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self.modal.feed_axes = tuple(statement.data) or ("X", "Y", "Z")
+
+    def _do_tm(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        self.modal.tm_ms, self.modal.feed = arguments[0], None
+
+    def _do_feed(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        limit = self._isx(98)
+        feed = min(arguments[0], limit) if limit > 0.0 else arguments[0]
+        self.modal.feed, self.modal.tm_ms = feed, None
+
+    def _do_ta(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        self.modal.ta_ms = float(math.floor(arguments[0] + 0.5))
+
+    def _do_ts(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        self.modal.ts_ms = float(math.floor(arguments[0] + 0.5))
+
+    def _do_spindle(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        self.card.variables.write("Q", 127, arguments[0], self.number)
+
+    def _do_sync(self, statement: Statement, arguments: tuple[float, ...]) -> None:
+        number, op = statement.data
+        self._assignments.append((number, op, arguments[0]))
+
+    def _do_stop(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self.stopping = True
+        self._settle()
+
+    def _do_wait(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        # The condition is tested again at the next chance; the move timer stops meanwhile.
+        self._settle()
+        self.waiting = lambda: True
+        self.card.background_needed()
+
+    def _do_block_start(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        """Marks the start of what S executes in one go."""
+
+    def _do_block_stop(self, _statement: Statement, _arguments: tuple[float, ...]) -> None:
+        """Ends a block."""
+
+    def _do_call(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        number = int(arguments[0])
+        label = round((arguments[0] - number) * 100000)
+        program = self.card.programs.programs.get(number)
+        if program is None or program.assembled is None or len(self.frames) >= 15:
+            raise CardError(16)
+        if label not in program.assembled.labels:
+            raise CardError(16)
+        frame = self._frame(program)
+        frame.context.state[vm.S_PC] = program.assembled.labels[label]
+        self.frames.append(frame)
+
+    def _do_home(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self._settle()
+        motors = tuple(statement.data)
+        started = False
+
+        def homed() -> bool:
+            nonlocal started
+            servo = self.card.servo
+            if not started:
+                if any(servo.is_moving(m) for m in motors):
+                    return False
+                for motor in motors:
+                    servo.home(motor)
+                started = True
+                return False
+            if any(servo.is_moving(m) for m in motors):
+                return False
+            self._rematch()
+            return True
+
+        self.waiting = homed
+        self.card.background_needed()
+
+    def _do_homez(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
+        self._settle()
+        motors = tuple(statement.data)
+
+        def zeroed() -> bool:
+            if any(self.card.servo.is_moving(m) for m in self.motors):
+                return False
+            for motor in motors:
+                self.card.servo.home_zero(motor)
+            self._rematch()
+            return True
+
+        self.waiting = zeroed
+        self.card.background_needed()
+
+    def _do_pset(self, statement: Statement, arguments: tuple[float, ...]) -> None:
+        self._settle()
+        values = dict(zip(statement.data, arguments, strict=True))
+
+        def renamed() -> bool:
+            if any(self.card.servo.is_moving(m) for m in self.motors):
+                return False
+            for letter, value in values.items():
+                self.rename(letter, value)
+            return True
+
+        self.waiting = renamed
+        self.card.background_needed()
+
+    def _rematch(self) -> None:
+        self.match()
+        self.planner = Planner(self._commanded())
+
+    def rename(self, letter: str, value: float) -> None:
+        """Give the present axis position a new value: position bias, no motion (p. 294)."""
+        self.match()
+        if letter not in self.targets:
+            raise CardError(3)
+        change = value - self.targets[letter]
+        for motor, definition in self.axes.items():
+            scale = dict(definition.terms).get(letter, 0.0)
+            self.card.add_bias(motor, scale * change)
+        self.targets[letter] = value
+        self._write_targets()
+
+    # --- moves ----------------------------------------------------------------------------------
+
+    def _do_move(self, statement: Statement, arguments: tuple[float, ...]) -> None:
+        if self.planner is None:
+            return
+        targets = dict(self.targets)
+        rates: dict[str, float] = {}
+        values = iter(arguments)
+        for letter, has_velocity in statement.data:
+            value = next(values)
+            start = self.targets.get(letter, 0.0)
+            targets[letter] = start + value if letter in self.modal.incremental else value
+            if has_velocity:
+                rates[letter] = next(values) / self._isx(90)
+        tag = self._next_tag()
+        mode = self.modal.mode
+        if mode == "pvt":
+            segments = self._pvt(targets, rates, tag)
+        elif mode == "spline":
+            segments = self._spline(targets, tag)
+        elif mode == "rapid":
+            segments = self._rapid(targets, tag)
+        else:
+            segments = self._linear(targets, tag)
+        self.targets = targets
+        self._accept(segments, tag)
+
+    def _accept(self, segments: Segments, tag: int) -> None:
+        self._write_targets()
+        self._set_prejog()
+        self._remember(tag)
+        self._push(segments)
+        if self.single:
+            self.quit()
+
+    def _set_prejog(self) -> None:
+        for motor, units in self.motor_targets(self.targets).items():
+            self.card.servo.set_prejog(motor, units / self.card.servo.unit(motor))
+
+    def _remember(self, tag: int) -> None:
+        self._queued.append(tag)
+        self._places[tag] = self.counter()
+        if self._assignments:
+            self._at_start[tag] = self._assignments
+            self._assignments = []
+
+    def _next_tag(self) -> int:
+        self._tags = self._tags % _MOST_TAG + 1
+        return self._tags
+
+    def _cycles(self, time_ms: float) -> float:
+        return time_ms / self.card.servo.cycle_ms
+
+    def _linear(self, targets: dict[str, float], tag: int) -> Segments:
+        if self.planner is None:
+            return {}
+        deltas = {a: targets[a] - self.targets.get(a, 0.0) for a in targets}
+        time_ms = self._move_time_ms(deltas)
+        s_ms = self.modal.ts_ms
+        ramp_ms = max(self.modal.ta_ms, 2.0 * s_ms, self.card.servo.cycle_ms)
+        time_ms, ramp_ms = self._limited(deltas, time_ms, ramp_ms)
+        return self._linear_move(targets, deltas, time_ms, ramp_ms, s_ms, tag)
+
+    def _linear_move(
+        self,
+        targets: dict[str, float],
+        deltas: dict[str, float],
+        time_ms: float,
+        ramp_ms: float,
+        s_ms: float,
+        tag: int,
+    ) -> Segments:
+        if self.planner is None:
+            return {}
+        rates = {a: d / time_ms for a, d in deltas.items()}
+        move = LinearMove(
+            end=self.motor_targets(targets),
+            velocity=self.motor_rates(rates),
+            cycles=self._cycles(time_ms),
+            ramp_cycles=self._cycles(ramp_ms),
+            s_cycles=self._cycles(s_ms),
+            tag=tag,
+        )
+        segments = self.planner.linear(move)
+        if self._isx(92):
+            join(segments, self.planner.finish())
+        return segments
+
+    def _move_time_ms(self, deltas: dict[str, float]) -> float:
+        if self.modal.tm_ms is not None:
+            time_ms = self.modal.tm_ms
+        else:
+            feed = self.modal.feed or self._isx(89)
+            distance = math.sqrt(sum(deltas.get(a, 0.0) ** 2 for a in self.modal.feed_axes))
+            if distance == 0.0:
+                distance = max((abs(d) for d in deltas.values()), default=0.0)
+            time_ms = distance / feed * self._isx(90) if feed > 0.0 else 0.0
+        return min(max(time_ms, 0.5), 8388608.0)
+
+    def _limited(
+        self, deltas: dict[str, float], time_ms: float, ramp_ms: float
+    ) -> tuple[float, float]:
+        """Move and ramp time under Ixx16 and Ixx17; a move is never shorter than its ramp."""
+        memory = self.card.memory
+        for motor, definition in self.axes.items():
+            counts = abs(sum(s * deltas.get(a, 0.0) for a, s in definition.terms))
+            if counts == 0.0:
+                continue
+            base = r.motor_base(motor)
+            speed = read_float48(memory.x, memory.y, base + r.M_IXX16)
+            acceleration = read_float48(memory.x, memory.y, base + r.M_IXX17)
+            if speed > 0.0:
+                time_ms = max(time_ms, counts / speed)
+            if acceleration > 0.0:
+                shortest = math.sqrt(counts / acceleration)
+                longest_ramp = max(time_ms, ramp_ms)
+                ramp_ms = max(ramp_ms, min(counts / longest_ramp / acceleration, shortest))
+        return max(time_ms, ramp_ms), ramp_ms
+
+    def _pvt(self, targets: dict[str, float], rates: dict[str, float], tag: int) -> Segments:
+        if self.planner is None:
+            return {}
+        cycles = self._cycles(self._spline_time_ms())
+        segments = self.planner.pvt(
+            self.motor_targets(targets),
+            self.motor_rates(rates),
+            self.motor_rates(self.velocities),
+            cycles,
+            tag,
+        )
+        self.velocities = rates
+        return segments
+
+    def _spline_time_ms(self) -> float:
+        if self.card.variables.int_i(42):
+            time_ms = self.modal.ta_ms
+        else:
+            # Quarter microseconds are what the register resolves (p. 463).
+            time_ms = round((self.modal.tm_ms or 0.0) * 4096.0) / 4096.0
+        if time_ms <= 0.0:
+            raise CardError(3, "segment time is zero")
+        return time_ms
+
+    def _spline(self, targets: dict[str, float], tag: int) -> Segments:
+        if self.planner is None:
+            return {}
+        cycles = self._cycles(self._spline_time_ms())
+        return self.planner.spline(self.motor_targets(targets), cycles, tag)
+
+    def _rapid(self, targets: dict[str, float], tag: int) -> Segments:
+        """Jog-style moves, not blended; only the slowest motor uses its full speed (p. 465)."""
+        if self.planner is None:
+            return {}
+        out = self.planner.finish()
+        ends = self.motor_targets(targets)
+        plans: dict[int, list[traj.Segment]] = {}
+        for motor, end in ends.items():
+            limits = self.card.rapid_limits(motor)
+            start = self.planner.position[motor]
+            plans[motor] = traj.jog_to(start, 0.0, limits, end, flags=traj.TIMED)
+        longest = max((_total(p) for p in plans.values()), default=0.0)
+        for motor, plan in plans.items():
+            stretched = _stretched(plan, longest)
+            if not stretched:
+                stretched = [traj.Segment(max(longest, 1.0), (ends[motor],), traj.TIMED)]
+            first = stretched[0]
+            stretched[0] = traj.Segment(first.duration_cycles, first.coefficients, first.flags, tag)
+            out.setdefault(motor, []).extend(stretched)
+            self.planner.position[motor] = ends[motor]
+        return out
+
+    def _do_dwell(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        if self.planner is None:
+            return
+        tag = self._next_tag()
+        cycles = self._cycles(min(max(arguments[0], 0.0), 8388607.0))
+        # DWELL0 still takes one cycle, so that its tag is seen.
+        segments = self.planner.dwell(max(cycles, 1.0), tag)
+        self.velocities = {}
+        self._accept(segments, tag)
+
+    def _do_delay(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
+        if self.planner is None:
+            return
+        tag = self._next_tag()
+        s_ms = self.modal.ts_ms
+        ramp_ms = max(self.modal.ta_ms, 2.0 * s_ms, self.card.servo.cycle_ms)
+        time_ms = max(arguments[0], ramp_ms)
+        targets = dict(self.targets)
+        segments = self._linear_move(
+            targets, dict.fromkeys(targets, 0.0), time_ms, ramp_ms, s_ms, tag
+        )
+        self._accept(segments, tag)
+
+    # --- reports --------------------------------------------------------------------------------
+
+    def counter(self) -> tuple[int, int]:
+        """Program number and word offset of the next statement to calculate."""
+        if not self.frames:
+            raise CardError(3)
+        frame = self.frames[-1]
+        if frame.program.assembled is None:
+            raise CardError(3)
+        index = frame.program.assembled.statement_at(int(frame.context.state[vm.S_PC]))
+        return frame.program.number, frame.program.offset_of(max(index, 0))
+
+    def counter_text(self, *, executing: bool = False) -> str:
+        """Answer to PC or PE."""
+        place = self.executing if executing and self.executing and self.running else None
+        number, offset = place or self.counter()
+        return f"P{number}:{offset}"
+
+    def move_time_ms(self) -> float:
+        """Time left in the commanded move."""
+        if not self.motors:
+            return 0.0
+        cycles = self.card.servo.queue.time_left_cycles(self.motors[0])
+        return cycles * self.card.servo.cycle_ms
+
+    def update_status(self) -> None:
+        """Status bits that follow the motors."""
+        memory, word = self.card.memory, 0
+        cell = self.base + r.C_STATUS2_ADDRESS
+        if self.motors and all(self.card.servo.in_position(m) for m in self.motors):
+            word |= r.CS2_IN_POSITION
+        pairs = (
+            (r.S2_WARNING_ERROR, r.CS2_WARNING_ERROR),
+            (r.S2_FATAL_ERROR, r.CS2_FATAL_ERROR),
+            (r.S2_AMPLIFIER_FAULT, r.CS2_AMPLIFIER_FAULT),
+        )
+        for motor in self.motors:
+            status2 = int(memory.y[r.motor_base(motor) + r.M_STATUS2])
+            for source, bit in pairs:
+                word |= bit if status2 & source else 0
+        followed = r.CS2_IN_POSITION | r.CS2_WARNING_ERROR
+        followed |= r.CS2_FATAL_ERROR | r.CS2_AMPLIFIER_FAULT
+        memory.y[cell] = (int(memory.y[cell]) & ~followed) | word
+
+    def _set_status(self) -> None:
+        memory = self.card.memory
+        word1 = int(memory.x[self.base + r.C_STATUS13])
+        word1 &= ~(r.CS1_RUNNING | r.CS1_SINGLE_STEP | r.CS1_CONTINUOUS)
+        if self.running:
+            word1 |= r.CS1_RUNNING | (r.CS1_SINGLE_STEP if self.single else r.CS1_CONTINUOUS)
+        memory.x[self.base + r.C_STATUS13] = word1
+        word2 = int(memory.y[self.base + r.C_STATUS2_ADDRESS])
+        word2 &= ~(r.CS2_MODE0 | r.CS2_MODE1 | r.CS2_MODE4)
+        if self.running:
+            word2 &= ~r.CS2_RUNTIME_ERROR
+        memory.y[self.base + r.C_STATUS2_ADDRESS] = word2 | _MODE_BITS[self.modal.mode]
+
+
+def _total(plan: list[traj.Segment]) -> float:
+    return sum(s.duration_cycles for s in plan)
+
+
+def _stretched(plan: list[traj.Segment], cycles: float) -> list[traj.Segment]:
+    """Plan with all times scaled so that it lasts `cycles`."""
+    total = _total(plan)
+    if total <= 0.0 or cycles <= total:
+        return list(plan)
+    k = cycles / total
+    return [
+        traj.Segment(
+            s.duration_cycles * k,
+            tuple(c / k**i for i, c in enumerate(s.coefficients)),
+            s.flags,
+            s.tag,
+        )
+        for s in plan
+    ]
+
+
+def _solve(letters: list[str], rows: list[tuple[AxisDefinition, float]]) -> dict[str, float]:
+    """Axis positions of motor positions in counts (least squares where axes share motors)."""
+    import numpy as np
+
+    matrix = np.array(
+        [[dict(d.terms).get(letter, 0.0) for letter in letters] for d, _ in rows], dtype=float
+    )
+    right = np.array([counts - d.offset for d, counts in rows])
+    solution, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+    return {letter: float(v) for letter, v in zip(letters, solution, strict=True)}

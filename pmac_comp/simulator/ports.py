@@ -1,0 +1,104 @@
+"""One conversation with the card: addressing, line execution, control characters, framing.
+
+Source: Turbo PMAC Software Reference Manual p. 35-42, 254-263, 276-277.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pmac_comp.machine.wire.dialog import (
+    CommandLine,
+    ControlCharacter,
+    LineReader,
+    LineTooLong,
+    command_sum,
+    format_line,
+    format_reply,
+    format_unsolicited,
+)
+from pmac_comp.simulator.commands.line import LineContext, Modal
+from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.language.scanner import Scanner
+
+if TYPE_CHECKING:
+    from pmac_comp.simulator.card import Card
+
+_TAB, _CHECKSUM, _CANCEL, _CONTROL_T, _CONTROL_Z = 0x09, 0x0E, 0x18, 0x14, 0x1A
+_ERROR_LINE_TOO_LONG = 3
+_ERROR_CHARACTER = 4
+
+
+class Port:
+    """Addressing and command queue of one port.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    """
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+        self.modal = Modal()
+        self._reader = LineReader()
+        self._last_line = b""
+
+    def line(self, text: str | bytes) -> bytes:
+        """Answer to one command line, framed by I3, I4 and I6."""
+        raw = text.encode("latin-1", "replace") if isinstance(text, str) else text
+        self._last_line = raw
+        if any(code > 0x7E for code in raw):
+            return self._reply([], raw, error=_ERROR_CHARACTER)
+        context = LineContext(self.card, self.modal, Scanner(raw.decode("ascii")), owner=self)
+        error = None
+        try:
+            self.card.execute_line(context)
+        except CardError as refusal:
+            error = refusal.code
+        if context.silent_end and error is None:
+            return b""
+        return self._reply(context.lines, raw, error=error)
+
+    def _reply(self, lines: list[str], command: bytes, *, error: int | None) -> bytes:
+        read = self.card.variables.int_i
+        return format_reply(lines, i3=read(3), i4=read(4), i6=read(6), error=error, command=command)
+
+    def receive(self, data: bytes) -> bytes:
+        """Answer to characters of an ASCII line, control characters included."""
+        out = bytearray()
+        for event in self._reader.receive(data):
+            if isinstance(event, CommandLine):
+                out += self.line(event.text)
+            elif isinstance(event, ControlCharacter):
+                out += self.control(event)
+            elif isinstance(event, LineTooLong):
+                out += self._reply([], b"", error=_ERROR_LINE_TOO_LONG)
+        return bytes(out)
+
+    def control(self, event: ControlCharacter) -> bytes:
+        """Act on a control character; the bytes it answers with."""
+        code = event.code
+        if code == _TAB:
+            return self.line(self._last_line)
+        if code == _CHECKSUM:
+            return bytes([command_sum(event.line_so_far)])
+        if code in (_CANCEL, _CONTROL_T):
+            return b"\x18" if self.card.variables.int_i(63) else b""
+        self.card.refresh_status()
+        text = self.card.status.report(code, self.modal.group)
+        if text is not None:
+            # Reporting characters answer one line without an acknowledgement (p. 257).
+            read = self.card.variables.int_i
+            return format_line(text, i3=read(3) & 2, i4=read(4))
+        self.card.control_character(code)
+        return b""
+
+    def unsolicited(self, text: str) -> bytes:
+        """Framing of a text that a program sent."""
+        read = self.card.variables.int_i
+        return format_unsolicited(text, i3=read(3), i4=read(4), i62=read(62), i64=read(64))
+
+    def close(self) -> None:
+        """The other side is gone; a buffer it left open stays open, as on the card."""
+        self._reader = LineReader()

@@ -1,0 +1,266 @@
+"""Conversations over the packet port and over an ASCII line, bytes in and bytes out.
+
+Source: UMAC Turbo CPU hardware manual p. 36-37 (requests), Turbo PMAC Software Reference Manual
+p. 254-263 (control characters).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from pmac_comp.machine.wire.dialog import ControlCharacter
+from pmac_comp.machine.wire.ethernet import (
+    DPRAM_BYTES,
+    FLUSH_REPLY,
+    MAX_REPLY,
+    BufferVerdict,
+    Direction,
+    Malformed,
+    Request,
+    RequestCode,
+    RequestReader,
+)
+from pmac_comp.simulator.ports import Port
+
+if TYPE_CHECKING:
+    from pmac_comp.simulator.card import Card
+
+_ONE_BYTE = bytes([FLUSH_REPLY])
+_NOTHING = b"\x00"  # what the interface says when the card has nothing to say
+_LINE_ENDS = b"\r\x06\n"
+_FIRST_LINE = 1
+
+
+class Refused(Exception):
+    """The request cannot be answered; the connection is closed."""
+
+
+class EthernetSession:
+    """One client of the packet port.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    """
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+        self.port = Port(card)
+        self._reader = RequestReader()
+        self._waiting = bytearray()
+        self.closed = False
+        self.reason = ""
+        self._handlers: dict[int, Callable[[Request], bytes]] = {
+            RequestCode.GETRESPONSE: self._get_response,
+            RequestCode.SENDLINE: self._send_line,
+            RequestCode.GETLINE: self._get_line,
+            RequestCode.GETBUFFER: lambda _request: self._next_part(),
+            RequestCode.FLUSH: self._flush,
+            RequestCode.READREADY: self._read_ready,
+            RequestCode.SENDCTRLCHAR: self._send_control,
+            RequestCode.CTRL_RESPONSE: self._control_response,
+            RequestCode.WRITEBUFFER: self._write_buffer,
+            RequestCode.GETMEM: self._get_memory,
+            RequestCode.SETMEM: self._set_memory,
+            RequestCode.SETBIT: self._set_bit,
+            RequestCode.SETBITS: self._set_bits,
+            RequestCode.PORT: self._host_port,
+            RequestCode.IPADDRESS: self._address,
+        }
+        card.listeners.append(self._announced)
+
+    def close(self) -> None:
+        """The client is gone."""
+        self.closed = True
+        if self._announced in self.card.listeners:
+            self.card.listeners.remove(self._announced)
+        self.port.close()
+
+    def receive(self, data: bytes) -> bytes:
+        """All answers to these bytes, joined."""
+        return b"".join(self.answers(data))
+
+    def answers(self, data: bytes) -> list[bytes]:
+        """One answer per request completed by these bytes; each belongs into one packet."""
+        found: list[bytes] = []
+        for event in self._reader.receive(data):
+            if isinstance(event, Malformed):
+                self._refuse(event.reason)
+                break
+            try:
+                found.append(self.answer(event))
+            except Refused as refusal:
+                self._refuse(str(refusal))
+                break
+        return found
+
+    def _refuse(self, reason: str) -> None:
+        self.reason = reason
+        self.close()
+
+    def answer(self, request: Request) -> bytes:
+        """Answer to one request; Refused if there is none."""
+        handler = self._handlers.get(request.code)
+        if handler is None:
+            raise Refused(f"{request.name} is not supported")
+        return handler(request)
+
+    def _announced(self, port: str, text: str) -> None:
+        if port == "P":
+            self._waiting += self.port.unsolicited(text)
+
+    # --- text -----------------------------------------------------------------------------------
+
+    def _run(self, request: Request) -> None:
+        """Execute the text of a request; its answer waits."""
+        self._waiting.clear()  # a new command drops what was not read
+        text = request.payload.rstrip(b"\x00\n\r")
+        self._waiting += self.port.receive(text)
+        if not text or text[-1] >= 0x20 or len(text) > 1:
+            self._waiting += self.port.receive(b"\r")
+        elif request.payload[-1:] in (b"\n", b"\r"):
+            # A lone control character with a line end: the empty line behind it is acknowledged.
+            self._waiting += self.port.receive(b"\r")
+
+    def _get_response(self, request: Request) -> bytes:
+        self._run(request)
+        return self._next_part()
+
+    def _send_line(self, request: Request) -> bytes:
+        self._run(request)
+        return _ONE_BYTE
+
+    def _next_part(self) -> bytes:
+        if not self._waiting:
+            return _NOTHING
+        part = bytes(self._waiting[:MAX_REPLY])
+        del self._waiting[:MAX_REPLY]
+        return part
+
+    def _get_line(self, _request: Request) -> bytes:
+        for index, code in enumerate(self._waiting[:MAX_REPLY]):
+            if code in _LINE_ENDS:
+                line = bytes(self._waiting[: index + 1])
+                del self._waiting[: index + 1]
+                return line
+        return self._next_part()
+
+    def _flush(self, _request: Request) -> bytes:
+        self._waiting.clear()
+        self.port.receive(b"\x18")
+        return _ONE_BYTE
+
+    def _read_ready(self, _request: Request) -> bytes:
+        return bytes([1 if self._waiting else 0, 0])
+
+    def _control(self, request: Request) -> bytes:
+        return self.port.control(ControlCharacter(request.control_character))
+
+    def _send_control(self, request: Request) -> bytes:
+        self._waiting.clear()
+        self._waiting += self._control(request)
+        return _ONE_BYTE
+
+    def _control_response(self, request: Request) -> bytes:
+        self._waiting.clear()
+        self._waiting += self._control(request)
+        return self._next_part()
+
+    def _write_buffer(self, request: Request) -> bytes:
+        self._waiting.clear()
+        for number, line in enumerate(request.lines, start=_FIRST_LINE):
+            reply = self.port.line(line)
+            error = _error_in(reply)
+            if error is not None:
+                return BufferVerdict(error, number).encode()
+        return BufferVerdict().encode()
+
+    # --- dual-ported RAM ------------------------------------------------------------------------
+
+    def _check_window(self, offset: int, size: int) -> None:
+        if offset + size > DPRAM_BYTES[self.card.dpram]:
+            raise Refused(f"dual-ported RAM ends before offset {offset + size}")
+
+    def _get_memory(self, request: Request) -> bytes:
+        size = min(request.length, MAX_REPLY)
+        self._check_window(request.value, size)
+        return self.card.memory.read_bytes(request.value, size)
+
+    def _set_memory(self, request: Request) -> bytes:
+        self._check_window(request.value, len(request.payload))
+        self.card.memory.write_bytes(request.value, request.payload)
+        return _ONE_BYTE
+
+    def _change_cell(self, offset: int, and_mask: int, or_mask: int) -> bytes:
+        self._check_window(offset, 4)
+        (cell,) = struct.unpack("<I", self.card.memory.read_bytes(offset, 4))
+        cell = (cell & and_mask) | or_mask
+        self.card.memory.write_bytes(offset, struct.pack("<I", cell))
+        return _ONE_BYTE
+
+    def _set_bit(self, request: Request) -> bytes:
+        (mask,) = struct.unpack("<I", request.payload)
+        if request.index:
+            return self._change_cell(request.value, 0xFFFFFFFF, mask)
+        return self._change_cell(request.value, mask, 0)
+
+    def _set_bits(self, request: Request) -> bytes:
+        set_mask, clear_mask = struct.unpack("<II", request.payload)
+        return self._change_cell(request.value, 0xFFFFFFFF & ~clear_mask, set_mask)
+
+    # --- the rest -------------------------------------------------------------------------------
+
+    def _host_port(self, request: Request) -> bytes:
+        # The host port itself is behind the Ethernet interface: it reads as idle.
+        return _NOTHING if request.direction == Direction.UPLOAD else _ONE_BYTE
+
+    def _address(self, request: Request) -> bytes:
+        if request.direction == Direction.DOWNLOAD:
+            # Takes effect at power-up; the address of the server itself is the host's affair.
+            self.card.ip_address = request.payload
+        return self.card.ip_address
+
+
+def _error_in(reply: bytes) -> int | None:
+    """Number of the error a line was refused with, None if it was not."""
+    place = reply.find(b"\x07")
+    if place < 0:
+        return None
+    digits = reply[place:].lstrip(b"\x07\r\n")[3:6]
+    return int(digits) if digits.isdigit() else 3
+
+
+class AsciiSession:
+    """One client of an ASCII line (serial, terminal server)."""
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+        self.port = Port(card)
+        self._announcements = bytearray()
+        self.closed = False
+        card.listeners.append(self._announced)
+
+    def receive(self, data: bytes) -> bytes:
+        """Bytes the card sends in answer, after what programs have said meanwhile."""
+        said = self.pending()
+        return said + self.port.receive(data)
+
+    def pending(self) -> bytes:
+        """Take what programs have sent."""
+        data = bytes(self._announcements)
+        self._announcements.clear()
+        return data
+
+    def _announced(self, port: str, text: str) -> None:
+        if port == "S":
+            self._announcements += self.port.unsolicited(text)
+
+    def close(self) -> None:
+        """The client is gone."""
+        self.closed = True
+        if self._announced in self.card.listeners:
+            self.card.listeners.remove(self._announced)
+        self.port.close()
