@@ -1,0 +1,166 @@
+"""The compensation as a file: law, lead map and provenance, one JSON for every route."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.errors import ConfigError, PmacCompError
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.rendering import RenderedTable, lead_table
+
+_VERSION = 1
+ROUTES = ("table", "law", "servo", "cam", "program")
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What is uploaded by a route.
+
+    Parameters
+    ----------
+    route : str
+        One of ``table law servo cam program``.
+    law : CompensationLaw
+        The dynamic law; for ``table`` it is only what was removed from the lead runs.
+    lead : LeadMap or None
+        Static part, None if it was not measured.
+    motion_time_s, motion_position_m : ndarray or None
+        The one motion of ``cam`` and ``program``.
+    motion_correction_m : ndarray or None
+        Its exact correction from the model.
+    """
+
+    route: str
+    law: CompensationLaw
+    lead: LeadMap | None = None
+    motion_time_s: FloatArray | None = None
+    motion_position_m: FloatArray | None = None
+    motion_correction_m: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        check_route(self.route)
+
+    def table(self, bench: Bench) -> RenderedTable | None:
+        """Compensation table of the static part, None without one."""
+        return None if self.lead is None else lead_table(self.lead, bench)
+
+    def table_correction(self, bench: Bench) -> Callable[[FloatArray], FloatArray] | None:
+        """Correction in m that the table adds at a position in m."""
+        rendered = self.table(bench)
+        if rendered is None:
+            return None
+        table, count_m = rendered.table, bench.motor_resolution_m
+        return lambda position_m: table.correction_ct(position_m / count_m) * count_m
+
+
+def check_route(route: str) -> str:
+    """The route itself; ConfigError for an unknown one."""
+    if route not in ROUTES:
+        raise ConfigError(
+            f"'{route}' is not a route.", code="PC-DEP-001", hint="Use one of " + ", ".join(ROUTES)
+        )
+    return route
+
+
+def write_compensation(path: Path, compensation: Compensation) -> None:
+    """Write a compensation file, whole or not at all."""
+    arrays = {
+        name: _numbers(getattr(compensation, name))
+        for name in ("motion_time_s", "motion_position_m", "motion_correction_m")
+    }
+    lead = compensation.lead
+    document = {
+        "compensation_version": _VERSION,
+        "route": compensation.route,
+        "law": compensation.law.as_mapping(),
+        "lead": None
+        if lead is None
+        else {
+            "position_m": lead.position_m.tolist(),
+            "error_m": lead.error_m.tolist(),
+            "reversal_m": lead.reversal_m.tolist(),
+            "noise_m": lead.noise_m,
+        },
+        **arrays,
+    }
+    atomic_write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def read_compensation(path: Path) -> Compensation:
+    """Compensation read from a file.
+
+    Raises
+    ------
+    ConfigError
+        Not a compensation file, or a value that is not finite.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _bad(path, str(error)) from error
+    if not isinstance(data, dict) or data.get("compensation_version") != _VERSION:
+        raise _bad(path, "it has no compensation_version 1")
+    try:
+        return _from_mapping(data)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _bad(path, f"{type(error).__name__}: {error}") from error
+    except ConfigError:
+        raise
+    except PmacCompError as error:
+        raise _bad(path, error.message) from error
+
+
+def _from_mapping(data: dict[str, Any]) -> Compensation:
+    known = {f.name for f in fields(CompensationLaw)}
+    unknown = set(data["law"]) - known
+    if unknown:
+        raise KeyError(f"unknown law coefficient(s) {sorted(unknown)}")
+    lead = data.get("lead")
+    return Compensation(
+        route=str(data["route"]),
+        law=CompensationLaw(**data["law"]),
+        lead=None
+        if lead is None
+        else LeadMap(
+            finite_array("lead position", lead["position_m"], min_size=2),
+            finite_array("lead error", lead["error_m"], min_size=2),
+            finite_array("lead reversal", lead["reversal_m"], min_size=2),
+            _finite(lead["noise_m"]),
+        ),
+        motion_time_s=_array(data, "motion_time_s"),
+        motion_position_m=_array(data, "motion_position_m"),
+        motion_correction_m=_array(data, "motion_correction_m"),
+    )
+
+
+def _array(data: dict[str, Any], name: str) -> FloatArray | None:
+    values = data.get(name)
+    return None if values is None else finite_array(name, values, min_size=2)
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError("a value is not finite")
+    return number
+
+
+def _numbers(values: FloatArray | None) -> list[float] | None:
+    return None if values is None else [float(v) for v in np.asarray(values)]
+
+
+def _bad(path: Path, reason: str) -> ConfigError:
+    return ConfigError(
+        f"{path} is not a compensation file: {reason}.",
+        code="PC-DEP-002",
+        hint="`pmac-comp compensate` writes compensation files.",
+    )
