@@ -7,7 +7,8 @@ layout only; nothing here is shared with the model that is fitted.
 Sign conventions where the name alone leaves a choice: ``friction_asymmetry.fraction`` is
 (positive - negative direction) / sum; a positive ``channel_skew.time_us`` means that the scale
 sample is older than the encoder sample; ``torque_ripple.amplitude_Nm`` is reached at rated torque
-and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass.
+and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass; a positive
+``bias_force.force_N`` pushes along positive motion, unlike the force of ``set_external_force``.
 """
 
 import math
@@ -36,6 +37,11 @@ class PlantEffect:
 def _stribeck(par: FloatArray, values: Values) -> None:
     par[k.P_STRIBECK_N] = values["excess_N"]
     par[k.P_STRIBECK_NM] = values["excess_Nm"]
+    par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
+
+
+def _stribeck_motor(par: FloatArray, values: Values) -> None:
+    par[k.P_STRIBECK_MOTOR] = values["excess_Nm"]
     par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
 
 
@@ -68,6 +74,10 @@ def _bristle(par: FloatArray, level_index: int, distance: float) -> None:
 
 def _asymmetry(par: FloatArray, values: Values) -> None:
     par[k.P_ASYM_VISCOUS] = values["fraction"]
+
+
+def _asymmetry_rotary(par: FloatArray, values: Values) -> None:
+    par[k.P_ASYM_ROTARY] = values["fraction"]
 
 
 def _asymmetry_sliding(par: FloatArray, values: Values) -> None:
@@ -176,7 +186,9 @@ PLANT_EFFECTS: Mapping[str, PlantEffect] = {
             (k.P_MOTOR_VISCOUS, "motor_Nms_per_rad", 1.0),
         ),
     ),
-    "friction_asymmetry": PlantEffect({"fraction": 0.2}, _asymmetry, ("viscous", "sliding")),
+    "friction_asymmetry": PlantEffect(
+        {"fraction": 0.2}, _asymmetry, ("viscous", "sliding", "rotary")
+    ),
     "friction_per_rev": PlantEffect(_WAVE_NM, _harmonic(k.P_FPR_NM)),
     "post_reversal_dip": PlantEffect(
         {"fraction": 0.25, "length_mm": 1.5},
@@ -190,7 +202,7 @@ PLANT_EFFECTS: Mapping[str, PlantEffect] = {
     "torque_ripple": PlantEffect(
         _WAVE_NM | {"amplitude_Nm": 0.06, "order_per_rev": 10.0, "rated_Nm": 0.0}, _ripple
     ),
-    "bias_force": PlantEffect({"force_N": 20.0}, _set((k.P_BIAS, "force_N", -1.0))),
+    "bias_force": PlantEffect({"force_N": 20.0}, _set((k.P_BIAS, "force_N", 1.0))),
     "cable_drag": PlantEffect(
         {"stiffness_N_per_m": 50.0, "centre_mm": 0.0},
         _set((k.P_CABLE_K, "stiffness_N_per_m", 1.0), (k.P_CABLE_X, "centre_mm", 1.0 / MM_PER_M)),
@@ -284,9 +296,15 @@ def _apply_one(
         raise ConfigError(f"Effect '{name}' was given an infinite value.", code="PC-PLT-003")
     if name == "nut_efficiency":
         values["loss_fraction"] = par[k.P_NUT_LOAD] + values["loss_fraction"] * par[k.P_LEAD]
-    if name == "presliding":
-        _presliding_at(str(place))(par, values)
-    elif name == "friction_asymmetry" and place == "sliding":
-        _asymmetry_sliding(par, values)
-    else:
-        effect.apply(par, values)
+    at_place = _AT_PLACE.get((name, str(place)), effect.apply)
+    at_place(par, values)
+
+
+_AT_PLACE: Mapping[tuple[str, str], Callable[[FloatArray, Values], None]] = {
+    ("presliding", "nut"): _presliding_at("nut"),
+    ("presliding", "motor"): _presliding_at("motor"),
+    ("presliding", "rotary"): _presliding_at("rotary"),
+    ("friction_asymmetry", "sliding"): _asymmetry_sliding,
+    ("friction_asymmetry", "rotary"): _asymmetry_rotary,
+    ("stribeck", "motor"): _stribeck_motor,
+}

@@ -61,11 +61,13 @@ from pmac_comp.base.arrays import FloatArray
     P_GUIDE_DAMPING,
     P_STRIBECK_N,
     P_STRIBECK_NM,  # at the nut
+    P_STRIBECK_MOTOR,
     P_STRIBECK_SPEED,  # m/s of the table
     P_SQRT_N,  # N per (m/s)^exponent
     P_SQRT_EXPONENT,
     P_ASYM_VISCOUS,
     P_ASYM_SLIDING,
+    P_ASYM_ROTARY,  # viscous torque of nut and motor
     P_FPR_NM,
     P_FPR_ORDER,
     P_FPR_PHASE,
@@ -107,7 +109,7 @@ from pmac_comp.base.arrays import FloatArray
     P_FORCE_OMEGA,
     P_FORCE_PHASE,
     N_PARAMETERS,
-) = range(84)
+) = range(86)
 
 _HISTORY = 32
 (
@@ -344,10 +346,14 @@ def ballscrew_step(
             bump = math.exp(-((v / par[P_STRIBECK_SPEED]) ** 2))
             guide_level += par[P_STRIBECK_N] * bump
             nut_level += par[P_STRIBECK_NM] * bump
+            motor_level += par[P_STRIBECK_MOTOR] * warm * bump
         nut_level *= warm
         guide_level *= warm
         forward = 1.0 if v >= 0.0 else -1.0
         guide_level *= 1.0 + par[P_ASYM_SLIDING] * forward
+        turning = 1.0 + par[P_ASYM_ROTARY] * (1.0 if w_s >= 0.0 else -1.0)
+        motor_viscous = par[P_MOTOR_VISCOUS] * turning
+        nut_viscous = par[P_NUT_VISCOUS] * turning
         guide_viscous = par[P_GUIDE_VISCOUS] * (1.0 + par[P_ASYM_VISCOUS] * forward)
         nut_level += par[P_NUT_LOAD] * abs(f_n)
         nut_level = max(nut_level, 1e-6)
@@ -424,8 +430,8 @@ def ballscrew_step(
             f_g = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt + guide_viscous * v
             z_g = z_new
 
-            r1 = torque * ripple + cog - t_k - t_fm - par[P_MOTOR_VISCOUS] * w_m
-            r2 = t_k + arm * f_n - t_fn - par[P_NUT_VISCOUS] * w_s
+            r1 = torque * ripple + cog - t_k - t_fm - motor_viscous * w_m
+            r2 = t_k + arm * f_n - t_fn - nut_viscous * w_s
             bearing = k_ax * (u + beta * v_u)
             a_u = (f_n - bearing) * inv_m_axial
             a_t = (load - f_n - f_g) * inv_m_table
