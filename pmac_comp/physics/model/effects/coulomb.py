@@ -8,8 +8,9 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
 from pmac_comp.physics.model.parameters import parameter
 
-# Distance over which the level builds up: far below any sensor step, long against one substep.
-SHARP_m = 0.2e-6
+# Distance over which the level builds up. A reversal that is 0.2 ms late in force shows as 1 um at
+# the table, so it is far below any sensor step: true stick, as far as the loop can see.
+SHARP_m = 0.02e-6
 _BRISTLE_RATIO = 0.3  # of critical: a stuck axis does not ring
 
 
@@ -56,11 +57,13 @@ EFFECT = Effect(
                 description="level of all friction, expressed at the table",
             ),
         )
-    },  # fmt: skip
+    },
     apply=_apply,
     where="guide, nut, motor",
     source="Ball-screw facts 2.3: friction that depends on the sign of the velocity alone",
-    signature="torque step at each reversal; in table minus motor a step that grows along the screw",
+    signature=(
+        "torque step at each reversal; in table minus motor a step that grows along the screw"
+    ),
     separating_experiment="constant speeds in both directions at both ends of the travel",
     look_alikes=("backlash", "presliding"),
 )
