@@ -1,0 +1,114 @@
+"""A simulated card in this process, with a conversation, limits and a folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.safety import Limits
+from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.transport.base import Framing
+from pmac_comp.machine.transport.pair import PairTransport
+from pmac_comp.machine.transport.tap import FaultyTransport
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.sessions import EthernetSession
+
+REQUEST_CYCLES = 2
+LIMITS = Limits(
+    max_correction_ct=60.0,
+    max_slope=0.05,
+    max_step_ct=5.0,
+    min_position_ct=-300000.0,
+    max_position_ct=300000.0,
+    um_per_ct=1.0,
+)
+
+
+class CycleClock:
+    """Time of the card: sleeping runs servo cycles."""
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+        self._rest_s = 0.0
+
+    def now_s(self) -> float:
+        return self.card.time_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        self._rest_s += max(0.0, duration_s)
+        cycles = int(self._rest_s / self.card.bench.servo_period_s)
+        self._rest_s -= cycles * self.card.bench.servo_period_s
+        self.card.run_cycles(cycles)
+
+
+class CardBench:
+    """Card, tap and commander; ``on_request`` is called with the number of each request.
+
+    Its result may be bytes, which are then answered instead of the card's answer; an exception
+    it raises ends the conversation there.
+    """
+
+    def __init__(self, folder: Path, *, bench: Bench | None = None, card: Card | None = None):
+        self.bench = bench or load_bench("paper")
+        self.card = card or Card(self.bench)
+        self.clock = CycleClock(self.card)
+        self.folder = folder
+        self.on_request: Callable[[int], None] = lambda _n: None
+        self.filter: Callable[[int, bytes], bytes] = lambda _n, data: data
+        self.n_requests = 0
+        self.connect()
+
+    def connect(self) -> None:
+        """A new conversation with the same card; the one before is dropped."""
+        self.session = EthernetSession(self.card)
+        self.pair = PairTransport(self._peer, self.clock, framing=Framing.PACKETS)
+        self.tap = FaultyTransport(self.pair)
+        self.on_request = lambda _n: None
+        self.filter = lambda _n, data: data
+        self.link = Commander(self.tap, clock=self.clock, timeout_s=1.0)
+        self.n_requests = 0
+
+    def reconnect(self) -> None:
+        self.session.close()
+        self.connect()
+
+    def _peer(self, data: bytes) -> bytes:
+        if data:
+            number = self.n_requests
+            self.n_requests += 1
+            self.on_request(number)
+            self.card.run_cycles(REQUEST_CYCLES)
+            data = self.filter(number, data)
+        return self.session.receive(data)
+
+    @property
+    def context(self) -> Context:
+        return Context(LawBlock(), LIMITS, self.folder, self.bench.servo_period_s)
+
+    # The truth, from the card's own memory and not through the wire.
+
+    @property
+    def i51(self) -> int:
+        return int(self.card.variables.read_i(51))
+
+    def values(self, kind: str, motor: int) -> list[int] | None:
+        from pmac_comp.simulator.compensation import TableKind
+
+        return self.card.tables.values(TableKind[kind], motor)
+
+    def p(self, number: int) -> float:
+        return float(self.card.variables.read("P", number))
+
+    def side_port(self) -> Callable[[str], bytes]:
+        """Another client: a function that sends a line and returns the raw answer."""
+        port = self.card.port()
+        return lambda text: port.line(text.encode())
+
+
+def make_plc_bench(folder: Path) -> CardBench:
+    """A bench whose motor 1 is in closed loop."""
+    bench = CardBench(folder)
+    bench.link.command("#1J/")
+    bench.clock.sleep_s(0.1)
+    return bench

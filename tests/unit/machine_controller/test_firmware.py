@@ -1,0 +1,226 @@
+"""Every file of firmware_plc on the simulated card: downloaded, listed back, executed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.resources import data_folder, firmware_path
+from pmac_comp.machine.controller import gather, law_upload, motion, programs, transaction
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
+from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
+
+UNIT = 3072.0  # 32 * I108
+
+
+def source(name: str, **options: int) -> programs.Source:
+    text = firmware_path(name).read_text(encoding="utf-8")
+    return programs.parse_source(programs.render(text, **options))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [p.name for p in sorted(data_folder("firmware_plc").iterdir()) if p.suffix != ".txt"],
+)
+def test_each_file_lists_back_token_by_token(tmp_path: Path, name: str) -> None:
+    bench = CardBench(tmp_path)
+    found = source(name)
+    programs.download_source(bench.link, found)
+    for program in found.programs:
+        assert programs.is_present(bench.link, program)
+        lines = programs.listing(bench.link, program.kind, program.number)
+        assert lines is not None
+        assert len(programs.canonical(lines)) == len(program.tokens)
+
+
+def test_a_changed_token_is_found(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    guard = source("comp_guard.plc").program
+    other = programs.Program(guard.kind, guard.number, (*guard.lines[:-1], "P7083=3", "ENDIF"))
+    programs.download(bench.link, other)
+    assert not programs.is_present(bench.link, guard)
+
+
+def test_setup_points_the_definitions_where_the_law_reads(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    programs.download_source(bench.link, source("bench_setup.pmc"))
+    answers = bench.link.query("M7000->M7001->M7002->I105I106I107P7008")
+    assert answers == ["X:$0,24", "D:$88", "X:$10F8,24,S", "$10F8", "3", "3", "1024"]
+
+
+def test_guard_switches_tables_off_while_the_manifest_says_writing(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    programs.download_source(bench.link, source("bench_setup.pmc"))
+    programs.download_source(bench.link, source("comp_guard.plc"))
+    bench.link.command("ENABLE PLC 1")
+    bench.clock.sleep_s(0.1)
+    scans = bench.p(7082)
+    assert scans > 0
+    bench.link.command("P7071=1")
+    bench.link.command("I51=1")
+    before = bench.p(7082)
+    while bench.i51:
+        bench.card.run_cycles(1)
+    assert bench.p(7082) - before <= 5
+    assert bench.p(7083) == 1
+    assert bench.p(7084) == 1
+
+
+def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    programs.download_source(bench.link, source("bench_setup.pmc"))
+    programs.download_source(bench.link, source("comp_guard.plc"))
+    end = transaction.read_clock(bench.link) + 300
+    bench.link.write_buffer(["ENABLE PLC 1", f"P7081={end}", "P7080=5"])
+    bench.clock.sleep_s(0.2)
+    assert bench.p(7083) == 0
+    bench.clock.sleep_s(0.15)
+    assert bench.p(7083) == 2
+
+
+LAW = LawParameters(
+    A0=11.3, A1=2e-6, V0=0.0087, V1=1e-8, S0=0.93, S1=8e-7, X0=1000.0, S_INV=0.05,
+    TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, D1=2.0, D2=1.5, T_INV=0.1, T0=5.0, TL=1.2,
+    TS=60.0, TV_INV=0.4, TE=0.9, T_LIMIT=9000.0,
+)  # fmt: skip
+
+
+def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
+    law_upload.upload_law(bench.link, bench.context, law)
+    law_upload.arm(bench.link, bench.context)
+    time = np.arange(0, 0.8, bench.bench.servo_period_s)
+    ramp = np.clip(time / 0.2, 0, 1) * np.clip((0.8 - time) / 0.2, 0, 1)
+    path = 3000 * np.sin(2 * np.pi * 4 * time) * ramp**2 * (3 - 2 * ramp)
+    plan = motion.pvt_program(path, bench.bench.servo_period_s, segment_ms=5.0)
+    bench.link.write_buffer(motion.axis_lines(1))
+    programs.download(bench.link, plan.program)
+    sources = (*gather.bench_sources(1, 2), gather.GatherSource("word", 0x4010F8))
+    ring = gather.GatherPlan(sources)
+
+    def go() -> None:
+        motion.start(bench.link, plan.program.number)
+
+    result = gather.gather_ring(bench.link, ring, 3.5, bench.bench.servo_period_s, during=go)
+    motion.wait_for_end(bench.link, timeout_s=5.0)
+    return result.require_whole()
+
+
+def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_upload.install_law(bench.link, bench.context, 1)
+    result = run_with_law(bench, LAW)
+    commanded = result.raw["commanded"] / UNIT
+    assert np.ptp(commanded) > 4000
+    expected = evaluate(LAW, commanded, clamp_ct=60.0)
+    assert expected.n_clamped == 0
+    # The gathered word is what PLC 0 wrote after the cycle: within half a unit of 1/1024 count.
+    word = result.raw["word"] / 1024.0
+    shift = find_shift(word, expected.correction_ct)
+    assert shift in {0, 1}
+    n = len(word) - shift
+    deviation = word[shift:] - expected.correction_ct[:n]
+    # States of the friction before the record started are not known to the reference.
+    settled = np.flatnonzero(np.abs(commanded - commanded[0]) > 500)[0]
+    assert np.max(np.abs(deviation[settled : n - shift])) < 0.03
+    assert np.max(np.abs(word)) > 5.0
+
+
+def find_shift(a: np.ndarray, b: np.ndarray) -> int:
+    return min(range(4), key=lambda k: float(np.sum((a[k:] - b[: len(b) - k]) ** 2)))
+
+
+def test_plc_form_clamps_and_limits_by_itself(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_upload.install_law(bench.link, bench.context, 1)
+    wild = LawParameters(A0=5000.0, V0=3.0, S0=20.0, S_INV=0.05, TC=30000.0, T_INV=1, T_LIMIT=300)
+    result = run_with_law(bench, wild)
+    assert np.max(np.abs(result.raw["word"])) <= 60 * 1024 + 1
+    assert law_upload.read_law_head(bench.link, LawBlock()).n_clamped > 0
+    assert abs(bench.card.variables.read_i(129)) <= 300
+
+
+def test_a_killed_motor_gets_no_correction_and_no_torque(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_upload.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
+    law_upload.arm(bench.link, bench.context)
+    assert bench.card.variables.read_i(129) == 200
+    bench.link.command("#1K")
+    bench.clock.sleep_s(0.01)
+    assert bench.card.variables.read_i(129) == 0
+    head = law_upload.read_law_head(bench.link, LawBlock())
+    assert head.gain == 0
+    assert head.bank_in_use is None
+
+
+def test_heartbeat_lost_ramps_the_gain_down(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_upload.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
+    law_upload.arm(bench.link, bench.context)
+    bench.link.command("P7005=500")
+    bench.clock.sleep_s(0.1)
+    assert bench.p(7003) == 1.0
+    bench.clock.sleep_s(1.0)
+    assert bench.p(7003) == 0.0
+    assert bench.p(7002) == 0.0
+
+
+def test_an_unsealed_bank_is_never_taken_over(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_upload.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
+    law_upload.arm(bench.link, bench.context)
+    bench.link.write_buffer(["P7010=9", "P7026=800", "P7031=800", "P7001=0"])
+    for _ in range(60):
+        bench.card.run_cycles(30)
+        assert abs(bench.card.variables.read_i(129)) <= 200
+    assert bench.p(7003) == 0.0
+
+
+@pytest.mark.parametrize("name", ["motion_sine.pmc", "motion_trapezoid.pmc", "motion_pvt.pmc"])
+def test_motion_files_run_and_come_back(tmp_path: Path, name: str) -> None:
+    bench = make_plc_bench(tmp_path)
+    parameters = {
+        "motion_sine.pmc": ["P7190=0", "P7191=4000", "P7192=500", "P7193=2"],
+        "motion_trapezoid.pmc": [
+            "P7190=0", "P7191=3000", "P7192=20000", "P7193=1", "P7194=100", "P7195=15", "P7196=100"
+        ],
+        "motion_pvt.pmc": [],
+    }  # fmt: skip
+    expected = {
+        "motion_sine.pmc": 4000,
+        "motion_trapezoid.pmc": 3000,
+        "motion_pvt.pmc": 1000,
+    }
+    found = source(name)
+    programs.download_source(bench.link, found)
+    bench.link.write_buffer(["I5190=1000", "I5113=0", "I42=0", *parameters[name]])
+    motion.start(bench.link, found.program.number)
+    highest = 0.0
+    for _ in range(400):
+        bench.card.run_cycles(23)
+        highest = max(highest, float(bench.link.query("#1P")[0]))
+        if not motion.program_status(bench.link).running:
+            break
+    assert not motion.program_status(bench.link).run_time_error
+    assert highest == pytest.approx(expected[name], rel=0.02)
+    bench.clock.sleep_s(0.3)
+    assert abs(float(bench.link.query("#1P")[0])) < 20
+
+
+def test_files_move_to_another_block_and_motor() -> None:
+    moved = source("feedforward_law.plc0", motor=3, first_p=6000)
+    text = "\n".join(moved.program.lines)
+    assert "P70" not in text
+    assert "P6113" in text
+    assert "I329" in text
+    setup = "\n".join(source("bench_setup.pmc", motor=2).commands)
+    assert "M7001->D:$108" in setup
+
+
+def test_cost_of_the_law_is_counted() -> None:
+    operations = law_upload.operation_count()
+    assert 60 < operations < 140
+    assert law_upload.law_cost_us(80.0) == pytest.approx(3.0 * operations)
+    assert law_upload.law_cost_us(160.0) == pytest.approx(1.5 * operations)
