@@ -8,7 +8,7 @@ import math
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
-from pmac_comp.files.bench import STEEL_DENSITY_kg_per_m3, Bench
+from pmac_comp.files.bench import Bench, STEEL_DENSITY_kg_per_m3
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Values
 from pmac_comp.physics.model.parameters import ParameterSpec
@@ -198,7 +198,7 @@ def _apply_pmac(vector: FloatArray, bench: Bench) -> None:
 
     if ivar(60, 0.0) != 0.0:
         raise ConfigError(
-            f"I{motor}60 is {ivar(60, 0.0):g}; the model knows a servo loop closed each cycle only.",
+            f"I{motor}60 is {ivar(60, 0.0):g}; the model closes the loop each cycle.",
             code="PC-MOD-007",
             hint="Set it to 0 and the servo period to that of the loop.",
         )

@@ -313,8 +313,9 @@ def simulate(
     n_sub = _checked_substeps(model.substeps if substeps is None else substeps)
     rows, values = packed([*model.terms(), *extra_terms])
     out = _run(vector, n_sub, desired, torque, force, rows, values, origin)
+    cycles: FloatArray = np.arange(commanded.size, dtype=np.float64)
     return Response(
-        time_s=origin + np.arange(commanded.size) * model.bench.servo_period_s,
+        time_s=origin + cycles * model.bench.servo_period_s,
         commanded_position_m=commanded,
         desired_position_m=desired,
         motor_position_m=out[0],

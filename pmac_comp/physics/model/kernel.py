@@ -22,6 +22,9 @@ N_STATES = 8
 N_COLUMNS = 13
 _TAYLOR = 9
 _HISTORY = 256
+# Gauss-Legendre, 8 points: distances from the middle and weights.
+_GAUSS_X = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
+_GAUSS_W = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
 
 
 @njit(cache=True, nogil=True)
@@ -208,45 +211,86 @@ def step_bank(par: FloatArray, first_m: float, spacing_m: float, n_nodes: int, s
 
 
 @njit(cache=True, nogil=True)
-def _dahl(
-    force: float, moved: float, level: float, distance: float, damping: float, mobility: float
-) -> tuple[float, float, float]:
-    """Mean force, end force and displacement of one friction element over a substep.
+def _mean_decay(y: float, start: float, end: float) -> float:
+    """Time mean of exp(-y p) along a leg with linear speed from ``start`` to ``end``, same sign.
 
-    ``moved`` is the displacement with the force left out; the force F follows
-    dF/dx = (level - F sign(x')) / distance and acts back with ``mobility``; ``damping`` is that of
-    the bristle divided by the substep, times distance over level.
+    p is the share of the leg that is done: p(u) = (start u + (end - start) u^2 / 2) / mean speed.
     """
-    if level <= 0.0:
-        return 0.0, 0.0, moved
+    mean = 0.5 * (start + end)
+    if y < 1e-9 or mean <= 0.0:
+        return 1.0
+    a = y * start / mean
+    b = y - a
+    if y > 30.0:
+        # Only the beginning counts: at its speed, or from rest as half a Gaussian.
+        return min(1.0 / max(a, 1e-300), 0.5 * math.sqrt(math.pi / y))
+    if abs(b) < 0.02 * y:
+        return (1.0 - math.exp(-y)) / y
+    total = 0.0
+    for i in range(4):
+        for side in range(2):
+            u = 0.5 + (0.5 - side) * _GAUSS_X[i]
+            total += 0.5 * _GAUSS_W[i] * math.exp(-(a + b * u) * u)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _dahl(
+    force: float,
+    moved: float,
+    level: float,
+    distance: float,
+    damping: float,
+    mobility: float,
+    step: float,
+) -> tuple[float, float]:
+    """Mean force and end force of one friction element over a substep.
+
+    ``moved`` is the displacement with the force left out and ``step`` the starting speed times
+    the substep; the force F follows dF/dx = (level - F sign(x')) / distance and acts back with
+    ``mobility``; ``damping`` is that of the bristle divided by the substep, times distance over
+    level. Speed is taken as linear within the substep, so a reversal splits it in two legs.
+    """
     shift = moved - mobility * force
+    # Slipping on: nothing to solve.
+    sign = 1.0 if step >= 0.0 else -1.0
+    slipping = abs(force - sign * level) < 1e-9 * level
+    if slipping and shift * sign > 0.0 and (2.0 * shift - step) * sign > 0.0:
+        return sign * level, sign * level
     mean = force
     end = force
-    for _ in range(3):
-        sign = 1.0 if shift >= 0.0 else -1.0
-        y = abs(shift) / distance
-        gap = level - sign * force
-        if y > 30.0:
-            decay = 0.0
-            share = 1.0 / y
-            slope = share / y
-        elif y > 1e-3:
-            decay = math.exp(-y)
-            share = (1.0 - decay) / y
-            slope = (share - decay) / y
+    for _ in range(5):
+        last = 2.0 * shift - step
+        middle = force
+        share = 0.0
+        mean = 0.0
+        if step * last < 0.0:
+            share = step / (step - last)
+            sign = 1.0 if step > 0.0 else -1.0
+            y = 0.5 * share * abs(step) / distance
+            gap = level - sign * force
+            mean = share * sign * (level - gap * _mean_decay(y, abs(step), 0.0))
+            middle = sign * (level - gap * math.exp(-y))
+            sign = -sign
+            rest = 1.0 - share
+            y = 0.5 * rest * abs(last) / distance
+            gap = level - sign * middle
+            mean += rest * sign * (level - gap * _mean_decay(y, 0.0, abs(last)))
         else:
-            decay = 1.0 - y + 0.5 * y * y
-            share = 1.0 - 0.5 * y + y * y / 6.0
-            slope = 0.5 - y / 3.0 + 0.125 * y * y
+            sign = 1.0 if shift >= 0.0 else -1.0
+            rest = 1.0
+            y = abs(shift) / distance
+            gap = level - sign * force
+            mean = sign * (level - gap * _mean_decay(y, abs(step), abs(last)))
+        decay = math.exp(-min(y, 700.0))
         end = sign * (level - gap * decay)
-        mean = sign * (level - gap * share) + damping * (end - force)
-        rate = (gap * slope + damping * gap * decay) / distance
-        miss = shift - moved + mobility * mean
-        change = miss / (1.0 + mobility * rate)
+        mean += damping * (end - force)
+        rate = gap * (0.5 * rest / (1.0 + y) + damping * decay) / distance
+        change = (shift - moved + mobility * mean) / (1.0 + mobility * rate)
         shift -= change
-        if abs(change) < 1e-14 + 1e-9 * abs(shift):
+        if abs(change) < 1e-6 * distance + 1e-9 * abs(shift):
             break
-    return mean, end, shift
+    return mean, end
 
 
 @njit(cache=True, nogil=True)
@@ -328,11 +372,11 @@ def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
     place = (where - term[s.TERM_START]) / term[s.TERM_STEP]
     last = int(term[s.TERM_COUNT]) - 1
     if not place > 0.0:
-        return values[0]
+        return float(values[0])
     if place >= last:
-        return values[last]
+        return float(values[last])
     i = int(place)
-    return values[i] + (place - i) * (values[i + 1] - values[i])
+    return float(values[i] + (place - i) * (values[i + 1] - values[i]))
 
 
 @njit(cache=True, nogil=True)
@@ -448,7 +492,7 @@ def run(
             )
         for j in range(n_terms):
             site = int(terms[j, s.TERM_SITE])
-            if site == 3 or site == 4:
+            if 3 <= site <= 4:
                 value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
                 if site == 3:
                     motor_read += value
@@ -615,7 +659,7 @@ def run(
                 level_guide *= 1.0 + math.copysign(par[s.ASYMMETRY_SLIDING], mid_speed)
             for j in range(n_terms):
                 site = int(terms[j, s.TERM_SITE])
-                if site == 3 or site == 4:
+                if 3 <= site <= 4:
                     continue
                 value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
                 if site == 0:
@@ -633,13 +677,6 @@ def run(
             level_guide *= warm
             level_nut *= warm
             level_motor *= warm
-            if use_load:
-                delta = z[3] - rho * z[1] - z[2] - wobble_mid
-                pull = par[s.K_NUT] * delta
-                if use_joint:
-                    pull += joint_force(par, delta)[0]
-                level_nut += par[s.NUT_LOAD] * rho * abs(pull)
-
             # ---- chain without friction
             drive = held + push_motor
             for i in range(N_STATES):
@@ -649,6 +686,7 @@ def run(
                 zf[i] = total + W[i, 10] * push_nut + W[i, 11] * push_table
 
             # ---- joint beyond its linear spring
+            middle_lead = 0.0
             if use_joint:
                 old_delta = z[3] - rho * z[1] - z[2] - wobble_mid
                 lead_rate = 0.0
@@ -659,6 +697,7 @@ def run(
                     )
                     middle = par[s.WOBBLE] * math.cos(angle)
                     lead_rate = -par[s.WOBBLE] * par[s.WOBBLE + 1] * math.sin(angle) * z[5]
+                    middle_lead = middle
                 else:
                     middle = 0.0
                 new_delta = zf[3] - rho * zf[1] - zf[2] - wobble_mid
@@ -681,11 +720,18 @@ def run(
                 for i in range(N_STATES):
                     zf[i] += W[i, 12] * extra
 
+            if use_load:
+                pull = 0.5 * (z[3] + zf[3] - rho * (z[1] + zf[1]) - z[2] - zf[2]) - middle_lead
+                total = par[s.K_NUT] * pull
+                if use_joint:
+                    total += joint_force(par, pull)[0]
+                level_nut += par[s.NUT_LOAD] * rho * abs(total)
+
             # ---- friction, solved with the displacement that it lets through
-            mean, force_motor, _shift = _site(
+            mean, force_motor = _site(
                 force_motor, zf[0] - z[0], level_motor, par, s.MOTOR, W[0, 8], h, z[4]
             )
-            mean_nut, force_nut, _shift = _site(
+            mean_nut, force_nut = _site(
                 force_nut, zf[1] - z[1], level_nut, par, s.NUT, W[1, 10], h, z[5]
             )
             if n_gms > 0:
@@ -694,7 +740,7 @@ def run(
                 for i in range(n_gms):
                     force_guide += slip[i]
             else:
-                mean_guide, force_guide, _shift = _site(
+                mean_guide, force_guide = _site(
                     force_guide, zf[3] - z[3], level_guide, par, s.GUIDE, W[3, 11], h, z[7]
                 )
             old_speed = z[7]
@@ -730,10 +776,10 @@ def _site(
     mobility: float,
     h: float,
     speed: float,
-) -> tuple[float, float, float]:
+) -> tuple[float, float]:
     """Friction element of one site over a substep; bristle damping fades with speed."""
     if level <= 0.0:
-        return 0.0, 0.0, moved
+        return 0.0, 0.0
     bristle = par[site + s.BRISTLE]
     distance = par[site + s.BREAK]
     damping = 0.0
@@ -741,7 +787,8 @@ def _site(
         ratio = speed * bristle / level
         if abs(ratio) < 5.0:
             damping = bristle * math.exp(-ratio * ratio) * distance / (level * h)
-    return _dahl(force, moved, level, distance, damping, mobility)
+    mean, end = _dahl(force, moved, level, distance, damping, mobility, speed * h)
+    return mean, end
 
 
 @njit(cache=True, nogil=True)
@@ -765,7 +812,7 @@ def _term(
         where = z[0]
     elif coordinate == 3:
         where = since
-    value = _lookup(values, term, where)
+    value: float = _lookup(values, term, where)
     factor = int(term[s.TERM_FACTOR])
     if factor == 1:
         value *= guide_state

@@ -456,7 +456,8 @@ def _window(t: FloatArray, total: float, ramp: float) -> FloatArray:
 
 
 def _on_grid(position_m: FloatArray, period_s: float) -> Trajectory:
-    return Trajectory(np.arange(position_m.size) * period_s, position_m)
+    time: FloatArray = np.arange(position_m.size, dtype=np.float64) * period_s
+    return Trajectory(time, position_m)
 
 
 def _samples(period_s: float, duration_s: float) -> int:

@@ -11,7 +11,7 @@ from pmac_comp.physics.model.parameters import parameter
 # Distance over which the level builds up. A reversal that is 0.2 ms late in force shows as 1 um at
 # the table, so it is far below any sensor step: true stick, as far as the loop can see.
 SHARP_m = 0.02e-6
-_BRISTLE_RATIO = 0.3  # of critical: a stuck axis does not ring
+_BRISTLE_RATIO = 0.0  # no damping of its own: it would delay the change of sign
 
 
 def apply_bristle(vector: FloatArray, site: int, distance: float, ratio: float) -> None:

@@ -31,11 +31,13 @@ EFFECT = Effect(
                 description="all viscous friction, expressed at the table",
             ),
         )
-    },  # fmt: skip
+    },
     apply=_apply,
     where="guide, nut, motor",
     source="Ball-screw facts 2.3",
     signature="torque, and table minus motor, in proportion to speed",
-    separating_experiment="a speed staircase at both ends of the travel: skew does not change there",
+    separating_experiment=(
+        "a speed staircase at both ends of the travel: skew does not change there"
+    ),
     look_alikes=("channel_skew",),
 )
