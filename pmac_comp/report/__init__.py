@@ -1,1 +1,1 @@
-"""Figures and self-contained HTML."""
+"""Figures and self-contained HTML pages. No numbers are computed here."""

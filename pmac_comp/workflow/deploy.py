@@ -273,7 +273,11 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
         law_upload.require_open_servo(axis.link, context, axis.motor)
     if compensation.route in _TORQUE_ROUTES:
         parameters = law_parameters(compensation.law, axis.scales)
-        clamp = compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct
+        # The same length through two roundings must not pass the limit by a bit.
+        clamp = min(
+            compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct,
+            context.limits.max_correction_ct,
+        )
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
             law_upload.arm(axis.link, context)

@@ -1,0 +1,207 @@
+"""Figures as SVG text or files, one look for all; what they show is computed elsewhere."""
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import numpy as np  # isort: skip
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.verify import ErrorSignals
+
+BEFORE, AFTER, PROMISE = "#b3452c", "#1f6f5c", "#3b5b92"
+_MOST_POINTS = 3000
+_STYLE: Mapping[str, Any] = {
+    "font.size": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e3e3e0",
+    "grid.linewidth": 0.6,
+    "axes.edgecolor": "#77776f",
+    "svg.fonttype": "none",
+    "legend.frameon": False,
+}
+
+
+def svg(draw: Callable[[Figure], None], width_in: float, height_in: float) -> str:
+    """SVG element of a figure, ready to stand in a page."""
+    with mpl.rc_context(dict(_STYLE)):
+        figure = plt.figure(figsize=(width_in, height_in), layout="constrained")
+        try:
+            draw(figure)
+            buffer = io.StringIO()
+            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": "pmac-comp"})
+        finally:
+            plt.close(figure)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def thin(values: FloatArray) -> FloatArray:
+    """Fewer points for a curve: minimum and maximum of each stretch, so that no peak is lost."""
+    if values.size <= _MOST_POINTS:
+        return values
+    parts = np.array_split(values, _MOST_POINTS // 2)
+    return np.concatenate([[part.min(), part.max()] for part in parts])
+
+
+def thin_pair(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Curve with fewer points that keeps every peak."""
+    if y.size <= _MOST_POINTS:
+        return x, y
+    parts = np.array_split(np.arange(y.size), _MOST_POINTS // 2)
+    keep = np.concatenate([sorted((p[np.argmin(y[p])], p[np.argmax(y[p])])) for p in parts])
+    return x[keep], y[keep]
+
+
+def error_traces(before: ErrorSignals, after: ErrorSignals, position_m: FloatArray) -> str:
+    """Mechanical, control and total error of one motion, before and after."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(4, 1, sharex=True, height_ratios=[0.7, 1.0, 1.0, 1.0])
+        axes[0].plot(*thin_pair(after.time_s, position_m * MM_PER_M), color="#55554f", lw=0.9)
+        axes[0].set_ylabel("command\nmm")
+        names = ("mechanical_m", "control_m", "total_m")
+        labels = ("mechanical\num", "control\num", "total\num")
+        for axis, name, label in zip(axes[1:], names, labels, strict=True):
+            for signals, colour, word in ((before, BEFORE, "before"), (after, AFTER, "after")):
+                curve = thin_pair(signals.time_s, getattr(signals, name) * UM_PER_M)
+                axis.plot(*curve, color=colour, lw=0.8, label=word)
+            axis.set_ylabel(label)
+        axes[1].legend(loc="upper right", ncols=2)
+        axes[-1].set_xlabel("time s")
+
+    return svg(draw, 7.2, 5.0)
+
+
+def spectra(before: ErrorSignals, after: ErrorSignals) -> str:
+    """Amplitude spectral density of mechanical and total error, before and after."""
+    from scipy.signal import welch
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, name, title in zip(
+            axes, ("mechanical_m", "total_m"), ("mechanical error", "total error"), strict=True
+        ):
+            for signals, colour, word in ((before, BEFORE, "before"), (after, AFTER, "after")):
+                values = getattr(signals, name) * UM_PER_M
+                rate = 1.0 / (signals.time_s[1] - signals.time_s[0])
+                size = min(values.size, 2048)
+                frequency, density = welch(values, rate, nperseg=size)
+                axis.loglog(frequency[1:], np.sqrt(density[1:]), color=colour, lw=0.9, label=word)
+            axis.set_title(title, fontsize=8.5)
+            axis.set_xlabel("frequency Hz")
+        axes[0].set_ylabel("um / sqrt(Hz)")
+        axes[0].legend()
+
+    return svg(draw, 7.2, 2.4)
+
+
+def lead_figure(lead: LeadMap, table: Callable[[FloatArray], FloatArray] | None) -> str:
+    """Lead-error map, what the table takes away, and the reversal error."""
+
+    def draw(figure: Figure) -> None:
+        top, low = figure.subplots(2, 1, sharex=True)
+        x = lead.position_m * MM_PER_M
+        top.plot(x, lead.error_m * UM_PER_M, color=BEFORE, lw=0.9, label="lead error (mean)")
+        if table is not None:
+            left = (lead.error_m + table(lead.position_m)) * UM_PER_M
+            top.plot(x, left, color=AFTER, lw=0.9, label="with the table")
+        top.set_ylabel("um")
+        top.legend()
+        low.plot(x, lead.reversal_m * UM_PER_M, color=PROMISE, lw=0.8)
+        low.set_ylabel("forward -\nbackward um")
+        low.set_xlabel("table position mm")
+
+    return svg(draw, 7.2, 3.4)
+
+
+def summary_bars(rows: Sequence[tuple[str, float, float, float | None]]) -> str:
+    """Mechanical error before and after per motion with the promise as a mark."""
+
+    def draw(figure: Figure) -> None:
+        axis: Axes = figure.subplots()
+        place = np.arange(len(rows))
+        axis.barh(place + 0.2, [r[1] for r in rows], 0.36, color=BEFORE, label="before")
+        axis.barh(place - 0.2, [r[2] for r in rows], 0.36, color=AFTER, label="after")
+        marked = [(p, r[3]) for p, r in zip(place, rows, strict=True) if r[3] is not None]
+        if marked:
+            axis.plot(
+                [m[1] for m in marked],
+                [m[0] - 0.2 for m in marked],
+                "|",
+                color=PROMISE,
+                ms=12,
+                mew=2,
+                label="promised by the model",
+            )
+        axis.set_yticks(place, [r[0] for r in rows])
+        axis.invert_yaxis()
+        axis.set_xlabel("mechanical error, um rms")
+        axis.grid(visible=False, axis="y")
+        axis.legend(loc="lower right")
+
+    return svg(draw, 7.2, 0.8 + 0.5 * len(rows))
+
+
+def residual_figure(
+    time_s: FloatArray, channels: Sequence[tuple[str, FloatArray, str]], title: str
+) -> str:
+    """Residuals of one capture over time, channel by channel (name, values, unit)."""
+
+    def draw(figure: Figure) -> None:
+        axes = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
+        for axis, (name, values, unit) in zip(axes, channels, strict=True):
+            axis.plot(*thin_pair(time_s, np.nan_to_num(values)), color=PROMISE, lw=0.7)
+            axis.set_ylabel(f"{name}\n{unit}")
+        axes[0].set_title(title, fontsize=8.5, loc="left")
+        axes[-1].set_xlabel("time s")
+
+    return svg(draw, 7.2, 0.7 + 1.1 * len(channels))
+
+
+def scatter_figure(
+    x: FloatArray, y: FloatArray, xlabel: str, ylabel: str, title: str = ""
+) -> str:
+    """Where a residual lives: values against a coordinate with their running mean."""
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        step = max(1, x.size // 4000)
+        axis.plot(x[::step], y[::step], ".", color="#9aa7b8", ms=1.5, rasterized=True)
+        edges = np.linspace(x.min(), x.max(), 61)
+        index = np.clip(np.digitize(x, edges) - 1, 0, 59)
+        count = np.bincount(index, minlength=60)
+        mean = np.bincount(index, y, 60) / np.maximum(count, 1)
+        centre = 0.5 * (edges[1:] + edges[:-1])
+        good = count > 5
+        axis.plot(centre[good], mean[good], color=BEFORE, lw=1.4, label="mean")
+        axis.set_xlabel(xlabel)
+        axis.set_ylabel(ylabel)
+        axis.set_title(title, fontsize=8.5, loc="left")
+
+    return svg(draw, 7.2, 2.4)
+
+
+def save_difference_plot(result: Mapping[str, Any], path: Path) -> None:
+    """Old against new table correction over position, as SVG or PNG by the suffix."""
+    with mpl.rc_context(dict(_STYLE)):
+        figure, axis = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
+        axis.plot(result["position_mm"], result["old_um"], color=BEFORE, label="on the controller")
+        axis.plot(result["position_mm"], result["new_um"], color=AFTER, label="new")
+        axis.set_xlabel("table position mm")
+        axis.set_ylabel("correction um")
+        axis.legend()
+        figure.savefig(path)
+        plt.close(figure)
