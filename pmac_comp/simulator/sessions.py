@@ -21,6 +21,7 @@ from pmac_comp.machine.wire.ethernet import (
     Request,
     RequestCode,
     RequestReader,
+    read_datagram,
 )
 from pmac_comp.simulator.ports import Port
 
@@ -96,6 +97,21 @@ class EthernetSession:
                 self._refuse(str(refusal))
                 break
         return found
+
+    def datagram(self, data: bytes) -> list[bytes]:
+        """Answer to the one request of a datagram; what is no request is dropped."""
+        event = read_datagram(data)
+        if isinstance(event, Malformed):
+            return []
+        try:
+            return [self.answer(event)]
+        except Refused:
+            return []
+
+    @property
+    def half_received(self) -> bool:
+        """Whether the rest of a request is awaited."""
+        return self._reader.pending > 0
 
     def _refuse(self, reason: str) -> None:
         self.reason = reason

@@ -1,0 +1,417 @@
+"""Servers of the simulated card: packet port over TCP and UDP, ASCII port, pseudo terminal.
+
+One event loop serves all clients and lets simulated time pass between their requests, so a request
+never meets a half-finished servo cycle. Limits per client and per server keep hostile or dead
+clients from taking memory or time (connections, bytes not yet read, half-sent requests).
+
+``serve`` runs until it is stopped; ``running_server`` runs it in a thread for as long as a ``with``
+block lasts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pmac_comp.base.errors import ConfigError, ConnectFailed
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
+
+MOST_CLIENTS = 32
+MOST_UNSENT_BYTES = 1_000_000
+HALF_REQUEST_TIMEOUT_s = 30.0
+_TICK_s = 0.005
+_MAX_CHUNK_CYCLES = 300
+_LONGEST_LAG_s = 0.25
+_PTY_READ = 4096
+
+Session = EthernetSession | AsciiSession
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """What to serve; see ``pmac-comp sim --help``.
+
+    Parameters
+    ----------
+    tcp, udp, ascii_port : int or None
+        Port numbers, 0 for any free one, None for none.
+    pty : bool
+        Serial line on a pseudo terminal.
+    host : str
+        Address to listen on.
+    speed : str
+        ``real``, a factor, or ``max``.
+    force : Path or None
+        CSV file with ``time_s,force_N``.
+    """
+
+    tcp: int | None = None
+    udp: int | None = None
+    ascii_port: int | None = None
+    pty: bool = False
+    host: str = "127.0.0.1"
+    speed: str = "real"
+    force: Path | None = None
+
+    @property
+    def factor(self) -> float:
+        """Multiple of real time, infinite for ``max``."""
+        if self.speed == "real":
+            return 1.0
+        if self.speed == "max":
+            return float("inf")
+        try:
+            factor = float(self.speed)
+        except ValueError as error:
+            raise ConfigError(f"--speed takes real, max or a factor, not '{self.speed}'") from error
+        if not factor > 0.0:
+            raise ConfigError(f"--speed must be above zero, not '{self.speed}'")
+        return factor
+
+
+class _StreamClient(asyncio.Protocol):
+    """One TCP client of the packet port or of the ASCII port."""
+
+    def __init__(self, server: SimulatorServer, make: Callable[[Card], Session]) -> None:
+        self.server = server
+        self.make = make
+        self.session: Session | None = None
+        self.transport: asyncio.Transport | None = None
+        self.timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the client, or turn it away when there are too many."""
+        if not isinstance(transport, asyncio.Transport):
+            raise TypeError("stream transport expected")
+        self.transport = transport
+        if len(self.server.clients) >= MOST_CLIENTS:
+            transport.abort()
+            return
+        transport.set_write_buffer_limits(high=MOST_UNSENT_BYTES)
+        self.session = self.make(self.server.card)
+        self.server.clients.add(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Answer what is complete."""
+        if self.session is None or self.transport is None:
+            return
+        if isinstance(self.session, EthernetSession):
+            # One send per answer: clients read an answer with one receive.
+            for answer in self.session.answers(data):
+                self.transport.write(answer)
+        else:
+            self.transport.write(self.session.receive(data))
+        if self.transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
+            self.transport.abort()
+        elif self.session.closed:
+            self.transport.close()
+        self._watch_half_request()
+
+    def _watch_half_request(self) -> None:
+        if self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
+        if isinstance(self.session, EthernetSession) and self.session.half_received:
+            loop = asyncio.get_running_loop()
+            self.timer = loop.call_later(HALF_REQUEST_TIMEOUT_s, self._drop)
+
+    def _drop(self) -> None:
+        if self.transport is not None:
+            self.transport.abort()
+
+    def flush_announcements(self) -> None:
+        """Send what programs said meanwhile."""
+        if isinstance(self.session, AsciiSession) and self.transport is not None:
+            said = self.session.pending()
+            if said:
+                self.transport.write(said)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the client."""
+        del exc
+        if self.timer is not None:
+            self.timer.cancel()
+        if self.session is not None:
+            self.session.close()
+        self.server.clients.discard(self)
+
+
+class _DatagramPort(asyncio.DatagramProtocol):
+    """Packet port over UDP: one request per datagram, addressing kept per peer."""
+
+    def __init__(self, server: SimulatorServer) -> None:
+        self.server = server
+        self.transport: asyncio.DatagramTransport | None = None
+        self.sessions: dict[Any, EthernetSession] = {}
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keep the socket."""
+        self.transport = cast("asyncio.DatagramTransport", transport)
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        """Answer one datagram; what is no request is dropped."""
+        session = self.sessions.pop(addr, None) or EthernetSession(self.server.card)
+        answers = session.datagram(data)
+        if session.closed:
+            return
+        self.sessions[addr] = session
+        if len(self.sessions) > MOST_CLIENTS:
+            oldest = next(iter(self.sessions))
+            self.sessions.pop(oldest).close()
+        if self.transport is not None:
+            for answer in answers:
+                self.transport.sendto(answer, addr)
+
+
+class _PseudoTerminal:
+    """Serial line of the card on a pseudo terminal."""
+
+    def __init__(self, card: Card) -> None:
+        self.session = AsciiSession(card)
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.master, False)
+        self.path = os.ttyname(self.slave)
+        self.unsent = bytearray()
+
+    def readable(self) -> None:
+        """Take characters from the line."""
+        try:
+            data = os.read(self.master, _PTY_READ)
+        except (BlockingIOError, OSError):
+            return
+        self.send(self.session.receive(data))
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line; what nobody reads is dropped beyond the limit."""
+        self.unsent += data
+        del self.unsent[MOST_UNSENT_BYTES:]
+        with contextlib.suppress(BlockingIOError, OSError):
+            while self.unsent:
+                done = os.write(self.master, bytes(self.unsent[:_PTY_READ]))
+                del self.unsent[:done]
+
+    def close(self) -> None:
+        """Give the line back."""
+        self.session.close()
+        os.close(self.master)
+        os.close(self.slave)
+
+
+@dataclass
+class SimulatorServer:
+    """All ports of one card.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    options : ServeOptions
+        What to serve.
+    """
+
+    card: Card
+    options: ServeOptions
+    clients: set[_StreamClient] = field(default_factory=set)
+    endpoints: dict[str, str] = field(default_factory=dict)
+
+    async def run(self, ready: Callable[[dict[str, str]], None], stop: asyncio.Event) -> None:
+        """Serve until `stop` is set; `ready` is called with the endpoints once they listen."""
+        loop = asyncio.get_running_loop()
+        self._schedule_force()
+        warm_up(self.card)
+        async with contextlib.AsyncExitStack() as stack:
+            try:
+                await self._open(loop, stack)
+            except OSError as error:
+                raise ConnectFailed(
+                    f"cannot listen on {self.options.host}: {error}",
+                    hint="Choose another port, or 0 for any free one.",
+                ) from error
+            ready(self.endpoints)
+            pacer = asyncio.create_task(self._pass_time())
+            stopper = asyncio.create_task(stop.wait())
+            done, _ = await asyncio.wait({pacer, stopper}, return_when=asyncio.FIRST_COMPLETED)
+            pacer.cancel()
+            stopper.cancel()
+            for client in list(self.clients):
+                if client.transport is not None:
+                    client.transport.abort()
+            if pacer in done:
+                pacer.result()
+
+    async def _open(
+        self, loop: asyncio.AbstractEventLoop, stack: contextlib.AsyncExitStack
+    ) -> None:
+        options, host = self.options, self.options.host
+        if options.tcp is not None:
+            port = await self._listen(loop, stack, options.tcp, EthernetSession)
+            self.endpoints["tcp"] = f"tcp://{host}:{port}"
+        if options.ascii_port is not None:
+            port = await self._listen(loop, stack, options.ascii_port, AsciiSession)
+            self.endpoints["ascii"] = f"tcp://{host}:{port}?dialog=ascii"
+        if options.udp is not None:
+            transport, _ = await loop.create_datagram_endpoint(
+                lambda: _DatagramPort(self), local_addr=(host, options.udp)
+            )
+            stack.callback(transport.close)
+            port = transport.get_extra_info("sockname")[1]
+            self.endpoints["udp"] = f"udp://{host}:{port}"
+        if options.pty:
+            terminal = _PseudoTerminal(self.card)
+            loop.add_reader(terminal.master, terminal.readable)
+            stack.callback(terminal.close)
+            stack.callback(loop.remove_reader, terminal.master)
+            self.terminal = terminal
+            self.endpoints["pty"] = f"serial://{terminal.path}"
+
+    async def _listen(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        stack: contextlib.AsyncExitStack,
+        port: int,
+        make: Callable[[Card], Session],
+    ) -> int:
+        server = await loop.create_server(
+            lambda: _StreamClient(self, make), self.options.host, port, backlog=128
+        )
+        stack.callback(server.close)
+        return int(server.sockets[0].getsockname()[1])
+
+    def _schedule_force(self) -> None:
+        if self.options.force is None:
+            return
+        try:
+            table = np.genfromtxt(self.options.force, delimiter=",", names=True)
+            time_s, force_N = np.atleast_1d(table["time_s"]), np.atleast_1d(table["force_N"])
+        except (OSError, ValueError, IndexError) as error:
+            raise ConfigError(
+                f"The force schedule {self.options.force} needs columns time_s,force_N: {error}."
+            ) from error
+        if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(force_N))):
+            raise ConfigError(f"The force schedule {self.options.force} holds values not finite.")
+        self.card.servo.set_force_schedule(time_s, force_N)
+
+    # --- time -----------------------------------------------------------------------------------
+
+    async def _pass_time(self) -> None:
+        factor = self.options.factor
+        if factor == float("inf"):
+            while True:
+                self.card.run_cycles(_MAX_CHUNK_CYCLES)
+                self._announce()
+                await asyncio.sleep(0)
+        loop = asyncio.get_running_loop()
+        period_s = self.card.bench.servo_period_s / factor
+        start_s, start_cycles = loop.time(), self.card.cycles
+        while True:
+            due = int((loop.time() - start_s) / period_s)
+            behind = due - (self.card.cycles - start_cycles)
+            if behind * period_s > _LONGEST_LAG_s:
+                # The machine cannot keep up: time slips rather than clients starve.
+                slipped = behind - int(_LONGEST_LAG_s / period_s)
+                start_cycles -= slipped
+                behind -= slipped
+            if behind > 0:
+                self.card.run_cycles(min(behind, _MAX_CHUNK_CYCLES))
+            self._announce()
+            await asyncio.sleep(0 if behind > _MAX_CHUNK_CYCLES else _TICK_s)
+
+    def _announce(self) -> None:
+        for client in self.clients:
+            client.flush_announcements()
+        terminal = getattr(self, "terminal", None)
+        if terminal is not None:
+            terminal.send(terminal.session.pending())
+
+
+def warm_up(card: Card) -> None:
+    """Compile what the first cycles need, so that the first client does not wait for it."""
+    card.run_cycles(2)
+
+
+def serve(
+    card: Card,
+    options: ServeOptions,
+    *,
+    ready: Callable[[str], None] = print,
+) -> None:
+    """Serve a card until interrupted or terminated.
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    options : ServeOptions
+        What to serve.
+    ready : callable
+        Receives one line of JSON with the endpoints once all of them listen.
+
+    Raises
+    ------
+    ConnectFailed
+        A port cannot be opened.
+    """
+
+    async def main() -> None:
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, stop.set)
+
+        def announce(endpoints: dict[str, str]) -> None:
+            ready(json.dumps({"ready": True, "speed": options.speed, **endpoints}))
+
+        await SimulatorServer(card, options).run(announce, stop)
+
+    asyncio.run(main())
+
+
+@contextlib.contextmanager
+def running_server(card: Card, options: ServeOptions) -> Iterator[dict[str, str]]:
+    """Serve a card in a thread; gives the endpoints by kind."""
+    listening = threading.Event()
+    endpoints: dict[str, str] = {}
+    failure: list[BaseException] = []
+    control: dict[str, Any] = {}
+
+    def announce(found: dict[str, str]) -> None:
+        endpoints.update(found)
+        listening.set()
+
+    async def main() -> None:
+        control["stop"] = asyncio.Event()
+        control["loop"] = asyncio.get_running_loop()
+        await SimulatorServer(card, options).run(announce, control["stop"])
+
+    def body() -> None:
+        try:
+            asyncio.run(main())
+        except (ConnectFailed, ConfigError) as error:
+            failure.append(error)
+        finally:
+            listening.set()
+
+    thread = threading.Thread(target=body, name="simulated card", daemon=True)
+    thread.start()
+    listening.wait()
+    if failure:
+        raise failure[0]
+    try:
+        yield endpoints
+    finally:
+        if thread.is_alive():
+            control["loop"].call_soon_threadsafe(control["stop"].set)
+        thread.join(timeout=10.0)
