@@ -43,6 +43,7 @@ def _stribeck(par: FloatArray, values: Values) -> None:
 def _stribeck_motor(par: FloatArray, values: Values) -> None:
     par[k.P_STRIBECK_MOTOR] = values["excess_Nm"]
     par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
+    par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
 
 
 def _presliding_at(place: str) -> Callable[[FloatArray, Values], None]:
