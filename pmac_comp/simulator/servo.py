@@ -161,7 +161,9 @@ class Servo(Motors):
     def boot(self) -> None:
         """Power-up: every motor killed at its present place, nothing moves, positions zero."""
         memory = self.memory
+        servo_present = self._head[ks.H_SERVO]  # in program memory, which a reset does not touch
         self._head[:] = 0
+        self._head[ks.H_SERVO] = servo_present
         self._head[ks.H_DIRTY] = memory.dirty[0] - 1
         self.motor_memory[:] = 0.0
         self._ectmem[:] = 0.0

@@ -221,6 +221,12 @@ def install_law(
     with host_lock(context), _explained(ControllerState.DISABLED):
         block = context.block
         done: list[str] = []
+        if int(read_many(link, [f"I{motor}59"])[f"I{motor}59"]) & 1:
+            raise MotorNotSafe(
+                f"The open servo has the law already (I{motor}59 = 1): PLC 0 would correct twice.",
+                code="PC-LAW-032",
+                hint=f"Use --route servo, or set I{motor}59 = 0 with the motor killed.",
+            )
         program, guard = law_program(block, motor), guard_program(block)
         head = read_law_head(link, block)
         if programs.is_present(link, program) and head.motor == motor:
@@ -254,12 +260,17 @@ def _require_quiet(link: Link, head: LawHead, motor: int) -> None:
 
 
 def _write_law(link: Link, context: Context, motor: int, program: Program, ramp_s: float) -> None:
+    link.write_buffer(definition_lines(motor))
+    _write_head(link, context, motor, ramp_s)
+    programs.download(link, program)
+
+
+def _write_head(link: Link, context: Context, motor: int, ramp_s: float) -> None:
+    """Head of the block for a motor, banks and working variables empty; only while disarmed."""
     block = context.block
-    first = block.p(0)
+    first, work = block.p(0), block.p(Index.WORK_PLC)
     i08 = read_many(link, [f"I{motor}08"])[f"I{motor}08"]
-    link.write_buffer([*definition_lines(motor), f"P{first}..{first + 69}=0"])
-    work = block.p(Index.WORK_PLC)
-    link.write_buffer([f"P{work}..{first + 199}=0"])
+    link.write_buffer([f"P{first}..{first + Index.MANIFEST - 1}=0", f"P{work}..{first + 199}=0"])
     write_many(
         link,
         {
@@ -271,7 +282,6 @@ def _write_law(link: Link, context: Context, motor: int, program: Program, ramp_
             f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
         },
     )
-    programs.download(link, program)
 
 
 def _follow_master_word(link: Link, context: Context, motor: int, done: list[str]) -> None:
@@ -298,18 +308,38 @@ def _follow_master_word(link: Link, context: Context, motor: int, done: list[str
     done.append(f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode")
 
 
-def require_open_servo(link: Link, context: Context, motor: int) -> None:
-    """Refuse the route ``servo`` unless the expected open servo proves to run.
+def require_open_servo(
+    link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
+) -> None:
+    """Refuse the route ``servo`` unless the expected open servo proves to run for a motor.
+
+    PLC 0 is disabled first (two algorithms must not correct at once), and the head of the block
+    is set up if it is not yet this motor's.
 
     Raises
     ------
     TableStateError
         No signature: says what to do.
+    MotorNotSafe
+        A law is armed in PLC 0, or the block must be set up while the motor moves.
     """
-    mode = int(read_many(link, [f"I{motor}59"])[f"I{motor}59"])
-    if mode & 1 and is_running(link, context.block, context.servo_period_s) is LawForm.SERVO:
-        return
-    raise TableStateError(
+    with host_lock(context), _explained(ControllerState.OLD):
+        mode = int(read_many(link, [f"I{motor}59"])[f"I{motor}59"])
+        if not mode & 1:
+            raise _no_servo(context, motor, mode)
+        head = read_law_head(link, context.block)
+        if head.form is LawForm.PLC:
+            _require_quiet(link, head, motor)
+            link.command("DISABLE PLC 0")
+        if head.motor != motor or head.slew == 0.0:
+            _require_quiet(link, head, motor)
+            _write_head(link, context, motor, ramp_s)
+        if is_running(link, context.block, context.servo_period_s) is not LawForm.SERVO:
+            raise _no_servo(context, motor, mode)
+
+
+def _no_servo(context: Context, motor: int, mode: int) -> TableStateError:
+    return TableStateError(
         f"The open servo does not run for motor #{motor} "
         f"(I{motor}59 = {mode}, no signature {SIGNATURE_SERVO} in P{context.block.p(0)}).",
         code="PC-LAW-024",

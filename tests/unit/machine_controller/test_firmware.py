@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pmac_comp.base.errors import MotorNotSafe, TableStateError
+from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import data_folder, firmware_path
 from pmac_comp.machine.controller import gather, law_upload, motion, programs, transaction
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
+from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 UNIT = 3072.0  # 32 * I108
@@ -123,6 +126,42 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
     settled = np.flatnonzero(np.abs(commanded - commanded[0]) > 500)[0]
     assert np.max(np.abs(deviation[settled : n - shift])) < 0.03
     assert np.max(np.abs(word)) > 5.0
+
+
+def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
+    paper = load_bench("paper")
+    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
+    bench.link.command("I159=1")
+    bench.link.command("#1J/")
+    law_upload.require_open_servo(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LAW)
+    law_upload.arm(bench.link, bench.context)
+    path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, paper.servo_period_s) / 0.5))
+    plan = motion.pvt_program(path, paper.servo_period_s, segment_ms=5.0)
+    bench.link.write_buffer(motion.axis_lines(1))
+    programs.download(bench.link, plan.program)
+    motion.start(bench.link, plan.program.number)
+    commanded, sent = [], []
+    for _ in range(6000):
+        bench.card.run_cycles(1)
+        commanded.append(bench.card.variables.read("M", 161) / UNIT)
+        sent.append((bench.p(7139), bench.p(7140)))
+    assert np.ptp(commanded) > 3900
+    expected = evaluate(LAW, np.array(commanded), clamp_ct=60.0)
+    moving = np.flatnonzero(np.abs(np.array(commanded)) > 500)[0]
+    correction, torque = np.array(sent).T
+    assert np.max(np.abs(correction - expected.correction_ct)[moving:]) < 0.03
+    assert np.max(np.abs(torque - expected.torque_dac)[moving:]) < 2.0
+
+
+def test_two_algorithms_are_refused(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    with pytest.raises(TableStateError, match="open servo does not run"):
+        law_upload.require_open_servo(bench.link, bench.context, 1)
+    bench.link.command("I159=1")
+    with pytest.raises(MotorNotSafe, match="correct twice"):
+        law_upload.install_law(bench.link, bench.context, 1)
 
 
 def find_shift(a: np.ndarray, b: np.ndarray) -> int:
