@@ -593,9 +593,8 @@ class Card:
         self._queue.clear()
         self.programs.clear_all()
         self.rotary.delete_all()
+        self.variables.set_factory_memory()
         self._fixed_registers()
-        self.variables.set_factory_values()
-        self.variables.set_suggested_definitions()
         damaged = self._restore()
         self._after_restore()
         if damaged:

@@ -133,13 +133,8 @@ class EthernetSession:
     def _run(self, request: Request) -> None:
         """Execute the text of a request; its answer waits."""
         self._waiting.clear()  # a new command drops what was not read
-        text = request.payload.rstrip(b"\x00\n\r")
-        self._waiting += self.port.receive(text)
-        if not text or text[-1] >= 0x20 or len(text) > 1:
-            self._waiting += self.port.receive(b"\r")
-        elif request.payload[-1:] in (b"\n", b"\r"):
-            # A lone control character with a line end: the empty line behind it is acknowledged.
-            self._waiting += self.port.receive(b"\r")
+        # The interface adds the CR, so a lone control character is acknowledged, too.
+        self._waiting += self.port.receive(request.text + b"\r")
 
     def _get_response(self, request: Request) -> bytes:
         self._run(request)

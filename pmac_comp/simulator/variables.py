@@ -7,6 +7,10 @@ M-variables, factory values. Source: Turbo PMAC Software Reference Manual p. 327
 from __future__ import annotations
 
 import re
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import vm
@@ -27,7 +31,7 @@ class Variables:
 
     def __init__(self, memory: Memory) -> None:
         self.memory = memory
-        self.imap, self.iscale = compiled_table()
+        self.imap, self.iscale = _shared_table()
 
     # --- values ---------------------------------------------------------------------------------
 
@@ -167,8 +171,15 @@ class Variables:
         for number in range(8192):
             self.default_i(number)
         for cs in range(1, r.COORDINATE_SYSTEMS + 1):
-            self.memory.y[r.cs_base(cs)] = r.Q_VARIABLES
+            self.memory.y[r.cs_base(cs)] = r.Q_VARIABLES + 512 * (cs - 1)
         self.memory.x[r.P_BASE] = r.P_VARIABLES
+
+    def set_factory_memory(self) -> None:
+        """Give a cleared memory its factory values and suggested definitions."""
+        x, y = _factory_words()
+        self.memory.x[: len(x)] = x
+        self.memory.y[: len(y)] = y
+        self.memory.touch()
 
     def set_suggested_definitions(self) -> None:
         """Define the M-variables as the maker suggests for Turbo PMAC2; the rest are ``*``."""
@@ -176,6 +187,21 @@ class Variables:
             self.define_m(number, vm.M_SELF, 0)
         for number, text in suggested_definitions().items():
             self.define_m_text(number, text)
+
+
+@cache
+def _shared_table() -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    return compiled_table()
+
+
+@cache
+def _factory_words() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Words of a memory with factory values and suggested definitions only."""
+    variables = Variables(Memory())
+    variables.set_factory_values()
+    variables.set_suggested_definitions()
+    end = r.USER_BUFFER_START
+    return variables.memory.x[:end].copy(), variables.memory.y[:end].copy()
 
 
 def _pack_field(parts: list[str]) -> int:
