@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
 
 SCAN_BUDGET = 200_000
+SCAN_EVENTS = 64  # statements for the rest of the card: a program that enables itself makes no end
 EXECUTION_ERROR = 1 << 23
 Doer = Callable[[Statement, tuple[float, ...], Context], None]
 
@@ -117,15 +118,16 @@ class Plcs:
         if program.assembled is None:
             return
         context = self.contexts[number]
-        budget = SCAN_BUDGET
+        budget, events_left = SCAN_BUDGET, SCAN_EVENTS
         while budget > 0:
             status = self.card.machine.run(program.assembled.compiled, context, budget)
             budget -= int(context.state[vm.S_STEPS])
             for index, arguments in context.take_events():
                 self._do(program.statements[index], arguments, context, number)
+                events_left -= 1
             if status != vm.EVENTS:
                 break
-            if self.paused[number]:
+            if self.paused[number] or events_left <= 0:
                 return
         else:
             status = vm.OUT_OF_BUDGET
