@@ -294,10 +294,35 @@ def _dahl(
 
 
 @njit(cache=True, nogil=True)
+def _coulomb(change: float, speed: float, level: float, push: float) -> tuple[float, float]:
+    """Mean force and end force of ideal Coulomb friction over a substep.
+
+    ``change`` is what the speed would change by without the force and ``push`` the change per unit
+    of force. Speed is linear in time: a reversal ends in stick if the level can hold the drive.
+    """
+    hold = change / push
+    sign = 1.0 if speed > 0.0 else -1.0
+    if speed == 0.0:
+        end = min(max(hold, -level), level)
+        return end, end
+    last = speed + change - push * sign * level
+    if last * sign >= 0.0:
+        return sign * level, sign * level
+    share = speed / (speed - last)
+    end = min(max(hold, -level), level)
+    return share * sign * level + (1.0 - share) * end, end
+
+
+@njit(cache=True, nogil=True)
 def _slip_elements(
-    forces: FloatArray, par: FloatArray, moved: float, level: float, mobility: float
-) -> tuple[float, float]:
-    """Mean force of parallel slip elements over a substep (``forces`` is advanced), and shift."""
+    forces: FloatArray,
+    ends: FloatArray,
+    par: FloatArray,
+    moved: float,
+    level: float,
+    mobility: float,
+) -> float:
+    """Mean force of parallel slip elements over a substep; ``ends`` gets their end forces."""
     n = int(par[s.GMS_N])
     total = 0.0
     stiffness = 0.0
@@ -325,8 +350,8 @@ def _slip_elements(
     for i in range(n):
         top = par[s.GMS + 2 * i] * level
         end = forces[i] + top / par[s.GMS + 2 * i + 1] * shift
-        forces[i] = min(max(end, -top), top)
-    return mean, shift
+        ends[i] = min(max(end, -top), top)
+    return mean
 
 
 @njit(cache=True, nogil=True)
@@ -446,9 +471,14 @@ def run(
         wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * theta0 + par[s.WOBBLE + 2])
         z[3] += wobble_mid
     motor_torque = 0.0
-    force_guide = 0.0
-    force_nut = 0.0
-    force_motor = 0.0
+    # Friction at motor, nut and guide: force at the end of and mean over the last substep.
+    force = np.zeros(3)
+    mean = np.zeros(3)
+    end_force = np.zeros(3)
+    moved = np.zeros(3)
+    gained = np.zeros(3)
+    start = np.zeros(3)
+    slip_end = np.zeros(8)
     base_x = 0.0
     base_v = 0.0
     base_a = 0.0
@@ -709,8 +739,8 @@ def run(
                 # One Newton step on the mean deflection; a negative slope only helps.
                 guess = mean_delta
                 for _ in range(4):
-                    force, slope = joint_force(par, guess)
-                    miss = guess - mean_delta - gain * (-(force + base_force))
+                    pull, slope = joint_force(par, guess)
+                    miss = guess - mean_delta + gain * (pull + base_force)
                     change = miss / (1.0 + gain * slope) if 1.0 + gain * slope > 0.2 else miss
                     guess -= change
                     if abs(change) < 1e-13:
@@ -727,33 +757,69 @@ def run(
                     total += joint_force(par, pull)[0]
                 level_nut += par[s.NUT_LOAD] * rho * abs(total)
 
-            # ---- friction, solved with the displacement that it lets through
-            mean, force_motor = _site(
-                force_motor, zf[0] - z[0], level_motor, par, s.MOTOR, W[0, 8], h, z[4]
-            )
-            mean_nut, force_nut = _site(
-                force_nut, zf[1] - z[1], level_nut, par, s.NUT, W[1, 10], h, z[5]
-            )
+            # ---- friction, solved with the motion that it lets through: from the forces of the
+            # last substep, site by site, until they agree
+            for i in range(3):
+                row = 3 if i == 2 else i
+                moved[i] = zf[row] - z[row]
+                gained[i] = zf[4 + row] - z[4 + row]
+                start[i] = z[4 + row]
+                for j in range(3):
+                    column = 11 if j == 2 else (10 if j == 1 else 8)
+                    moved[i] -= W[row, column] * mean[j]
+                    gained[i] -= W[4 + row, column] * mean[j]
+            for _ in range(4):
+                largest = 0.0
+                for i in range(3):
+                    level = level_motor if i == 0 else (level_nut if i == 1 else level_guide)
+                    row = 3 if i == 2 else i
+                    column = 11 if i == 2 else (10 if i == 1 else 8)
+                    old = mean[i]
+                    free = moved[i] + W[row, column] * old
+                    if level <= 0.0:
+                        new = 0.0
+                        end_force[i] = 0.0
+                    elif i == 2 and n_gms > 0:
+                        new = _slip_elements(slip, slip_end, par, free, level, W[row, column])
+                    else:
+                        site = s.GUIDE if i == 2 else (s.NUT if i == 1 else s.MOTOR)
+                        push = W[4 + row, column]
+                        if par[site + s.BREAK] <= 0.0:
+                            new, end_force[i] = _coulomb(
+                                gained[i] + push * old, start[i], level, push
+                            )
+                        else:
+                            new, end_force[i] = _bristle(
+                                force[i], free, level, par, site, W[row, column], h, start[i]
+                            )
+                    step = new - old
+                    if step != 0.0:
+                        mean[i] = new
+                        largest = max(largest, abs(step) - 1e-6 * level)
+                        for j in range(3):
+                            other = 3 if j == 2 else j
+                            moved[j] -= W[other, column] * step
+                            gained[j] -= W[4 + other, column] * step
+                if largest <= 0.0:
+                    break
+            for i in range(3):
+                force[i] = end_force[i]
             if n_gms > 0:
-                mean_guide, _shift = _slip_elements(slip, par, zf[3] - z[3], level_guide, W[3, 11])
-                force_guide = 0.0
+                force[2] = 0.0
                 for i in range(n_gms):
-                    force_guide += slip[i]
-            else:
-                mean_guide, force_guide = _site(
-                    force_guide, zf[3] - z[3], level_guide, par, s.GUIDE, W[3, 11], h, z[7]
-                )
+                    slip[i] = slip_end[i]
+                    force[2] += slip_end[i]
             old_speed = z[7]
             for i in range(N_STATES):
-                z[i] = zf[i] - W[i, 8] * mean - W[i, 10] * mean_nut - W[i, 11] * mean_guide
+                z[i] = zf[i] - W[i, 8] * mean[0] - W[i, 10] * mean[1] - W[i, 11] * mean[2]
             table_a = (z[7] - old_speed) / h
             motor_torque = held + fade * fading
             if use_wobble and not rigid:
                 wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
             if level_guide > 0.0:
-                guide_state = force_guide / level_guide
+                guide_state = force[2] / level_guide
             if level_nut > 0.0:
-                nut_state = force_nut / level_nut
+                nut_state = force[1] / level_nut
 
             # ---- distance since reversal of the nut; a reversal is a return by 0.05 mrad
             if (z[1] - extreme) * heading >= 0.0:
@@ -767,7 +833,7 @@ def run(
 
 
 @njit(cache=True, nogil=True)
-def _site(
+def _bristle(
     force: float,
     moved: float,
     level: float,
@@ -777,9 +843,7 @@ def _site(
     h: float,
     speed: float,
 ) -> tuple[float, float]:
-    """Friction element of one site over a substep; bristle damping fades with speed."""
-    if level <= 0.0:
-        return 0.0, 0.0
+    """Bristle element of one site over a substep; its damping fades with speed."""
     bristle = par[site + s.BRISTLE]
     distance = par[site + s.BREAK]
     damping = 0.0

@@ -8,11 +8,6 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
 from pmac_comp.physics.model.parameters import parameter
 
-# Distance over which the level builds up. A reversal that is 0.2 ms late in force shows as 1 um at
-# the table, so it is far below any sensor step: true stick, as far as the loop can see.
-SHARP_m = 0.02e-6
-_BRISTLE_RATIO = 0.0  # no damping of its own: it would delay the change of sign
-
 
 def apply_bristle(vector: FloatArray, site: int, distance: float, ratio: float) -> None:
     """Break distance of a site and the bristle damping that belongs to it."""
@@ -27,13 +22,9 @@ def apply_bristle(vector: FloatArray, site: int, distance: float, ratio: float) 
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
-    for site, name, distance in (
-        (s.GUIDE, "guide_N", SHARP_m),
-        (s.NUT, "nut_Nm", SHARP_m / bench.lead_m_per_rad),
-        (s.MOTOR, "motor_Nm", SHARP_m / bench.lead_m_per_rad),
-    ):
+    for site, name in ((s.GUIDE, "guide_N"), (s.NUT, "nut_Nm"), (s.MOTOR, "motor_Nm")):
         vector[site + s.LEVEL] = values.get(name, 0.0)
-        apply_bristle(vector, site, distance, _BRISTLE_RATIO)
+        vector[site + s.BREAK] = 0.0  # true stick: the level acts at once
 
 
 _GUIDE = parameter(
