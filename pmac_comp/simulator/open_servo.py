@@ -330,19 +330,16 @@ class _Translator:
 
 
 def _field(parts: list[str]) -> tuple[int, int, int]:
-    """Offset, width and sign of an L pointer from what follows the address."""
-    signed = 1
-    if parts and parts[-1] in {"S", "U"}:
-        signed = 1 if parts.pop() == "S" else 0
+    """Offset, width and sign of an L pointer: whole words are signed, parts of them are not."""
+    sign = parts.pop() if parts and parts[-1] in {"S", "U"} else ""
     numbers = [int(part) for part in parts]
-    if not numbers:
-        return 0, 24, signed
-    if len(numbers) == 1:
-        return (0, 24, signed) if numbers[0] == 24 else (numbers[0], 1, 0)
-    offset, width = numbers[:2]
-    if width not in _WIDTHS or offset + width > 24:
+    if not numbers or numbers == [24]:
+        return 0, 24, int(sign != "U")
+    offset = numbers[0]
+    width = numbers[1] if len(numbers) > 1 else 1
+    if width not in _WIDTHS or offset + width > 24 or len(numbers) > 2:
         raise CardError(3, f"no field of {width} bits at bit {offset}")
-    return offset, width, signed
+    return offset, width, int(sign == "S" or (width == 24 and sign != "U"))
 
 
 def _integer(text: str) -> int:
