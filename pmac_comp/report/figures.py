@@ -171,9 +171,7 @@ def residual_figure(
     return svg(draw, 7.2, 0.7 + 1.1 * len(channels))
 
 
-def scatter_figure(
-    x: FloatArray, y: FloatArray, xlabel: str, ylabel: str, title: str = ""
-) -> str:
+def scatter_figure(x: FloatArray, y: FloatArray, xlabel: str, ylabel: str, title: str = "") -> str:
     """Where a residual lives: values against a coordinate with their running mean."""
 
     def draw(figure: Figure) -> None:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import CaptureError, MotorNotSafe, SampleGap
+from pmac_comp.base.errors import CaptureError, CommandRefused, MotorNotSafe, SampleGap
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Attribute, Capture
@@ -32,6 +32,8 @@ _TAIL_s = 0.15  # kept after the last
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _SETTLE_s = 0.3
+_START_ATTEMPTS = 10
+_ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 _MISMATCH_m = 2e-3  # encoder and scale further apart than this: something slipped
 
 
@@ -165,7 +167,7 @@ class Axis:
             return True
 
         def start() -> None:
-            self.link.command(f"&1B{PROGRAM_NUMBER}R")
+            self._start_program()
 
         if plan.mode is GatherMode.RING:
             result = gather.gather_ring(
@@ -180,6 +182,18 @@ class Axis:
             result = self._gather_ram(plan, duration_s, start)
         self._check_alive()
         return result
+
+    def _start_program(self) -> None:
+        """Run the program; a card that still ends the jog before refuses and changes nothing."""
+        for _ in range(_START_ATTEMPTS):
+            try:
+                self.link.command(f"&1B{PROGRAM_NUMBER}R")
+                return
+            except CommandRefused as error:
+                if error.context.get("error") != _ERR_MOVE_NOT_COMPLETED:
+                    raise
+                self.link.clock.sleep_s(0.02)
+        self.link.command(f"&1B{PROGRAM_NUMBER}R")
 
     def _gather_ram(
         self, plan: GatherPlan, duration_s: float, start: Callable[[], None]
@@ -246,7 +260,10 @@ class Axis:
             table_position_m=None if table is None else table[part],
             # The word gathered in a cycle is the output of that cycle.
             torque_command_Nm=torque[part],
-            attributes=self._attributes(motion),
+            attributes={
+                **self._attributes(motion),
+                "first_servo_cycle": int(result.servo_cycle[first]),
+            },
         )
 
     def _check_sensors(self, motor: FloatArray, table: FloatArray) -> None:

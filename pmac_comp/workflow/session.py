@@ -11,26 +11,6 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 
 
-class ScaledClock:
-    """Clock of a simulated card that runs faster than real time, seen from the host.
-
-    Waits are shortened by the factor, so that a host that talks to the card over a socket waits
-    in the card's time.
-    """
-
-    def __init__(self, clock: Clock, factor: float) -> None:
-        self._clock = clock
-        self._factor = factor
-
-    def now_s(self) -> float:
-        """Time of the card in s."""
-        return self._clock.now_s() * self._factor
-
-    def sleep_s(self, duration_s: float) -> None:
-        """Wait for a duration in s of the card's time."""
-        self._clock.sleep_s(duration_s / self._factor)
-
-
 @contextmanager
 def open_link(url: str, bench: Bench, *, clock: Clock | None = None) -> Iterator[Commander]:
     """Conversation with what a URL names, closed afterwards."""

@@ -4,12 +4,17 @@ What lives here: the clock that lets simulated time pass while the host waits, a
 handling of ``sim``. What may not: anything of the card itself.
 """
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.pair import PairTransport
@@ -39,6 +44,28 @@ class CardClock:
         self._left_s -= cycles * self._card.bench.servo_period_s
         if cycles:
             self._card.run_cycles(cycles)
+
+
+class ServedClock:
+    """Clock of a card that is served by another thread, at whatever speed it gets.
+
+    Waiting ends when the card's own time has passed, so a busy machine stretches the wait instead
+    of breaking the protocol's timing.
+    """
+
+    def __init__(self, card: "Card", step_s: float = 1e-3) -> None:
+        self._card = card
+        self._step_s = step_s
+
+    def now_s(self) -> float:
+        """Simulated time in s."""
+        return self._card.time_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Wait until simulated time has passed."""
+        until_s = self._card.time_s + max(0.0, duration_s)
+        while self._card.time_s < until_s:
+            time.sleep(self._step_s)
 
 
 def make_card(
@@ -93,3 +120,97 @@ def open_embedded(bench: Bench, endpoint: Endpoint) -> Iterator[Commander]:
 def default_servo() -> Path:
     """Source of the open servo that comes with the installation."""
     return firmware_path("feedforward_servo.txt")
+
+
+def serve_forever(
+    *,
+    tcp: int | None,
+    udp: int | None,
+    ascii_port: int | None,
+    pty: bool,
+    host: str,
+    bench: str,
+    plant: str | None,
+    servo: Path | None,
+    speed: str,
+    dpram: str | None,
+    flash: Path | None,
+    force: Path | None,
+    faults: bool,
+) -> None:
+    """Serve a card until it is stopped; prints one JSON line with the endpoints when ready."""
+    from pmac_comp.simulator.server import ServeOptions, serve
+
+    if tcp is None and udp is None and ascii_port is None and not pty:
+        tcp = 1025
+    card = make_card(load_bench(bench), plant=plant, servo=servo, dpram=dpram, flash=flash)
+    options = ServeOptions(
+        tcp=tcp, udp=udp, ascii_port=ascii_port, pty=pty, host=host, speed=speed, force=force
+    )
+    if faults:
+        raise ConfigError(
+            "This installation's card takes no commanded faults over its ports.",
+            code="PC-SIM-010",
+            hint="Fault tests run in process; leave --faults out.",
+        )
+    serve(card, options)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Unquantised positions of the plant of an embedded or served card, by servo cycle."""
+
+    motor_position_m: FloatArray
+    table_position_m: FloatArray
+    first_cycle: int
+
+    def of(self, capture: Capture) -> tuple[FloatArray, FloatArray] | None:
+        """True motor and table position in m at the samples of a capture, None if not recorded."""
+        start = int(capture.attributes.get("first_servo_cycle", -1)) - self.first_cycle
+        stop = start + capture.n
+        if start < 0 or stop > self.motor_position_m.size:
+            return None
+        return self.motor_position_m[start:stop], self.table_position_m[start:stop]
+
+
+class TruthRecorder:
+    """Records what the plant behind a card really does, for simulated cards only.
+
+    Parameters
+    ----------
+    card : Card
+        A card that has not run yet.
+    longest_s : float
+        Simulated time that the ring holds.
+    """
+
+    def __init__(self, card: "Card", longest_s: float = 600.0) -> None:
+        self._plant = card.servo.plant
+        self._lead = card.bench.lead_m_per_rad
+        cycles = int(longest_s / card.bench.servo_period_s)
+        self._record = getattr(self._plant, "record", None)
+        if callable(self._record):
+            self._record(cycles)
+
+    def truth(self) -> Truth | None:
+        """What was recorded; None if the plant does not record."""
+        if not callable(self._record):
+            return None
+        found = self._plant.recorded()
+        if found["cycle"].size == 0:
+            return None
+        return Truth(
+            found["motor_position_m"],
+            found["table_position_m"],
+            int(found["cycle"][0]),
+        )
+
+    def notes(self) -> tuple[str, ...]:
+        """What the plant holds that the bench file does not say, as far as it tells."""
+        effects = getattr(self._plant, "effects", None)
+        if not effects:
+            return ()
+        return tuple(
+            f"{name}: " + ", ".join(f"{key} {value}" for key, value in values.items())
+            for name, values in effects.items()
+        )
