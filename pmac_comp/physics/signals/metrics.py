@@ -1,0 +1,161 @@
+"""Figures of merit: rms and peak of an error, and accuracy of positioning after ISO 230-2.
+
+What lives here: pure functions of arrays. What may not: plots and verdicts. Imports ``base`` only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.errors import ModelError
+
+_COVERAGE = 2.0  # ISO 230-2: expanded range with coverage factor 2
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square, in the unit of the values; shape (n,)."""
+    array = finite_array("values", values)
+    top = float(np.max(np.abs(array)))
+    if top == 0.0:
+        return 0.0
+    # Scaled, so that squares neither overflow nor vanish.
+    return top * float(np.sqrt(np.mean((array / top) ** 2)))
+
+
+def peak(values: FloatArray) -> float:
+    """Largest magnitude, in the unit of the values; shape (n,)."""
+    return float(np.max(np.abs(finite_array("values", values))))
+
+
+def peak_to_peak(values: FloatArray) -> float:
+    """Largest minus smallest value; shape (n,)."""
+    array = finite_array("values", values)
+    return float(np.max(array) - np.min(array))
+
+
+def without_mean(values: FloatArray) -> FloatArray:
+    """Values less their mean, shape (n,)."""
+    array = finite_array("values", values)
+    return np.asarray(array - np.mean(array))
+
+
+def best_fit_rate(measured: FloatArray, simulated: FloatArray) -> float:
+    """Best fit rate in percent: 100 (1 - norm(residual) / norm(measured less its mean)).
+
+    Raises
+    ------
+    ModelError
+        Lengths differ or the measurement is constant.
+    """
+    first = finite_array("measured", measured, min_size=2)
+    second = finite_array("simulated", simulated, min_size=2)
+    _same_size(first, second)
+    spread = float(np.linalg.norm(first - np.mean(first)))
+    if spread == 0.0:
+        raise ModelError("measured is constant: its fit has no scale.", code="PC-MET-002")
+    return 100.0 * (1.0 - float(np.linalg.norm(first - second)) / spread)
+
+
+def relative_error_percent(measured: FloatArray, simulated: FloatArray) -> float:
+    """100 norm(measured - simulated) / norm(measured), the figure of the EMPS benchmark."""
+    first = finite_array("measured", measured)
+    second = finite_array("simulated", simulated)
+    _same_size(first, second)
+    size = float(np.linalg.norm(first))
+    if size == 0.0:
+        raise ModelError("measured is zero throughout.", code="PC-MET-002")
+    return 100.0 * float(np.linalg.norm(first - second)) / size
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """Results after ISO 230-2:2014, all in m; deviations are actual minus target.
+
+    Parameters
+    ----------
+    mean_up_m, mean_down_m : ndarray, shape (p,)
+        Mean deviation at each target, approached upwards and downwards.
+    reversal_m : ndarray, shape (p,)
+        Reversal value of each target (upwards minus downwards).
+    reversal_value_m, mean_reversal_m : float
+        B, the largest magnitude of the reversal values, and their mean.
+    repeatability_m : float
+        R, bidirectional.
+    systematic_m, mean_bidirectional_m : float
+        E, bidirectional systematic deviation, and M, range of the mean bidirectional deviation.
+    accuracy_m : float
+        A, bidirectional accuracy of positioning.
+    """
+
+    mean_up_m: FloatArray
+    mean_down_m: FloatArray
+    reversal_m: FloatArray
+    reversal_value_m: float
+    mean_reversal_m: float
+    repeatability_m: float
+    systematic_m: float
+    mean_bidirectional_m: float
+    accuracy_m: float
+
+
+def positioning(up_m: FloatArray, down_m: FloatArray) -> Positioning:
+    """Accuracy and repeatability of positioning from repeated approaches.
+
+    Parameters
+    ----------
+    up_m, down_m : ndarray, shape (runs, targets)
+        Deviation (actual minus target) in m per run and target, approached upwards and downwards.
+
+    Raises
+    ------
+    ModelError
+        Fewer than two runs, different shapes or not two-dimensional.
+    NonFinite
+        A deviation is not finite.
+
+    Source
+    ------
+    ISO 230-2:2014, clauses 3 and 8: estimators of the mean and standard deviation, B, R, E, M, A.
+    """
+    up, down = _runs("up_m", up_m), _runs("down_m", down_m)
+    if up.shape != down.shape:
+        raise ModelError(f"up_m has shape {up.shape}, down_m {down.shape}.", code="PC-MET-003")
+    mean_up, mean_down = up.mean(axis=0), down.mean(axis=0)
+    spread_up = _COVERAGE * up.std(axis=0, ddof=1)
+    spread_down = _COVERAGE * down.std(axis=0, ddof=1)
+    reversal = mean_up - mean_down
+    middle = 0.5 * (mean_up + mean_down)
+    means = np.stack([mean_up, mean_down])
+    spreads = np.stack([spread_up, spread_down])
+    # R at a target: the larger of both expanded ranges, and their overlap with the reversal.
+    each = np.stack([2.0 * spread_up, 2.0 * spread_down, spread_up + spread_down + abs(reversal)])
+    return Positioning(
+        mean_up_m=mean_up,
+        mean_down_m=mean_down,
+        reversal_m=reversal,
+        reversal_value_m=float(np.max(np.abs(reversal))),
+        mean_reversal_m=float(np.mean(reversal)),
+        repeatability_m=float(np.max(each)),
+        systematic_m=float(np.max(means) - np.min(means)),
+        mean_bidirectional_m=float(np.max(middle) - np.min(middle)),
+        accuracy_m=float(np.max(means + spreads) - np.min(means - spreads)),
+    )
+
+
+def _runs(name: str, value: FloatArray) -> FloatArray:
+    array = np.asarray(value)
+    if array.ndim != 2 or array.shape[0] < 2 or array.shape[1] < 1:
+        raise ModelError(
+            f"{name} has shape {array.shape}; at least two runs of one target are needed.",
+            code="PC-MET-001",
+            hint="Give one row per run and one column per target.",
+        )
+    return finite_array(name, array.ravel()).reshape(array.shape)
+
+
+def _same_size(first: FloatArray, second: FloatArray) -> None:
+    if first.size != second.size:
+        raise ModelError(
+            f"{first.size} measured and {second.size} simulated samples.", code="PC-MET-003"
+        )
