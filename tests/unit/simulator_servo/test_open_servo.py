@@ -88,7 +88,8 @@ def test_hand_over_registers(make_servo):
     "lines",
     [
         ("P1=L1",), ("L1=P1",), ("P1=L1+P2",), ("IF(0=L1)", "ENDIF", "P1=+2"), ("P1=F9",),
-        ("IF(P1=1)",), ("ENDIF",), ("ELSE",), ("CMD\"K\"",), ("X100",), ("P9999=1",), ("RETURN P1",),
+        ("IF(P1=1)",), ("ENDIF",), ("ELSE",), ("CMD\"K\"",), ("X100",), ("P9999=1",),
+        ("RETURN P1",),
     ],
 )  # fmt: skip
 def test_wrong_sources_are_refused_with_their_line(lines):
