@@ -31,9 +31,12 @@ if problem:
 out = {}
 
 def clock(name, count, act):
-    start = time.perf_counter()
-    act()
-    out[name] = count / (time.perf_counter() - start)
+    best = 0.0
+    for _ in range(3):
+        start = time.perf_counter()
+        act()
+        best = max(best, count / (time.perf_counter() - start))
+    out[name] = best
 
 def ask(count):
     for k in range(count):
@@ -50,10 +53,13 @@ print(json.dumps(out))
 
 
 def rate(count: int, act: Callable[[], object]) -> float:
-    """Times a second."""
-    start_s = time.perf_counter()
-    act()
-    return count / (time.perf_counter() - start_s)
+    """Times a second, best of three: other work on the machine only ever slows it."""
+    best = 0.0
+    for _ in range(3):
+        start_s = time.perf_counter()
+        act()
+        best = max(best, count / (time.perf_counter() - start_s))
+    return best
 
 
 def ours(port: int) -> dict[str, float]:
@@ -70,9 +76,9 @@ def ours(port: int) -> dict[str, float]:
             "download lines": rate(
                 LINES, lambda: commander.write_buffer([f"P{k % 1000}={k}" for k in range(LINES)])
             ),
-            "memory bytes": rate(1_400_000, lambda: commander.get_memory(0, 16_000) and None)
-            * 16_000
-            / 1_400_000,
+            "memory bytes": rate(
+                1_600_000, lambda: [commander.get_memory(0, 16_000) for _ in range(100)]
+            ),
         }
 
 

@@ -97,14 +97,14 @@ class Gateway:
                 link, _ = self._socket.accept()
             except OSError:
                 return
-            transport = paramiko.Transport(link)
-            transport.add_server_key(self.host_key)
-            self._transports.append(transport)
             server = _Server(self)
             try:
+                transport = paramiko.Transport(link)
+                self._transports.append(transport)
+                transport.add_server_key(self.host_key)
                 transport.start_server(server=server)
-            except (paramiko.SSHException, EOFError):
-                continue
+            except (paramiko.SSHException, EOFError, OSError):
+                continue  # a client that refused our key is gone before we are ready
             threading.Thread(target=self._serve, args=(transport, server), daemon=True).start()
 
     def _serve(self, transport: paramiko.Transport, server: _Server) -> None:

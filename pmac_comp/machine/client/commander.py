@@ -5,6 +5,7 @@ may take in total, and how refusals become errors. Imports the link, not the phy
 simulator.
 """
 
+import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -38,6 +39,9 @@ _T = TypeVar("_T")
 DEFAULT_TIMEOUT_S = 3.0
 BULK_LINE = 250
 """Longest line that bulk reads put together; the card's queue takes 255 characters."""
+LONGEST_RUN = 512
+"""Most values asked for in one line, so that its answer stays within some kilobytes."""
+_VARIABLE = re.compile(r"([IPQM])(\d+)")
 _FIRST_TRY = 0.5
 _PERHAPS_NOISE = (3, 4)
 """Errors with which an ASCII port refuses a question that noise has changed."""
@@ -214,12 +218,13 @@ class Commander:
         """
         answers: list[str] = []
         with self._lock:
-            for batch in line_batches(questions):
-                lines = self.query("".join(batch), timeout_s=timeout_s)
-                if len(lines) != len(batch):
+            for batch in line_batches(merged_runs(questions)):
+                lines = self.query("".join(text for text, _ in batch), timeout_s=timeout_s)
+                wanted = sum(count for _, count in batch)
+                if len(lines) != wanted:
                     raise RemoteProtocolError(
-                        f"{len(batch)} questions gave {len(lines)} lines",
-                        context={"questions": list(batch), "lines": lines},
+                        f"{wanted} questions gave {len(lines)} lines",
+                        context={"questions": [text for text, _ in batch], "lines": lines},
                     )
                 answers += lines
         return answers
@@ -441,16 +446,43 @@ class Commander:
         return reply
 
 
-def line_batches(questions: Iterable[str]) -> Iterator[list[str]]:
-    """Questions grouped so that each group fits one line."""
-    batch: list[str] = []
-    size = 0
+def merged_runs(questions: Iterable[str]) -> Iterator[tuple[str, int]]:
+    """Questions with the number of lines each gives; runs of variables become ranges.
+
+    ``P1 P2 P3`` is asked as ``P1..3``: the card reads one name instead of three.
+    """
+    kind, first, last = "", 0, 0
     for question in questions:
-        if batch and size + len(question) > BULK_LINE:
+        match = _VARIABLE.fullmatch(question)
+        number = int(match[2]) if match else 0
+        if match and match[1] == kind and number == last + 1 and number - first < LONGEST_RUN:
+            last = number
+            continue
+        if kind:
+            yield _run(kind, first, last)
+        kind, first, last = (match[1], number, number) if match else ("", 0, 0)
+        if not match:
+            yield question, 1
+    if kind:
+        yield _run(kind, first, last)
+
+
+def _run(kind: str, first: int, last: int) -> tuple[str, int]:
+    text = f"{kind}{first}" if first == last else f"{kind}{first}..{last}"
+    return text, last - first + 1
+
+
+def line_batches(questions: Iterable[tuple[str, int]]) -> Iterator[list[tuple[str, int]]]:
+    """Questions grouped so that each group fits one line and one answer of moderate size."""
+    batch: list[tuple[str, int]] = []
+    size = answers = 0
+    for question, count in questions:
+        if batch and (size + len(question) > BULK_LINE or answers + count > LONGEST_RUN):
             yield batch
-            batch, size = [], 0
-        batch.append(question)
+            batch, size, answers = [], 0, 0
+        batch.append((question, count))
         size += len(question)
+        answers += count
     if batch:
         yield batch
 

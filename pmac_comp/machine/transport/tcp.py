@@ -1,14 +1,16 @@
 """TCP to the packet port or to an ASCII port; also the socket part of the SSH tunnel."""
 
+import select
 import socket
 from typing import Protocol
 
-from pmac_comp.base.clock import Deadline
+from pmac_comp.base.clock import Deadline, VirtualClock
 from pmac_comp.base.errors import ConnectFailed, LinkLost, ReplyTimeout
 from pmac_comp.machine.transport.base import Framing
 
 RECEIVE_SIZE = 65536
 _SHORTEST_WAIT_S = 1e-3
+_AT_ONCE = Deadline(VirtualClock(), 0.0)
 
 
 class SocketLike(Protocol):
@@ -119,9 +121,58 @@ class SocketTransport:
         )
 
 
+class TcpTransport(SocketTransport):
+    """A TCP connection; the socket never blocks, waiting is done by polling it.
+
+    A socket with a time limit costs two more calls of the system for each exchange.
+    """
+
+    def __init__(self, link: socket.socket, name: str, framing: Framing) -> None:
+        super().__init__(link, name, framing)
+        self._socket = link
+        self._socket.settimeout(0.0)
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        """Send all bytes before the deadline."""
+        self._require_open()
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[self._socket.send(rest) :]
+            except BlockingIOError:
+                if not select.select([], [self._socket], [], deadline.remaining_s())[1]:
+                    raise ReplyTimeout(f"{self._name} does not take what is sent") from None
+            except OSError as error:
+                raise self._lost(str(error)) from error
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """At least one byte before the deadline."""
+        self._require_open()
+        while True:
+            if not select.select([self._socket], [], [], deadline.remaining_s())[0]:
+                raise ReplyTimeout(f"{self._name} did not answer in time")
+            try:
+                data = self._socket.recv(RECEIVE_SIZE)
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._lost(str(error)) from error
+            if not data:
+                raise self._lost("it closed the connection")
+            return data
+
+    def drain(self) -> bytes:
+        """Take what has arrived."""
+        self._require_open()
+        taken = b""
+        while select.select([self._socket], [], [], 0.0)[0]:
+            taken += self.receive(_AT_ONCE)
+        return taken
+
+
 def open_tcp(
     host: str, port: int, deadline: Deadline, framing: Framing = Framing.PACKETS
-) -> SocketTransport:
+) -> TcpTransport:
     """Connect over TCP.
 
     Raises
@@ -150,4 +201,4 @@ def open_tcp(
     # Requests are small and answered one by one: waiting to fill a segment only costs time.
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    return SocketTransport(link, name, framing)
+    return TcpTransport(link, name, framing)

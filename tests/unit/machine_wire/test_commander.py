@@ -13,7 +13,12 @@ from pmac_comp.base.errors import (
     LocalProtocolError,
     RemoteProtocolError,
 )
-from pmac_comp.machine.client.commander import Commander, buffer_batches, line_batches
+from pmac_comp.machine.client.commander import (
+    Commander,
+    buffer_batches,
+    line_batches,
+    merged_runs,
+)
 from pmac_comp.machine.client.modes import Modes, read_modes
 from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.client.terminal import terminal_of
@@ -64,11 +69,30 @@ def test_no_line_with_an_assignment_or_a_jog_is_a_question(text):
         assert not is_read(text)
 
 
-@given(st.lists(st.text(alphabet="P0123456789", min_size=1, max_size=60), max_size=60))
+names = st.one_of(
+    st.builds("{}{}".format, st.sampled_from("IPQM"), st.integers(0, 40)),
+    st.sampled_from(["#1P", "RX$10", "ver", "?"]),
+)
+
+
+@given(st.lists(names, max_size=120))
 def test_bulk_questions_keep_their_order_within_the_line_limit(questions):
-    batches = list(line_batches(questions))
-    assert [q for batch in batches for q in batch] == questions
-    assert all(sum(map(len, batch)) <= 250 for batch in batches)
+    asked = [item for batch in line_batches(merged_runs(questions)) for item in batch]
+    spelt = []
+    for text, count in asked:
+        first, _, last = text.partition("..")
+        run = [f"{text[0]}{k}" for k in range(int(first[1:]), int(last) + 1)] if last else [text]
+        assert len(run) == count
+        spelt += run
+    assert spelt == questions
+    for batch in line_batches(merged_runs(questions)):
+        assert sum(len(text) for text, _ in batch) <= 250
+
+
+def test_long_runs_are_asked_in_pieces():
+    runs = list(merged_runs(f"P{k}" for k in range(1200)))
+    assert runs == [("P0..511", 512), ("P512..1023", 512), ("P1024..1199", 176)]
+    assert [len(batch) for batch in line_batches(runs)] == [1, 1, 1]
 
 
 @given(st.lists(st.binary(min_size=1, max_size=255), max_size=60), st.booleans())
