@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError, ControllerState, VerifyMismatch
+from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.machine.controller import law_upload, motors, recovery
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.sign_check import check_master_sign
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.transaction import Context, UploadResult
 from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
@@ -269,6 +270,7 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
             parts.append(upload.execute())
     if compensation.route == "law":
         notes += law_upload.install_law(axis.link, context, axis.motor)
+        notes += _checked_sign(axis, context)
     if compensation.route == "servo":
         law_upload.require_open_servo(axis.link, context, axis.motor)
     if compensation.route in _TORQUE_ROUTES:
@@ -289,6 +291,32 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
+
+
+def _checked_sign(axis: Axis, context: Context) -> list[str]:
+    """Guarded test before the law is armed: which way a positive correction moves the motor.
+
+    Raises
+    ------
+    SafetyRefusal
+        It moves the motor down: every correction would double the error.
+    """
+    head = law_upload.read_law_head(axis.link, context.block)
+    status = motors.read_motor(axis.link, axis.motor).status
+    if head.is_armed or not status.is_closed_loop:
+        return []
+    found = check_master_sign(axis.link, axis.motor)
+    if found.sign < 0:
+        raise SafetyRefusal(
+            f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
+            f"{found.moved_ct:+.1f} counts: the sign of the door is reversed.",
+            code="PC-DEP-040",
+            hint="Check Ixx05-Ixx07; the law was loaded but is not armed.",
+        )
+    return [
+        f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
+        f"{found.moved_ct:+.1f} counts"
+    ]
 
 
 def stand_at_zero(axis: Axis) -> None:

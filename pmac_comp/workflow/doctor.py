@@ -1,0 +1,153 @@
+"""Is everything as it should be: this installation, and a controller against its bench file."""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pmac_comp import __version__
+from pmac_comp.base.errors import PmacCompError
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.resources import data_folder
+from pmac_comp.workflow.bench_view import remarks
+
+if TYPE_CHECKING:
+    from pmac_comp.workflow.axis import Axis
+
+Progress = Callable[[str, float], None]
+_CLOCK_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: ``ok``, ``note`` or ``bad``."""
+
+    state: str
+    check: str
+    found: str
+
+
+def examine(
+    url: str, bench: str, *, compile_kernels: bool = False, progress: Progress | None = None
+) -> list[Finding]:
+    """All findings on this machine and, with a URL, on the controller."""
+    loaded = load_bench(bench)
+    findings = list(_installation())
+    findings += [Finding("note", "bench file", line) for line in remarks(loaded)]
+    if compile_kernels:
+        findings += list(_compiled(loaded, progress))
+    if url:
+        findings += list(_controller(url, loaded))
+    return findings
+
+
+def _installation() -> Iterator[Finding]:
+    yield Finding("ok", "pmac-comp", f"{__version__} on Python {sys.version.split()[0]}")
+    for name in ("configs", "firmware_plc"):
+        count = sum(1 for _ in data_folder(name).iterdir())
+        yield Finding("ok" if count else "bad", name, f"{count} files")
+
+
+def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
+    """Run each kernel once, so that its compiled form is in the cache."""
+    import time
+
+    from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+    from pmac_comp.physics.model.drive import DriveModel, simulate
+    from pmac_comp.physics.signals.trajectory import dwell
+    from pmac_comp.workflow.simulated import make_card
+
+    def tell(text: str, fraction: float) -> None:
+        if progress is not None:
+            progress(text, fraction)
+
+    start = time.monotonic()
+    rest = dwell(period_s=bench.servo_period_s, duration_s=0.05)
+    tell("compiling the drive model", 0.0)
+    simulate(DriveModel.base(bench), rest.position_m)
+    tell("compiling the law", 0.4)
+    evaluate_law(CompensationLaw(), rest.position_m, bench.servo_period_s)
+    tell("compiling the simulated card", 0.5)
+    make_card(bench).run_cycles(10)
+    tell("kernels are compiled", 1.0)
+    yield Finding("ok", "kernels", f"compiled or loaded in {time.monotonic() - start:.1f} s")
+
+
+def _controller(url: str, bench: Bench) -> Iterator[Finding]:
+    from pmac_comp.workflow.session import open_axis
+
+    with open_axis(url, bench) as axis:
+        yield from _identity(axis, bench)
+        yield from _variables(axis, bench)
+        yield from _motors(axis)
+        yield from _compensation(axis)
+
+
+def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    from pmac_comp.machine.controller.identity import read_identity
+
+    found = read_identity(axis.link)
+    yield Finding("ok", "controller", f"{found.card_name}, firmware {found.firmware.strip()}")
+    off = found.servo_period_s / bench.servo_period_s - 1.0
+    yield Finding(
+        "ok" if abs(off) < _CLOCK_TOLERANCE else "bad",
+        "servo period",
+        f"{found.servo_period_s * 1e6:.3f} us by I10, bench file "
+        f"{bench.servo_period_s * 1e6:.3f} us",
+    )
+    wanted = bench.controller.dpram
+    yield Finding(
+        "ok" if found.dpram == wanted else "bad",
+        "dual-ported RAM",
+        f"{found.dpram}, bench file {wanted}",
+    )
+    yield Finding("ok", "free memory", f"{found.free_long_words} long words")
+
+
+def _variables(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    from pmac_comp.machine.controller.variables import read_many, same_value
+
+    wanted = dict(bench.controller.ivariables)
+    if not wanted:
+        return
+    found = read_many(axis.link, list(wanted))
+    differing = [
+        f"{name} = {found[name]:g} (bench file {value:g})"
+        for name, value in wanted.items()
+        if not same_value(found[name], value)
+    ]
+    yield Finding(
+        "bad" if differing else "ok",
+        "I-variables",
+        "; ".join(differing) if differing else f"{len(wanted)} agree with the bench file",
+    )
+
+
+def _motors(axis: "Axis") -> Iterator[Finding]:
+    from pmac_comp.machine.controller.motors import read_motor
+
+    reading = read_motor(axis.link, axis.motor)
+    trips = ", ".join(reading.status.trips)
+    state = "killed" if reading.status.is_killed else "enabled"
+    yield Finding(
+        "bad" if trips else "ok",
+        f"motor #{reading.motor}",
+        trips or f"{state}, following error {reading.following_error_ct:.1f} counts",
+    )
+
+
+def _compensation(axis: "Axis") -> Iterator[Finding]:
+    from pmac_comp.machine.controller.upload import table_status
+    from pmac_comp.workflow.deploy import context_of
+
+    try:
+        state = table_status(axis.link, context_of(axis, Path("pmac-comp-journal")))
+    except PmacCompError as error:
+        yield Finding("bad", "compensation", error.message)
+        return
+    yield Finding(
+        "note" if state.decision.state.value == "DISABLED" else "ok",
+        "compensation",
+        f"{state.decision.state.value}: {state.decision.reason}",
+    )

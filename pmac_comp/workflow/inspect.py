@@ -1,0 +1,103 @@
+"""Looking at a controller: who answers, what the motors do, what compensation is on it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import law_upload, motors
+from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.upload import table_status
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.session import open_axis, open_link
+
+Ask = Callable[[str], list[str]]
+_BENCH_FOR_LOOKING = "paper"  # sim:// needs some bench; a real controller does not
+
+
+def controller_info(url: str) -> dict[str, Any]:
+    """Identity of what answers, as a mapping for people and ``--json``."""
+    if parse_url(url).scheme == "gpascii":
+        with terminal_session(url) as ask:
+            return {"url": url, "kind": "Power PMAC", "version": " ".join(ask("vers"))}
+    with open_link(url, load_bench(_BENCH_FOR_LOOKING)) as link:
+        identity = read_identity(link)
+        names = ("I3", "I4", "I6", "I9", "I10", "I51")
+        values = read_many(link, list(names))
+    return {
+        "url": url,
+        **identity.as_dict(),
+        "servo rate Hz": 1.0 / identity.servo_period_s,
+        **{name: int(value) for name, value in values.items()},
+    }
+
+
+def controller_status(url: str, bench: str) -> dict[str, Any]:
+    """Motors and compensation of a controller; nothing is changed."""
+    with open_axis(url, bench) as axis:
+        numbers = [axis.motor]
+        if axis.bench.scale is not None:
+            numbers.append(axis.bench.scale.motor_number)
+        readings = motors.read_motors(axis.link, numbers)
+        context = context_of(axis, Path("pmac-comp-journal"))
+        state = table_status(axis.link, context)
+        head = law_upload.read_law_head(
+            axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
+        )
+    compensation = {
+        "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
+                            state.tables) or "none",
+        "tables act (I51)": state.i51,
+        "verdict": state.decision.state.value,
+        "why": state.decision.reason,
+        "law": head.form.name.lower(),
+        "law bank": head.bank,
+        "law gain": head.gain,
+        "law correction ct": head.correction_ct,
+        "law torque DAC units": head.torque_dac,
+        "clamped passes": head.n_clamped,
+    }  # fmt: skip
+    return {
+        "motors": [
+            {
+                "number": reading.motor,
+                "position_ct": reading.position_ct,
+                "following_error_ct": reading.following_error_ct,
+                "state": _state(reading.status),
+                "bits": reading.status.names(),
+            }
+            for reading in readings.values()
+        ],
+        "compensation": compensation,
+    }
+
+
+def _state(status: motors.MotorStatus) -> str:
+    if status.trips:
+        return "tripped: " + ", ".join(status.trips)
+    if not status.is_activated:
+        return "not activated"
+    if status.is_killed:
+        return "killed"
+    if not status.is_closed_loop:
+        return "open loop"
+    return "holding" if status.is_commanded_still else "moving"
+
+
+@contextmanager
+def terminal_session(url: str) -> Iterator[Ask]:
+    """A function that asks a controller one line; refusals come back as text."""
+    if parse_url(url).scheme == "sim":
+        from pmac_comp.machine.client.terminal import terminal_of
+
+        with open_link(url, load_bench(_BENCH_FOR_LOOKING)) as link:
+            yield terminal_of(link)
+        return
+    from pmac_comp.machine.client.terminal import open_terminal
+
+    with open_terminal(url) as ask:
+        yield ask

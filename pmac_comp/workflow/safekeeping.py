@@ -1,0 +1,104 @@
+"""Backup and restore of a whole controller, and the download of program files."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pmac_comp.base.errors import VerifyMismatch
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import backup as kept
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.session import open_axis
+
+Progress = Callable[[str, float], None]
+_SHOWN = 40
+
+
+def backup_to_file(
+    url: str, bench: str, out: Path, *, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Read everything twice, compare, and store it sealed.
+
+    Raises
+    ------
+    VerifyMismatch
+        The two readings differ: somebody writes to the controller.
+    """
+    told = _steps(progress)
+    with open_axis(url, bench) as axis:
+        first = kept.read_backup(axis.link, progress=told)
+        second = kept.read_backup(axis.link, progress=told)
+    moving = kept.compare(first, second)
+    if moving:
+        raise VerifyMismatch(
+            f"{len(moving)} item(s) changed between two readings, first {moving[0].item}.",
+            code="PC-BCK-010",
+            hint="Stop other clients and programs that write, then back up again.",
+        )
+    kept.write_backup(out, first)
+    stored = kept.load_backup(out)
+    return {
+        "file": out,
+        "summary": f"{len(stored.ivariables)} I, {len(stored.pvariables)} P, "
+        f"{len(stored.definitions)} M, {len(stored.programs)} programs, "
+        f"{len(stored.tables)} tables",
+        "identity": stored.identity,
+    }
+
+
+def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
+    """What a restore would change, or the lines a program file would send."""
+    if source.suffix != ".json":
+        text = _program_text(bench, source)
+        parsed = programs.parse_source(text)
+        lines = [*parsed.commands, *(x for p in parsed.programs for x in p.lines)]
+        return {"summary": f"{len(lines)} lines of {source.name}", "lines": lines}
+    stored = kept.load_backup(source)
+    with open_axis(url, bench) as axis:
+        present = kept.read_backup(axis.link)
+    differing = kept.compare(present, stored)
+    lines = [f"{d.item}: {d.before} -> {d.after}" for d in differing[:_SHOWN]]
+    if len(differing) > _SHOWN:
+        lines.append(f"... and {len(differing) - _SHOWN} more")
+    return {"summary": f"{len(differing)} items differ", "lines": lines}
+
+
+def restore_from_file(
+    url: str, bench: str, source: Path, *, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Bring a backup back, or download a program file and compare what the card lists."""
+    if source.suffix != ".json":
+        parsed = programs.parse_source(_program_text(bench, source))
+        with open_axis(url, bench) as axis:
+            programs.download_source(axis.link, parsed)
+        return {
+            "summary": f"{source.name}: {len(parsed.commands)} commands sent, "
+            f"{len(parsed.programs)} programs listed back token by token"
+        }
+    stored = kept.load_backup(source)
+    with open_axis(url, bench) as axis:
+        context = context_of(axis, Path("pmac-comp-journal"), progress)
+        result, left = kept.restore(axis.link, context, stored, progress=_steps(progress))
+    return {
+        **result.as_dict(),
+        "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],
+        "summary": f"restored; {len(left)} item(s) cannot be set or live on the card",
+    }
+
+
+def _program_text(bench: str, source: Path) -> str:
+    loaded = load_bench(bench)
+    block = LawBlock.from_p_block(loaded.controller.p_block)
+    return programs.render(
+        source.read_text(encoding="utf-8"), motor=loaded.encoder.motor_number, first_p=block.first
+    )
+
+
+def _steps(progress: Progress | None) -> kept.Progress:
+    def told(step: str, done: int, total: int) -> None:
+        if progress is not None:
+            progress(step, done / max(total, 1))
+
+    return told
