@@ -90,6 +90,7 @@ class Servo(Motors):
         self.gathering = gather.GatherBuffer(self.memory)
         self.on_event: Callable[[ServoEvent], None] | None = None
         self._force: tuple[FloatArray, FloatArray] | None = None
+        self._ran = 0  # servo cycles since the card was made, resets included
         self._allocate()
         self._start_plant()
 
@@ -198,7 +199,9 @@ class Servo(Motors):
             if self._force is not None:
                 chunk = min(chunk, _FORCE_CYCLES)
                 self._apply_force()
-            done += self._run_kernel(chunk)
+            cycles = self._run_kernel(chunk)
+            done += cycles
+            self._ran += cycles
             if self.world[ks.W_KIND] == 0.0:
                 angle, table = self.plant.step(float(self.world[ks.W_TORQUE]))
                 self.world[ks.W_ANGLE] = angle
@@ -280,13 +283,13 @@ class Servo(Motors):
 
     def set_force_schedule(self, time_s: FloatArray, force_N: FloatArray) -> None:
         """Force over simulated time from now, linear between the points, held after the last."""
-        start = self.cycles * self.bench.servo_period_s
+        start = self._ran * self.bench.servo_period_s
         self._force = (np.asarray(time_s, dtype=np.float64) + start, np.asarray(force_N))
 
     def _apply_force(self) -> None:
         if self._force is None:
             return
-        now = self.cycles * self.bench.servo_period_s
+        now = self._ran * self.bench.servo_period_s
         self.set_external_force(float(np.interp(now, *self._force)))
 
     def set_machine_input(self, *, high: bool) -> None:
