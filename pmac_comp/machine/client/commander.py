@@ -429,7 +429,7 @@ class Commander:
 
     def _read(self, ask: Callable[[Deadline], _T], deadline: Deadline) -> _T:
         """Ask; after a late or garbled answer settle the link and ask once more."""
-        first = Deadline.after(self.clock, _FIRST_TRY * deadline.remaining_s())
+        first = Deadline(self.clock, deadline.at_s - _FIRST_TRY * deadline.remaining_s())
         try:
             return ask(first)
         except (ReplyTimeout, RemoteProtocolError) as error:
@@ -501,18 +501,16 @@ def buffer_batches(lines: Sequence[bytes], *, single: bool) -> Iterator[Sequence
 
 
 def _encoded(text: str) -> bytes:
-    try:
-        data = text.encode("ascii")
-    except UnicodeEncodeError as error:
-        raise LocalProtocolError(f"'{text}' holds characters that are not ASCII") from error
-    if any(code < 0x20 or code == 0x7F for code in data):
+    if not text.isascii():
+        raise LocalProtocolError(f"'{text}' holds characters that are not ASCII")
+    if not text.isprintable():
         raise LocalProtocolError(f"{text!r} holds control characters; use control() for them")
-    if len(data) > ethernet.MAX_COMMAND:
+    if len(text) > ethernet.MAX_COMMAND:
         raise LocalProtocolError(
-            f"a line holds at most {ethernet.MAX_COMMAND} characters, not {len(data)}",
+            f"a line holds at most {ethernet.MAX_COMMAND} characters, not {len(text)}",
             hint="Split it into several lines.",
         )
-    return data
+    return text.encode("ascii")
 
 
 def _accepted(reply: Reply, text: str) -> list[str]:

@@ -231,37 +231,42 @@ class PacketLink(BaseLink):
 
     def exchange(self, command: bytes, deadline: Deadline) -> Reply:
         """Send a command line with GETRESPONSE and read its whole answer with GETBUFFER."""
-        request = ethernet.encode(ethernet.get_response(command))
         self._clear_way(deadline)
-        reader = ReplyReader(limit=self._limit, checksum=bool(self.i4 & 1))
         self.unsettled = True
-        self._send(request, deadline)
-        self._read_parts(reader, deadline)
+        self._send(ethernet.command_packet(command), deadline)
+        data = self._receive(deadline)
+        plain = not self.i4 and len(data) <= ethernet.MAX_REPLY
+        lines = dialog.plain_lines(data) if plain else None
+        if lines is not None:
+            self.unsettled = False
+            return Reply(lines)
+        reader = ReplyReader(limit=self._limit, checksum=bool(self.i4 & 1))
+        self._read_parts(reader, data, deadline)
         return self._finish(reader)
 
-    def _read_parts(self, reader: ReplyReader, deadline: Deadline) -> None:
-        part = 0
+    def _read_parts(self, reader: ReplyReader, data: bytes, deadline: Deadline) -> None:
+        part = len(data)
         asked_early = waiting = False
-        while True:
-            data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
-            part += len(data)
-            if reader.receive(data):
-                break
+        while not reader.receive(data):
+            busy = bool(data) and not data.strip(b"\x00")
+            if busy:
+                self._clock.sleep_s(_BUSY_POLL_S)
             if data:
                 waiting = False
-                if not data.strip(b"\x00"):
-                    self._clock.sleep_s(_BUSY_POLL_S)  # busy: a lone null byte
-                elif part != ethernet.MAX_REPLY:
-                    continue
+            if busy or part == ethernet.MAX_REPLY:
                 part = 0
-            elif waiting:
-                continue
-            else:
+                self._ask_more(deadline)
+            elif not data and not waiting:
                 # A part shorter than 1400 bytes that was not the last, or a pause inside one: if
                 # the latter, the answer to this request is one too many.
                 asked_early = waiting = True
-            self._send(ethernet.encode(ethernet.get_buffer()), deadline)
+                self._ask_more(deadline)
+            data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
+            part += len(data)
         self.unsettled = asked_early
+
+    def _ask_more(self, deadline: Deadline) -> None:
+        self._send(ethernet.encode(ethernet.get_buffer()), deadline)
 
     def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
         """Send a control character through its own request."""
@@ -290,7 +295,7 @@ class PacketLink(BaseLink):
             reader = ReplyReader(limit=self._limit)
             if reader.receive(taken) and not reader.rest:
                 return taken
-            self._send(ethernet.encode(ethernet.get_buffer()), deadline)
+            self._ask_more(deadline)
             more = self._take_until_quiet(deadline)
             taken += more
             if not more.strip(b"\x00"):

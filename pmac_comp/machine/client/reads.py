@@ -1,6 +1,7 @@
 """Which command lines only read: the only ones that may ever be asked twice."""
 
 import re
+from functools import lru_cache
 
 _NUMBER = r"(?:\d+|\$[0-9A-F]+)"
 _RANGE = rf"(?:\.\.{_NUMBER}|(?:,{_NUMBER}){{1,2}})?"
@@ -26,6 +27,7 @@ _LINE = re.compile(rf"(?:{_READS})+", re.IGNORECASE)
 _BLANKS = re.compile(r"\s+")
 
 
+@lru_cache(maxsize=4096)
 def is_read(text: str) -> bool:
     """Whether a command line asks for values only and changes nothing but addressing.
 

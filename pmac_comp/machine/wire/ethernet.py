@@ -33,6 +33,7 @@ DPRAM_BYTES = {"small": 0x4000, "large": 0x10000, "none": 0}
 """Byte size of the dual-ported RAM as a host sees it (8K x 16 or 32K x 16)."""
 
 _HEADER = struct.Struct(">BBHHH")
+_GETRESPONSE = struct.Struct(">BBIH")
 
 
 class Direction(IntEnum):
@@ -189,16 +190,12 @@ def carries_payload(direction: int, code: int) -> bool:
 
 def encode(request: Request) -> bytes:
     """Bytes of a request: header, then payload."""
-    for name, word in (
-        ("value", request.value),
-        ("index", request.index),
-        ("length", request.length),
-    ):
-        if not 0 <= word <= 0xFFFF:
-            raise LocalProtocolError(f"{name} {word} does not fit a header word")
-    header = _HEADER.pack(
-        request.direction, request.code, request.value, request.index, request.length
-    )
+    try:
+        header = _HEADER.pack(
+            request.direction, request.code, request.value, request.index, request.length
+        )
+    except struct.error as error:
+        raise LocalProtocolError(f"{request} does not fit the header: {error}") from error
     return header + request.payload
 
 
@@ -306,6 +303,11 @@ def get_response(text: bytes) -> Request:
     return Request(
         Direction.DOWNLOAD, RequestCode.GETRESPONSE, length=len(text), payload=_command(text)
     )
+
+
+def command_packet(text: bytes) -> bytes:
+    """Bytes of GETRESPONSE, the request of nearly every exchange, in one step."""
+    return _GETRESPONSE.pack(Direction.DOWNLOAD, RequestCode.GETRESPONSE, 0, len(text)) + text
 
 
 def get_line() -> Request:
