@@ -1,0 +1,120 @@
+"""What the captures determine and what they do not, in words, with the run that would help.
+
+Imports this package, ``physics.model`` (specs) and ``base``.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.physics.identify.output_error import Fit
+from pmac_comp.physics.identify.result import correlation_of
+
+# Functionals that compensation needs; sums where the parts cannot be told apart by design.
+ESSENTIAL: Mapping[str, tuple[str, ...]] = {
+    "Coulomb friction of the guide": ("coulomb.guide_N",),
+    "viscous friction of the guide": ("viscous.guide_Ns_per_m",),
+    "Coulomb friction of nut and front bearing together": ("coulomb.nut_Nm", "coulomb.motor_Nm"),
+    "viscous friction of nut and front bearing together": (
+        "viscous.nut_Nms_per_rad",
+        "viscous.motor_Nms_per_rad",
+    ),
+    "axial stiffness": ("chain.axial_stiffness_N_per_m",),
+}
+_ADVICE = {
+    "Coulomb friction of the guide": "slow runs in both directions at three places of the travel",
+    "viscous friction of the guide": "constant speeds up to the highest, in both directions",
+    "Coulomb friction of nut and front bearing together": "the torque command in slow runs in "
+    "both directions",
+    "viscous friction of nut and front bearing together": "the torque command at several constant "
+    "speeds, in both directions",
+    "axial stiffness": "sinusoids of 10 mm at 3 Hz near both ends of the travel, or load steps "
+    "from the side screws at standstill",
+}
+_SEPARATORS = {
+    frozenset({"coulomb.nut_Nm", "coulomb.motor_Nm"}): "an added mass or a side load would "
+    "(the nut's share grows with the load, the bearing's does not)",
+    frozenset({"viscous.nut_Nms_per_rad", "viscous.motor_Nms_per_rad"}): "uncoupling the motor "
+    "would; compensation does not need the split",
+    frozenset({"chain.current_bandwidth_Hz", "chain.actuator_delay_s"}): "a torque chirp beyond "
+    "the current loop's bandwidth would",
+    frozenset({"chain.motor_inertia_kgm2", "chain.screw_inertia_kgm2"}): "uncoupling the motor "
+    "would; they act as their sum",
+    frozenset({"chain.table_mass_kg", "chain.axial_stiffness_N_per_m"}): "a known added mass, or "
+    "load steps from the side screws at standstill, would",
+}
+_UNDETERMINED = 0.5  # std over size: worse than this and the sign is all that is known
+_TIED = 0.95
+_FROM_BENCH = 0.5  # share of the prior's variance that remains
+
+
+def require_identifiable(fit: Fit, *, has_torque: bool) -> None:
+    """Raise NotIdentifiable where something that compensation needs is not determined."""
+    open_points = [
+        what
+        for what, names in ESSENTIAL.items()
+        if _is_open(fit, names) and (has_torque or "nut and front" not in what)
+    ]
+    if open_points:
+        runs = [_ADVICE[what] for what in open_points]
+        raise NotIdentifiable(
+            "Not identifiable from these captures: " + "; ".join(open_points) + ".",
+            code="PC-IDN-006",
+            hint="Capture " + "; and ".join(runs) + ".",
+            context={"parameters": [n for what in open_points for n in ESSENTIAL[what]]},
+        )
+
+
+def informed_frac(fit: Fit) -> FloatArray:
+    """Share of each prior's standard deviation that the captures removed, shape (p,), 0..1."""
+    prior_std = fit.scales / np.sqrt(np.where(fit.prior > 0.0, fit.prior, np.nan))
+    share = 1.0 - np.sqrt(np.diag(fit.covariance)) / prior_std
+    return np.asarray(np.clip(np.nan_to_num(share, nan=1.0), 0.0, 1.0))
+
+
+def statements(fit: Fit) -> tuple[str, ...]:
+    """Identifiability in words."""
+    return (*_tied_pairs(fit), *_from_bench(fit))
+
+
+def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
+    index = [fit.names.index(name) for name in names if name in fit.names]
+    if len(index) < len(names):
+        return False
+    std = float(np.sqrt(fit.covariance[np.ix_(index, index)].sum()))
+    size = max(
+        sum(abs(fit.model.parameters[name]) for name in names),
+        0.25 * float(fit.scales[index].sum()),
+    )
+    return std > _UNDETERMINED * size
+
+
+def _tied_pairs(fit: Fit) -> list[str]:
+    correlation = correlation_of(fit.covariance)
+    found = []
+    for i, first in enumerate(fit.names):
+        for j in range(i + 1, len(fit.names)):
+            if abs(correlation[i, j]) > _TIED:
+                pair = frozenset({first, fit.names[j]})
+                help_ = _SEPARATORS.get(pair, "runs that move them differently would")
+                found.append(
+                    f"{first} and {fit.names[j]} cannot be told apart on these runs (correlation "
+                    f"{correlation[i, j]:.2f}); {help_}."
+                )
+    return found
+
+
+def _from_bench(fit: Fit) -> list[str]:
+    share = informed_frac(fit)
+    names = [
+        name
+        for name, part in zip(fit.names, share, strict=True)
+        if part < _FROM_BENCH and fit.model.spec(name).kind == "known"
+    ]
+    if not names:
+        return []
+    return [
+        "These values rest mainly on the bench file, not on the captures: " + ", ".join(names) + "."
+    ]

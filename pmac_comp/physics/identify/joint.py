@@ -1,0 +1,266 @@
+"""``identify``: friction and stiffness together, from captures and a bench file.
+
+What lives here: the choice of the path (elastic drive with a scale, or rigid drive) and the
+assembly of the result. What may not: numerics of either path. Imports this package.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
+from typing import Literal
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import records as rec
+from pmac_comp.physics.identify.derivatives import BORDER_SAMPLES
+from pmac_comp.physics.identify.identifiability import (
+    informed_frac,
+    require_identifiable,
+    statements,
+)
+from pmac_comp.physics.identify.linear_start import starting_model
+from pmac_comp.physics.identify.output_error import Fit, refine, require_converged
+from pmac_comp.physics.identify.regression import Regression
+from pmac_comp.physics.identify.result import (
+    Z95,
+    CaptureResiduals,
+    Identification,
+    NoiseLevels,
+    ParameterEstimate,
+    correlation_of,
+    estimate,
+)
+from pmac_comp.physics.identify.rigid import rigid_regression
+from pmac_comp.physics.model.drive import DriveModel
+
+Progress = Callable[[str, float], None]
+_STATIC_EFFECTS = ("lead_linear", "lead_cyclic", "encoder_eccentricity", "scale_slope")
+_RIGID_NAMES = {
+    "mass_kg": ("chain.mass_kg", 1.0),
+    "viscous_N_s_per_m": ("viscous.guide_Ns_per_m", 1.0),
+    "coulomb_N": ("coulomb.guide_N", 1.0),
+    "bias_force_N": ("bias_force.force_N", -1.0),  # the drive must push against the bias
+}
+
+
+def identify(
+    captures: Sequence[Capture],
+    bench: Bench,
+    *,
+    model: DriveModel | None = None,
+    progress: Progress | None = None,
+    names: Iterable[str] | None = None,
+    static_map: Literal["auto", "free", "none"] = "auto",
+    executor: Executor | None = None,
+) -> Identification:
+    """Friction and stiffness of a drive, identified together, with intervals.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs that start at rest. ``extra["external_force_N"]`` holds the load of the side screws
+        where there was one; invalid samples are left out.
+    bench : Bench
+        What is known, with tolerances.
+    model : DriveModel or None
+        Start with other effects; None means the base model of the bench.
+    progress : callable or None
+        ``progress(text, fraction)``.
+    names : iterable of str or None
+        Estimate only these parameters; None means all.
+    static_map : "auto", "free" or "none"
+        Whether a static lead map is estimated beside the dynamics; ``auto`` does so unless the
+        model has lead or sensor errors of its own.
+    executor : Executor or None
+        Where simulations run; None uses threads.
+
+    Returns
+    -------
+    Identification
+        Fitted model, parameters in SI with 95 % intervals, residuals, statements.
+
+    Raises
+    ------
+    NotIdentifiable
+        Something that compensation needs is not determined; the hint names the run to make.
+    DidNotConverge
+        The refinement did not settle.
+    """
+    if not captures:
+        raise ModelError(
+            "No capture was given.", code="PC-IDN-011", hint="Give at least one capture."
+        )
+    start = DriveModel.base(bench) if model is None else model
+    if start.is_rigid and model is None:
+        return _identify_rigid(captures, bench, start, progress)
+    return _identify_elastic(captures, bench, start, progress, names, static_map, executor)
+
+
+def _identify_elastic(
+    captures: Sequence[Capture],
+    bench: Bench,
+    start: DriveModel,
+    progress: Progress | None,
+    names: Iterable[str] | None,
+    static_map: str,
+    executor: Executor | None,
+) -> Identification:
+    tell = progress or (lambda _text, _fraction: None)
+    has_scale = any(c.table_position_m is not None for c in captures) and not start.is_rigid
+    if has_scale:
+        tell("linear start from the two regressions", 0.0)
+        start = starting_model(captures, bench, start)
+    records = [rec.prepare(capture, bench) for capture in captures]
+    own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
+    free_map = static_map == "free" or (static_map == "auto" and not own)
+    columns, shape = rec.nuisances(records, bench, static_map=free_map)
+    fit = refine(records, columns, start, bench, names=names, progress=tell, executor=executor)
+    require_converged(fit)
+    if names is None and has_scale:
+        has_torque = any(capture.torque_command_Nm is not None for capture in captures)
+        require_identifiable(fit, has_torque=has_torque)
+    residuals = tuple(_residuals_of(r, left, fit, i) for i, (r, left) in _pairs(records, fit))
+    return Identification(
+        model=fit.model,
+        parameters=_estimates(fit),
+        correlation_names=fit.names,
+        correlation=correlation_of(fit.covariance),
+        noise=_noise(residuals),
+        residuals=residuals,
+        statements=statements(fit),
+        method="two linear regressions, then output error through the closed loop",
+        figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
+        static_map=None if shape is None else rec.map_from(shape, fit.nuisance[len(records) :]),
+    )
+
+
+def _pairs(
+    records: Sequence[rec.Record], fit: Fit
+) -> Iterable[tuple[int, tuple[rec.Record, FloatArray]]]:
+    return enumerate(zip(records, fit.residuals, strict=True))
+
+
+def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
+    share = informed_frac(fit)
+    found = {}
+    for i, name in enumerate(fit.names):
+        spec = fit.model.spec(name)
+        value, std = fit.model.parameters[name], float(np.sqrt(fit.covariance[i, i]))
+        known = spec.kind == "known"
+        found[name] = ParameterEstimate(
+            name=name,
+            value=value,
+            std=std,
+            lower95=max(value - Z95 * std, spec.lower),
+            upper95=min(value + Z95 * std, spec.upper),
+            unit=spec.unit,
+            nominal=spec.nominal if known else None,
+            tolerance_frac=spec.tolerance_frac if known else None,
+            informed_frac=float(share[i]),
+        )
+    return found
+
+
+def _residuals_of(record: rec.Record, left: FloatArray, fit: Fit, i: int) -> CaptureResiduals:
+    gap = np.where(record.valid[:, None], left, np.nan)
+    by_name = {name: gap[:, c] for c, name in enumerate(record.channels)}
+    motor = by_name.get("motor")
+    if motor is None:
+        simulated_m = rec.response_of(record, fit.model).motor_position_m
+        measured_m = record.capture.motor_position_m
+        motor = measured_m - simulated_m[:: record.stride][: record.capture.n]
+        motor = np.where(record.valid, motor, np.nan)
+    difference = by_name.get("difference")
+    return CaptureResiduals(
+        motor_m=motor,
+        table_m=difference,
+        torque_Nm=by_name.get("torque"),
+        scale_offset_m=float(fit.nuisance[i]) if difference is not None else 0.0,
+    )
+
+
+def _noise(residuals: Sequence[CaptureResiduals]) -> NoiseLevels:
+    def level(columns: list[FloatArray | None]) -> float | None:
+        given = [column[np.isfinite(column)] for column in columns if column is not None]
+        return float(np.std(np.concatenate(given))) if given else None
+
+    return NoiseLevels(
+        motor_m=level([r.motor_m for r in residuals]),
+        table_m=level([r.table_m for r in residuals]),
+        torque_Nm=level([r.torque_Nm for r in residuals]),
+    )
+
+
+def _identify_rigid(
+    captures: Sequence[Capture], bench: Bench, start: DriveModel, progress: Progress | None
+) -> Identification:
+    if progress is not None:
+        progress("inverse dynamics by least squares", 0.0)
+    fit = rigid_regression(captures, bench)
+    model = start.with_effect("bias_force") if "bias_force" not in start.effects else start
+    values = {
+        name: sign * fit.value(own)
+        for own, (name, sign) in _RIGID_NAMES.items()
+    }  # fmt: skip
+    model = model.with_parameters({k: max(v, 0.0) if k != "bias_force.force_N" else v
+                                   for k, v in values.items()})  # fmt: skip
+    records = [rec.prepare(capture, bench) for capture in captures]
+    residuals, figures = _rigid_residuals(records, bench, model)
+    if progress is not None:
+        progress("done", 1.0)
+    signs = np.array([sign for _, sign in _RIGID_NAMES.values()])
+    return Identification(
+        model=model,
+        parameters=_rigid_estimates(fit, model),
+        correlation_names=tuple(name for name, _ in _RIGID_NAMES.values()),
+        correlation=correlation_of(fit.covariance * np.outer(signs, signs)),
+        noise=_noise(residuals),
+        residuals=residuals,
+        statements=(
+            "Without a scale at the table the drive is one mass: friction of guide, nut and "
+            "bearings is their sum at the table, and stiffness does not show.",
+        ),
+        method="inverse dynamics, least squares on decimated zero-phase filtered signals",
+        figures={"relative_force_error_percent": 100.0 * fit.relative_error, **figures},
+    )
+
+
+def _rigid_estimates(fit: Regression, model: DriveModel) -> dict[str, ParameterEstimate]:
+    return {
+        name: estimate(name, sign * fit.value(own), fit.std(own), model.spec(name).unit)
+        for own, (name, sign) in _RIGID_NAMES.items()
+    }
+
+
+def _rigid_residuals(
+    records: Sequence[rec.Record], bench: Bench, model: DriveModel
+) -> tuple[tuple[CaptureResiduals, ...], dict[str, float]]:
+    """Closed-loop residuals and their figures: position rms and relative force error."""
+    inner = slice(BORDER_SAMPLES, -BORDER_SAMPLES)
+    found, position, force, measured_force = [], [], [], []
+    for record in records:
+        response = rec.response_of(record, model)
+        cut = slice(None, None, record.stride)
+        n = record.capture.n
+        motor = record.capture.motor_position_m - response.motor_position_m[cut][:n]
+        measured = record.measured[:, 0]
+        torque = measured - response.torque_command_Nm[cut][:n]
+        ok = record.valid
+        found.append(
+            CaptureResiduals(np.where(ok, motor, np.nan), None, np.where(ok, torque, np.nan))
+        )
+        position.append(motor[ok][inner])
+        force.append(torque[ok][inner])
+        measured_force.append(measured[ok][inner])
+    left = np.concatenate(position)
+    force_error = np.linalg.norm(np.concatenate(force))
+    return tuple(found), {
+        "closed_loop_position_rms_um": UM_PER_M * float(np.sqrt(np.mean(left**2))),
+        "closed_loop_position_peak_um": UM_PER_M * float(np.max(np.abs(left))),
+        "closed_loop_force_error_percent": 100.0
+        * float(force_error / np.linalg.norm(np.concatenate(measured_force))),
+    }

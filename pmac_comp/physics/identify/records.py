@@ -1,0 +1,209 @@
+"""Captures made ready for comparison with the simulated closed loop.
+
+What lives here: which channels are compared, which samples count, the linear nuisances (scale
+offset per capture, static lead map), and the simulation of one capture. What may not: fitting.
+Imports ``physics.model``, ``files`` and ``base``.
+
+The channels are torque and table minus motor: a disturbance that the model does not know moves
+motor and table together by tens of um and leaves their difference alone, while motor position and
+torque are one signal seen through the control law. Without torque, the motor position is used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import CaptureError
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.derivatives import bridged
+from pmac_comp.physics.identify.result import StaticMap
+from pmac_comp.physics.model.drive import DriveModel, Response, simulate
+
+EXTERNAL_FORCE = "external_force_N"
+TORQUE_FEEDFORWARD = "torque_feedforward_Nm"
+_KNOT_SPACING_m = 0.05
+_MAX_KNOTS = 12
+_HARMONICS = (1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One capture prepared: measured channels shape (n, c), validity, inputs at the servo rate."""
+
+    capture: Capture
+    channels: tuple[str, ...]
+    measured: FloatArray
+    valid: BoolArray
+    stride: int
+    commanded_m: FloatArray
+    desired_m: FloatArray | None
+    feedforward_Nm: FloatArray | None
+    force_N: FloatArray | None
+
+
+def prepare(capture: Capture, bench: Bench) -> Record:
+    """Record of a capture; raises CaptureError where its rate does not fit the servo period."""
+    stride = _stride(capture, bench)
+    mask = capture.mask
+    named = _channels(capture)
+    extra = capture.extra
+
+    def fine(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else _on_servo_grid(bridged(values, mask), stride)
+
+    return Record(
+        capture=capture,
+        channels=tuple(named),
+        measured=np.column_stack([bridged(column, mask) for column in named.values()]),
+        valid=mask,
+        stride=stride,
+        commanded_m=_on_servo_grid(bridged(capture.commanded_position_m, mask), stride),
+        desired_m=fine(capture.desired_position_m),
+        feedforward_Nm=fine(extra.get(TORQUE_FEEDFORWARD)),
+        force_N=fine(extra.get(EXTERNAL_FORCE)),
+    )
+
+
+def response_of(
+    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+) -> Response:
+    """Simulated closed loop under the inputs of a record, at the servo rate.
+
+    ``shift_m`` moves the motion on the lattice of the sensors; ``quantise`` rounds in the loop.
+    """
+    desired = record.desired_m
+    return simulate(
+        model,
+        record.commanded_m + shift_m,
+        desired_position_m=None if desired is None else desired + shift_m,
+        torque_feedforward_Nm=record.feedforward_Nm,
+        external_force_N=record.force_N,
+        time_origin_s=float(record.capture.time_s[0]),
+        quantise=quantise,
+    )
+
+
+def simulated(
+    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+) -> FloatArray:
+    """Simulated channels of a record, shape (n, c)."""
+    response = response_of(record, model, shift_m=shift_m, quantise=quantise)
+    columns = [_channel(name, response)[:: record.stride] for name in record.channels]
+    stack = np.column_stack(columns)[: record.capture.n]
+    if shift_m and "motor" in record.channels:
+        stack[:, record.channels.index("motor")] -= shift_m
+    return stack
+
+
+def nuisances(
+    records: Sequence[Record], bench: Bench, *, static_map: bool
+) -> tuple[list[FloatArray], StaticMap | None]:
+    """Regressors of the table channel that carry no drive parameter, shape (n, q) per record.
+
+    The first columns are the scale offsets of the captures; then, with ``static_map``, the lead
+    error as hat functions of the table position (two neighbouring knots fixed by the offsets) and
+    screw harmonics. The returned map holds the knots and zero values.
+    """
+    n_records = len(records)
+    shape = _map_shape(records, bench) if static_map else None
+    columns = []
+    for i, record in enumerate(records):
+        offset = np.zeros((record.capture.n, n_records))
+        if "difference" in record.channels:
+            offset[:, i] = 1.0
+        parts = [offset]
+        if shape is not None:
+            parts.append(_map_columns(record, shape))
+        columns.append(np.concatenate(parts, axis=1))
+    return columns, shape
+
+
+def map_from(shape: StaticMap, coefficients: FloatArray) -> StaticMap:
+    """Static map with the fitted coefficients of ``nuisances`` (without the offsets)."""
+    k = shape.knots_m.size - 1
+    h = shape.orders_per_rev.size
+    values = np.concatenate(([0.0], coefficients[:k]))
+    return StaticMap(
+        shape.knots_m,
+        values,
+        shape.orders_per_rev,
+        coefficients[k : k + h],
+        coefficients[k + h : k + 2 * h],
+        shape.pitch_m,
+    )
+
+
+def _stride(capture: Capture, bench: Bench) -> int:
+    ratio = capture.sample_period_s / bench.servo_period_s
+    stride = max(round(ratio), 1)
+    # 0.2 % of drift would be 20 ms after 10 s: a capture of another controller.
+    if abs(ratio - stride) > 2e-3 * stride:
+        raise CaptureError(
+            f"The capture's sample period {capture.sample_period_s * 1e6:.3f} us is not a multiple "
+            f"of the bench's servo period {bench.servo_period_s * 1e6:.3f} us.",
+            code="PC-IDN-010",
+            hint="Use the bench file of the controller that made the capture (servo_period_us, "
+            "or I10 for kind = 'pmac').",
+        )
+    return stride
+
+
+def _channels(capture: Capture) -> dict[str, FloatArray]:
+    named: dict[str, FloatArray] = {}
+    if capture.torque_command_Nm is not None:
+        named["torque"] = capture.torque_command_Nm
+    else:
+        named["motor"] = capture.motor_position_m
+    if capture.table_position_m is not None:
+        named["difference"] = capture.table_position_m - capture.motor_position_m
+    return named
+
+
+def _channel(name: str, response: Response) -> FloatArray:
+    if name == "torque":
+        return response.torque_command_Nm
+    if name == "motor":
+        return response.motor_position_m
+    return response.table_position_m - response.motor_position_m
+
+
+def _on_servo_grid(values: FloatArray, stride: int) -> FloatArray:
+    if stride == 1:
+        return np.ascontiguousarray(values)
+    coarse = np.arange(values.size, dtype=np.float64) * stride
+    fine = np.arange((values.size - 1) * stride + 1, dtype=np.float64)
+    return np.asarray(CubicSpline(coarse, values)(fine), dtype=np.float64)
+
+
+def _map_shape(records: Sequence[Record], bench: Bench) -> StaticMap | None:
+    tables = [_table_m(record) for record in records if "difference" in record.channels]
+    if not tables:
+        return None
+    low = min(float(table.min()) for table in tables)
+    high = max(float(table.max()) for table in tables)
+    n_knots = int(np.clip(np.ceil((high - low) / _KNOT_SPACING_m) + 1, 2, _MAX_KNOTS))
+    orders = np.array(_HARMONICS) if high - low > 2.0 * bench.pitch_m else np.empty(0)
+    zero = np.zeros(orders.size)
+    knots = np.linspace(low, max(high, low + 1e-6), n_knots)
+    return StaticMap(knots, np.zeros(n_knots), orders, zero, zero, bench.pitch_m)
+
+
+def _table_m(record: Record) -> FloatArray:
+    table = record.capture.table_position_m
+    if table is None:
+        return bridged(record.capture.motor_position_m, record.valid)
+    return bridged(table, record.valid)
+
+
+def _map_columns(record: Record, shape: StaticMap) -> FloatArray:
+    k, h = shape.knots_m.size, shape.orders_per_rev.size
+    if "difference" not in record.channels:
+        return np.zeros((record.capture.n, k - 1 + 2 * h))
+    table = _table_m(record)
+    hats = [np.interp(table, shape.knots_m, row) for row in np.eye(k)[1:]]
+    phase = 2.0 * np.pi / shape.pitch_m * np.multiply.outer(table, shape.orders_per_rev)
+    return np.column_stack([*hats, np.cos(phase), np.sin(phase)])

@@ -1,0 +1,54 @@
+"""EMPS through ``identify``: the published table, and the closed loop it simulates."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import read_capture
+from pmac_comp.physics.identify import Identification, identify, model_from_file, to_model_file
+
+ROOT = Path(__file__).resolve().parents[2]
+EMPS = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared/data/emps")) / "DATA_EMPS.mat"
+pytestmark = [
+    pytest.mark.emps,
+    pytest.mark.skipif(not EMPS.is_file(), reason=f"no EMPS record at {EMPS}"),
+]
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    return identify([read_capture(EMPS)], load_bench("emps"))
+
+
+def test_parameters_are_named_as_published(found: Identification) -> None:
+    stored = to_model_file(found, load_bench("emps"))
+    published = {
+        "mass_kg": (95.1089, 0.109),
+        "viscous_N_s_per_m": (203.5034, 1.15),
+        "coulomb_N": (20.3935, 0.10),
+        "offset_N": (-3.1648, 0.044),
+    }
+    for name, (value, std) in published.items():
+        entry = stored.parameters[name]
+        assert entry.value == pytest.approx(value, abs=2.0 * std)
+        assert entry.std is not None
+        assert std < entry.std < 6.0 * std
+        assert entry.lower95 is not None
+        assert entry.upper95 is not None
+        assert entry.lower95 < value < entry.upper95
+
+
+def test_closed_loop_meets_the_record(found: Identification) -> None:
+    # Ball-screw facts, section 4: 1.6 um and 4.56 % without the official model's extra delay.
+    assert found.figures["relative_force_error_percent"] <= 4.15
+    assert found.figures["closed_loop_position_rms_um"] <= 1.65
+    assert found.figures["closed_loop_force_error_percent"] <= 4.6
+
+
+def test_model_file_gives_the_model_back(found: Identification) -> None:
+    bench = load_bench("emps")
+    again = model_from_file(to_model_file(found, bench), bench)
+    assert found.model is not None
+    assert dict(again.parameters) == pytest.approx(dict(found.model.parameters), rel=1e-12)
