@@ -78,6 +78,10 @@ class Journal:
         """Latest entry of a step."""
         return next((e for e in reversed(self.entries()) if e.step == step), None)
 
+    def first(self) -> Entry | None:
+        """Entry with which the transaction began."""
+        return next(iter(self.entries()), None)
+
     @property
     def is_open(self) -> bool:
         """Whether a transaction was begun and neither finished nor rolled back."""

@@ -7,6 +7,9 @@ from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
     ForeignChange,
+    LinkError,
+    PmacCompError,
+    ProtocolError,
     UploadIncomplete,
 )
 from pmac_comp.machine.controller.journal import Journal
@@ -18,11 +21,13 @@ from pmac_comp.machine.controller.transaction import (
     Context,
     UploadResult,
     host_lock,
+    mark_left,
     read_clock,
     refuse_foreign_lease,
     release_lease,
 )
 from pmac_comp.machine.controller.upload import (
+    Origin,
     TableStatus,
     TableUpload,
     read_head,
@@ -40,19 +45,27 @@ class Unfinished:
     new: TableSet
     enable_after: bool
     old: TableSet
+    is_rollback: bool
 
 
-def find_unfinished(context: Context) -> Unfinished | None:
-    """Latest open journal of this controller."""
+def latest_journal(context: Context) -> Journal | None:
+    """Journal of the last upload of tables to this controller from this folder."""
     paths = sorted(
         context.store.glob(f"{context.controller}-*.journal"), key=lambda p: p.stat().st_mtime_ns
     )
     for path in reversed(paths):
-        journal = Journal(path)
-        entry = journal.last("intent")
-        if entry is not None and "manifest" in entry.data and journal.is_open:
-            return _unfinished(context, journal)
+        begin = Journal(path).first()
+        if begin is not None and begin.data.get("kind") == "tables":
+            return Journal(path)
     return None
+
+
+def find_unfinished(context: Context) -> Unfinished | None:
+    """The last upload of tables, if it got as far as its intent and did not end."""
+    journal = latest_journal(context)
+    if journal is None or not journal.is_open or journal.last("intent") is None:
+        return None
+    return _unfinished(context, journal)
 
 
 def _unfinished(context: Context, journal: Journal) -> Unfinished:
@@ -67,7 +80,13 @@ def _unfinished(context: Context, journal: Journal) -> Unfinished:
     tables = [table_from_json(t) for t in entry.data["new"]]  # type: ignore[attr-defined]
     old, _ = read_table_backup(backup)
     return Unfinished(
-        journal, manifest, backup, TableSet(tuple(tables)), bool(entry.data["enable_after"]), old
+        journal,
+        manifest,
+        backup,
+        TableSet(tuple(tables)),
+        bool(entry.data["enable_after"]),
+        old,
+        is_rollback=entry.data["closing"] == "rolled back",
     )
 
 
@@ -91,6 +110,16 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
     ForeignChange
         Tables act that nobody announced; they were switched off.
     """
+    try:
+        return _recover(link, context, resume=resume)
+    except PmacCompError as error:
+        if error.left is None:
+            lost = isinstance(error, LinkError | ProtocolError)
+            mark_left(error, ControllerState.DISABLED, confirmed=not lost)
+        raise
+
+
+def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     with host_lock(context):
         unfinished = find_unfinished(context)
         status = table_status(
@@ -131,39 +160,68 @@ def _settle_lease(link: Link, context: Context) -> None:
 def _settled(
     link: Link, context: Context, unfinished: Unfinished | None, status: TableStatus
 ) -> UploadResult:
+    """Nothing is to be done: close the journal and say what stands there."""
     release_lease(link, context)
-    state = status.decision.state
-    if state is ControllerState.OLD and status.manifest is not None:
-        link.write_buffer(clear_lines(context.block))
-    if unfinished is not None:
-        unfinished.journal.write("done" if state is ControllerState.NEW else "rolled back")
     crc = status.tables.crc
-    old = unfinished.manifest.crc_old if unfinished else crc
+    if unfinished is None:
+        return _last_ended(context, status)
+    state = ControllerState.OLD if unfinished.is_rollback else status.decision.state
+    if state is ControllerState.OLD:
+        link.write_buffer(clear_lines(context.block))
+    unfinished.journal.write("done" if state is ControllerState.NEW else "rolled back")
+    old = unfinished.manifest.crc_old
     return UploadResult(state, "table", old, crc, notes=(status.decision.reason,))
+
+
+def _last_ended(context: Context, status: TableStatus) -> UploadResult:
+    """The last upload ended by itself, or never began: say which."""
+    crc = status.tables.crc
+    journal = latest_journal(context)
+    intent = None if journal is None else journal.last("intent")
+    if journal is None or intent is None:
+        if journal is not None and journal.is_open:
+            journal.write("rolled back")
+        note = f"no upload was begun ({status.decision.reason})"
+        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(note,))
+    ended = journal.entries()[-1].step
+    old = _unfinished(context, journal).manifest.crc_old
+    state = status.decision.state if ended == "done" else ControllerState.OLD
+    notes = (f"the last upload is {ended} ({status.decision.reason})",)
+    return UploadResult(state, "table", old, crc, journal=journal.path, notes=notes)
 
 
 def _finish(
     link: Link, context: Context, unfinished: Unfinished, goal: TableSet, *, enable: bool
 ) -> UploadResult:
-    """A transaction of its own towards a set that was checked before."""
+    """Go on with the interrupted upload towards a set that was checked before."""
+    origin = Origin(
+        unfinished.journal,
+        unfinished.backup,
+        unfinished.manifest.crc_old,
+        unfinished.manifest.enabled_old,
+    )
+    is_rollback = unfinished.is_rollback or goal.crc == unfinished.manifest.crc_old
     with TableUpload(
-        link, context, exactly=goal, enable_after=enable, check_limits=False
+        link,
+        context,
+        exactly=goal,
+        enable_after=enable,
+        check_limits=False,
+        origin=origin,
+        closing="rolled back" if is_rollback else "done",
     ) as upload:
         result = upload.execute()
-    rolled_back = goal.crc == unfinished.manifest.crc_old
-    unfinished.journal.write("rolled back" if rolled_back else "done")
-    if rolled_back:
+    if is_rollback:
         link.write_buffer(clear_lines(context.block))
-    verdict = ControllerState.OLD if rolled_back else ControllerState.NEW
     return UploadResult(
-        verdict,
+        ControllerState.OLD if is_rollback else ControllerState.NEW,
         "table",
-        unfinished.manifest.crc_old,
+        origin.crc_old,
         goal.crc,
         result.disabled_s,
-        result.backup,
-        result.journal,
-        ("the old tables were written back" if rolled_back else "the upload was completed",),
+        origin.backup,
+        origin.journal.path,
+        ("the old tables were written back" if is_rollback else "the upload was completed",),
     )
 
 

@@ -35,6 +35,7 @@ from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import (
     MANIFEST_SIZE,
+    Action,
     Decision,
     Lease,
     Manifest,
@@ -164,8 +165,27 @@ def table_status(
     """What stands on the controller, judged by ``decide``."""
     head = read_head(link, context)
     tables = read_tables(link)
-    manifest = head.manifest or journal_manifest
+    manifest = head.manifest
+    ours = journal_manifest
+    # Cut before the manifest was written whole: what is there is an older upload's.
+    if ours is not None and (manifest is None or manifest.transaction != ours.transaction):
+        decision = decide(ours, head.i51, tables.crc)
+        if decision.action is not Action.DISABLE or manifest is None:
+            return TableStatus(decision, tables, ours, head.i51)
     return TableStatus(decide(manifest, head.i51, tables.crc), tables, manifest, head.i51)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The interrupted upload that this one brings to its end.
+
+    Its journal and its backup go on, and OLD keeps meaning what stood before it.
+    """
+
+    journal: Journal
+    backup: Path
+    crc_old: int
+    enabled_old: int
 
 
 class TableUpload:
@@ -191,6 +211,10 @@ class TableUpload:
         Whether tables act at the end; False only to restore a set that was off.
     check_limits : bool
         False only to restore what was there before.
+    origin : Origin or None
+        Interrupted upload that is finished or rolled back by this one.
+    closing : str
+        Last entry of the journal: ``done`` or ``rolled back``.
     """
 
     def __init__(
@@ -205,6 +229,8 @@ class TableUpload:
         exactly: TableSet | None = None,
         enable_after: bool = True,
         check_limits: bool = True,
+        origin: Origin | None = None,
+        closing: str = "done",
     ) -> None:
         self.link = link
         self.context = context
@@ -212,6 +238,8 @@ class TableUpload:
         self.route = route
         self.enable_after = enable_after
         self._check_limits = check_limits
+        self._origin = origin
+        self._closing = closing
         self._tables = tuple(tables)
         self._without = tuple(without)
         self._exactly = exactly
@@ -245,6 +273,10 @@ class TableUpload:
         UploadPlan
             With all refusals; ``execute`` raises them together.
         """
+        with self._explained():
+            return self._look()
+
+    def _look(self) -> UploadPlan:
         self.context.progress("pre-flight", 0, 1)
         head = read_head(self.link, self.context)
         self._i30 = head.i30
@@ -320,8 +352,10 @@ class TableUpload:
             mark_left(error, ControllerState.OLD, confirmed=True)
             raise
         transaction = new_transaction_id()
-        journal = open_journal(self.context, transaction)
+        journal = self._origin.journal if self._origin else open_journal(self.context, transaction)
         with self._explained():
+            if self._origin is None:
+                journal.write("begin", {"kind": "tables"})
             take_lease(self.link, self.context, read_clock(self.link))
             self._has_lease = True
             backup = self._backup(the_plan, transaction)
@@ -334,7 +368,7 @@ class TableUpload:
                 self._enable(journal, the_plan)
             if self.persist:
                 self._persist(journal, the_plan)
-            journal.write("done", {"verdict": self._left.value})
+            journal.write(self._closing, {"verdict": self._left.value})
             self._release()
         return UploadResult(
             verdict=self._left,
@@ -369,7 +403,9 @@ class TableUpload:
         except PmacCompError as error:
             lost = isinstance(error, LinkError | ProtocolError)
             if error.left is None:
-                mark_left(error, self._left, confirmed=not lost)
+                # Until compensation is switched off for the first time OLD is certain.
+                certain = not lost or self._left is ControllerState.OLD
+                mark_left(error, self._left, confirmed=certain)
             if not lost and self._has_lease:
                 self._release_after(error)
             raise
@@ -386,6 +422,8 @@ class TableUpload:
             self._has_lease = False
 
     def _backup(self, the_plan: UploadPlan, transaction: int) -> Path:
+        if self._origin is not None:
+            return self._origin.backup
         path = self.context.store / f"{self.context.controller}-{transaction:010d}.tables.json"
         write_table_backup(path, the_plan.old, enabled=the_plan.enabled_old)
         return path
@@ -393,13 +431,14 @@ class TableUpload:
     def _intend(
         self, the_plan: UploadPlan, journal: Journal, transaction: int, backup: Path
     ) -> Manifest:
+        origin = self._origin
         manifest = Manifest(
             state=ManifestState.WRITING,
             transaction=transaction,
             n_entries=the_plan.new.n_entries,
-            crc_old=the_plan.old.crc,
+            crc_old=the_plan.old.crc if origin is None else origin.crc_old,
             crc_new=the_plan.new.crc,
-            enabled_old=int(the_plan.enabled_old),
+            enabled_old=int(the_plan.enabled_old) if origin is None else origin.enabled_old,
         )
         journal.write(
             "intent",
@@ -408,6 +447,7 @@ class TableUpload:
                 "backup": backup.name,
                 "new": [table_to_json(t) for t in the_plan.new],
                 "enable_after": int(self.enable_after),
+                "closing": self._closing,
             },
         )
         self.link.write_buffer(manifest.lines(self.context.block))

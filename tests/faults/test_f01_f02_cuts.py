@@ -1,0 +1,109 @@
+"""F01, F02: the connection is cut at every byte of an upload, in both directions."""
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
+from tests.faults.upload_bench import UploadBench
+from tests.unit.machine_controller.card_bench import CardBench
+
+pytestmark = pytest.mark.faults
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> UploadBench:
+    return UploadBench(tmp_path_factory.mktemp("cuts"))
+
+
+def edges(rig: UploadBench) -> dict[Way, list[int]]:
+    """Byte numbers at which requests (or their answers) end, from a run without faults."""
+    found: dict[Way, list[int]] = {Way.SEND: [0], Way.RECEIVE: [0]}
+
+    def note(_n: int) -> None:
+        found[Way.SEND].append(rig.bench.tap.sent)
+        found[Way.RECEIVE].append(rig.bench.tap.received)
+
+    def install(bench: CardBench) -> None:
+        bench.on_request = note
+
+    assert rig.upload_with(install) is None
+    assert rig.state is ControllerState.NEW
+    found[Way.SEND].append(rig.bench.tap.sent)
+    found[Way.RECEIVE].append(rig.bench.tap.received)
+    return {way: sorted(set(points)) for way, points in found.items()}
+
+
+def points(ends: list[int], *, exhaustive: bool) -> Iterator[int]:
+    if exhaustive:
+        yield from range(ends[-1] + 1)
+        return
+    for begin, end in pairwise(ends):
+        yield from sorted({begin, (begin + end) // 2, max(begin, end - 1)})
+
+
+def run_cuts(rig: UploadBench, way: Way, at: list[int], *, lose: bool) -> int:
+    for n in at:
+        kind = FaultKind.SILENCE if lose else FaultKind.CUT
+
+        def install(bench: CardBench, fault: Fault = Fault(kind, way, n)) -> None:
+            bench.tap.schedule([fault])
+
+        error = rig.upload_with(install)
+        state = rig.state  # asserts that no unknown table acts
+        if error is None:
+            assert state is ControllerState.NEW, n
+            continue
+        assert error.left is not None, (n, error)
+        if error.context.get("confirmed"):
+            assert error.left is state, (n, error, state)
+        assert rig.recover(resume=n % 2 == 0) in {ControllerState.OLD, ControllerState.NEW}
+    return len(at)
+
+
+@pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
+def test_f01_cut_at_every_byte(
+    *, rig: UploadBench, way: Way, exhaustive: bool, count_runs: Callable[[int], None]
+) -> None:
+    at = list(points(edges(rig)[way], exhaustive=exhaustive))
+    count_runs(run_cuts(rig, way, at, lose=False))
+
+
+@pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
+def test_f02_silence_from_every_byte(
+    *, rig: UploadBench, way: Way, exhaustive: bool, count_runs: Callable[[int], None]
+) -> None:
+    """The peer falls silent: what was under way is lost and nobody says so."""
+    at = list(points(edges(rig)[way], exhaustive=exhaustive))
+    if not exhaustive:
+        at = at[::5]
+    count_runs(run_cuts(rig, way, at, lose=True))
+
+
+def test_f01_recovery_itself_may_be_cut(
+    rig: UploadBench, count_runs: Callable[[int], None]
+) -> None:
+    sent = edges(rig)[Way.SEND]
+    middle = sent[len(sent) // 2]
+    runs = 0
+    for at in range(0, 3000, 150):
+        rig.upload_with(lambda b: b.tap.schedule([Fault(FaultKind.CUT, Way.SEND, middle)]))
+        rig.bench.reconnect()
+        rig.bench.tap.sent = 0
+        rig.bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, at)])
+        try:
+            rig.recover_once()
+        except PmacCompError:
+            assert rig.state in ControllerState
+        rig.recover()
+        runs += 1
+    count_runs(runs)
+
+
+def test_f01_folder_holds_what_a_person_needs(rig: UploadBench) -> None:
+    rig.upload_with(lambda _b: None)
+    names = {path.suffix for path in Path(rig.folder).iterdir()}
+    assert {".journal", ".json"} <= names

@@ -1,0 +1,138 @@
+"""Uploads on the simulated card with one thing going wrong, judged by the card's own memory."""
+
+import math
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.machine.controller import recovery, upload
+from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.memory import Memory
+from tests.unit.machine_controller.card_bench import CardBench
+
+SPAN_CT = 640000
+
+
+def wave(n: int, *, amplitude_ct16: float, phase: float = 0.0) -> tuple[int, ...]:
+    """Smooth closed table of n entries that is small near position zero."""
+    values = [
+        round(
+            amplitude_ct16 * math.sin(2 * math.pi * 3 * k / n + phase) * math.sin(math.pi * k / n)
+        )
+        for k in range(1, n)
+    ]
+    return (*values, 0)
+
+
+def old_table(n: int) -> CompTable:
+    return CompTable(1, wave(n, amplitude_ct16=320.0), SPAN_CT, by_desired=True)
+
+
+def new_table(n: int) -> CompTable:
+    return CompTable(1, wave(n, amplitude_ct16=480.0, phase=0.4), SPAN_CT, by_desired=True)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the card really holds."""
+
+    entries: tuple[int, ...] | None
+    i51: int
+
+
+class UploadBench:
+    """One card that is put back to the same start before each run.
+
+    Its start: motor 1 in closed loop at zero, an old table acting.
+    """
+
+    def __init__(self, folder: Path, *, n: int = 64) -> None:
+        self.n = n
+        self.folder = folder
+        self.old, self.new = old_table(n), new_table(n)
+        self.bench = CardBench(folder)
+        self.bench.link.command("#1J/")
+        self.bench.clock.sleep_s(0.05)
+        upload.upload_tables(self.bench.link, self.bench.context, [self.old])
+        self.saved = snapshot(self.bench.card)
+        self.runs = 0
+
+    def restart(self) -> CardBench:
+        """The card as at the start, with a fresh conversation and an empty folder."""
+        restore(self.bench.card, self.saved)
+        for path in self.folder.iterdir():
+            path.unlink() if path.is_file() else shutil.rmtree(path)
+        self.bench.reconnect()
+        self.bench.tap.sent = self.bench.tap.received = 0
+        self.runs += 1
+        return self.bench
+
+    @property
+    def truth(self) -> Truth:
+        values = self.bench.values("COMP", 1)
+        return Truth(None if values is None else tuple(values), self.bench.i51)
+
+    @property
+    def state(self) -> ControllerState:
+        """Verdict by the truth; an acting table that is neither old nor new is a broken promise."""
+        truth = self.truth
+        if not truth.i51:
+            return ControllerState.DISABLED
+        if truth.entries == self.old.entries:
+            return ControllerState.OLD
+        assert truth.entries == self.new.entries, "a table acts that nobody meant"
+        return ControllerState.NEW
+
+    def upload(self) -> None:
+        upload.upload_tables(self.bench.link, self.bench.context, [self.new])
+
+    def upload_with(self, prepare: Callable[[CardBench], None]) -> PmacCompError | None:
+        """Upload from the start with a fault installed; the error it ended with."""
+        bench = self.restart()
+        prepare(bench)
+        try:
+            self.upload()
+        except PmacCompError as error:
+            return error
+        return None
+
+    def recover_once(self) -> None:
+        """Recovery over the present conversation, whatever it meets."""
+        recovery.recover(self.bench.link, self.bench.context)
+
+    def recover(self, *, resume: bool = True) -> ControllerState:
+        """Reconnect and recover; the verdict is held against the truth."""
+        self.bench.reconnect()
+        with suppress(PmacCompError):
+            self.bench.link.flush()
+        result = recovery.recover(self.bench.link, self.bench.context, resume=resume)
+        assert self.state is result.verdict, (self.state, result)
+        assert result.verdict in {ControllerState.OLD, ControllerState.NEW}
+        return result.verdict
+
+
+def snapshot(card: Card) -> dict[str, object]:
+    """What has to be put back so that a card starts the next run as the one before."""
+    memory = card.memory
+    servo = card.servo
+    return {
+        "x": memory.x.copy(),
+        "y": memory.y.copy(),
+        "head": servo._head.copy(),
+        "motors": servo.motor_memory.copy(),
+        "fill": card.tables.__dict__.copy(),
+    }
+
+
+def restore(card: Card, saved: dict[str, object]) -> None:
+    memory: Memory = card.memory
+    memory.x[:] = saved["x"]  # type: ignore[call-overload]
+    memory.y[:] = saved["y"]  # type: ignore[call-overload]
+    card.tables.__dict__.update(saved["fill"])  # type: ignore[arg-type]
+    card.tables.reloaded()
+    card.close(None, force=True)
+    memory.touch()
