@@ -243,8 +243,11 @@ class Card:
         try:
             execute_command(context)
         except CardError as error:
-            if error.code == 3 and _is_program_text(scanner.text[start:]):
-                raise CardError(5) from error
+            if error.code == 3 and not self.programs.is_open_on(context.owner):
+                if _is_program_text(scanner.text[start:]):
+                    raise CardError(5) from error
+            elif error.code == 5 and self.programs.is_open_on(context.owner):
+                raise CardError(3) from error
             raise
 
     def _execute_queued(self, text: str, modal: Modal, port: str) -> None:

@@ -357,8 +357,9 @@ class CoordinateSystem:
     def idle(self) -> None:
         """Nothing to calculate now: stop at the end of what is planned, go on when woken."""
         self._settle()
-        self.frames[0].context.restart()
-        self._prepare(self.frames[0])
+        empty = self.card.rotary.program(self.number)
+        if empty is not None:
+            self.replace_program(empty)
         self.waiting = lambda: bool(self.card.rotary.buffers[self.number].lines)
         self.card.background_needed()
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, ExpressionParser
 from pmac_comp.simulator.language.scanner import Scanner
+from pmac_comp.simulator.language.statements import program_word
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
@@ -113,7 +114,11 @@ def execute_command(context: LineContext) -> None:
     scanner = context.scanner
     character = scanner.peek()
     for keyword in _BY_FIRST.get(character, ()):
+        word = program_word(scanner)
         if scanner.take(keyword):
+            if word is not None and len(word) > len(keyword):
+                # STOP is a program statement, not S followed by nonsense.
+                raise CardError(5)
             KEYWORDS[keyword](context)
             return
     if character.isdigit() or character in ".-":

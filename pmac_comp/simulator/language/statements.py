@@ -403,3 +403,16 @@ def _lock(parser: StatementParser, name: str) -> Statement:
         variable = parser.scanner.need_integer(0, 8191)
         text += f",P{variable}"
     return Statement("lock", short=text, long=text, data=(number, variable))
+
+
+def program_word(scanner: Scanner) -> str | None:
+    """Longest word of the program languages that stands here, without taking it."""
+    start = scanner.position
+    found: list[str] = []
+    for table in (_MOTION_NAMES, _PLC_NAMES):
+        for name in table.get(scanner.peek(), ()):
+            if scanner.take(name):
+                found.append(name)
+                scanner.position = start
+                break
+    return max(found, key=len, default=None)

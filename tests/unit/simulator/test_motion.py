@@ -1,0 +1,304 @@
+"""Motion programs: the commanded position of every servo cycle against closed forms."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.memory import read_long
+
+from .conftest import Ask
+
+
+def prepare(ask: Ask, *lines: str) -> None:
+    """Motor 1 is axis X in counts, no limits that would slow a move."""
+    ask("&1#1->X")
+    ask("I116=1000 I117=1000 I113=0 I114=0 I111=0 I5190=1000")
+    ask("OPEN PROG 1 CLEAR")
+    for line in lines:
+        assert ask(line) == "", line
+    assert ask("CLOSE") == ""
+    assert ask("#1J/") == ""
+
+
+def record(card: Card, cycles: int) -> np.ndarray:
+    """Commanded position of motor 1 in counts now and after each servo cycle."""
+    m = card.memory
+    out = np.empty(cycles + 1)
+    out[0] = read_long(m.x, m.y, 0x88) / 3072.0
+    for k in range(1, cycles + 1):
+        card.run_cycles(1)
+        out[k] = read_long(m.x, m.y, 0x88) / 3072.0
+    return out
+
+
+def run(card: Card, ask: Ask, cycles: int) -> np.ndarray:
+    card.run_cycles(20)
+    assert ask("&1B1R") == ""
+    return record(card, cycles)
+
+
+def test_single_linear_move_is_a_trapezoid(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA100 TS0 F10000", "X5000")
+    cycle_ms = card.servo.cycle_ms
+    position = run(card, ask, 1500)
+    velocity = np.diff(position) / cycle_ms
+    moving = int(np.count_nonzero(np.abs(velocity) > 1e-6))
+    assert position[-1] == pytest.approx(5000 + position[0], abs=0.01)
+    assert velocity.max() == pytest.approx(10.0, rel=1e-3)
+    assert moving * cycle_ms == pytest.approx(600, abs=2)  # D/F + TA
+    quarter = round(50 / cycle_ms)
+    assert velocity[quarter] == pytest.approx(5.0, rel=0.02)
+    assert ask("&1??")[5] in "02468ACE"
+
+
+def test_s_curve_halves_and_blending_keep_the_corner_time(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA100 TS25 TM400", "X4000", "X2000", "X2000")
+    position = run(card, ask, 3400)
+    velocity = np.diff(position) / card.servo.cycle_ms
+    assert position[-1] == pytest.approx(8000 + position[0], abs=0.01)
+    # Blended: no stop between moves; the middle of each corner is one move time apart.
+    moving = np.flatnonzero(np.abs(velocity) > 1e-6)
+    assert (moving[-1] - moving[0]) * card.servo.cycle_ms == pytest.approx(1300, abs=2)
+    assert np.all(np.abs(velocity[moving[0] : moving[-1]]) > 1e-9)
+    acceleration = np.diff(velocity) / card.servo.cycle_ms
+    jerk = np.abs(np.diff(acceleration))
+    assert np.abs(acceleration).max() == pytest.approx(10 / 75, rel=0.05)
+    assert jerk.max() < 0.02
+
+
+def test_ixx16_and_ixx17_slow_a_move(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA10 TS0 F1000000", "X20000")
+    ask("I116=50 I117=0.2")
+    position = run(card, ask, 2500)
+    velocity = np.diff(position) / card.servo.cycle_ms
+    acceleration = np.diff(velocity) / card.servo.cycle_ms
+    assert velocity.max() <= 50.01
+    assert np.abs(acceleration).max() <= 0.2 * 1.01
+    assert position[-1] == pytest.approx(20000 + position[0], abs=0.01)
+
+
+def test_pvt_is_the_cubic_through_its_end_values(card: Card, ask: Ask) -> None:
+    prepare(ask, "PVT50 INC", "X100:5000", "X400:5000", "X100:0")
+    position = run(card, ask, 500)
+    t = np.arange(len(position)) * card.servo.cycle_ms
+    expected = np.zeros_like(position)
+    knots = [(0, 0, 0.0), (50, 100, 5.0), (100, 500, 5.0), (150, 600, 0.0)]
+    for (t0, p0, v0), (t1, p1, v1) in pairwise(knots):
+        inside = (t >= t0) & (t <= t1)
+        u = (t[inside] - t0) / 50
+        h = (2 * u**3 - 3 * u**2 + 1) * p0 + (u**3 - 2 * u**2 + u) * 50 * v0
+        h += (3 * u**2 - 2 * u**3) * p1 + (u**3 - u**2) * 50 * v1
+        expected[inside] = h
+    expected[t > 150] = 600
+    shift = position[0]
+    assert np.abs(position - shift - expected).max() < 0.05
+
+
+def test_spline1_is_the_uniform_cubic_b_spline(card: Card, ask: Ask) -> None:
+    points = [100, 300, 350, 200]
+    prepare(ask, "SPLINE1 TM40 ABS", *[f"X{p}" for p in points])
+    ask("#1HMZ")
+    card.run_cycles(20)
+    position = run(card, ask, 700)
+    velocity = np.diff(position)
+    moving = np.flatnonzero(np.abs(velocity) > 1e-6)
+    duration_ms = (moving[-1] - moving[0] + 1) * card.servo.cycle_ms
+    # One extra segment before the first and after the last move.
+    assert duration_ms == pytest.approx(40 * (len(points) + 2), abs=1.5)
+    controls = [0, 0, 0, *points, points[-1], points[-1]]
+    for k in range(1, len(points) + 2):
+        at = k * 40 / card.servo.cycle_ms
+        value = np.interp(at, np.arange(len(position)), position)
+        c = controls[k : k + 3]
+        assert value == pytest.approx((c[0] + 4 * c[1] + c[2]) / 6, abs=0.2)
+    assert position[-1] == pytest.approx(points[-1], abs=0.01)
+
+
+def test_dwell_does_not_follow_the_override_and_delay_does(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA10 TS0 TM100", "X100", "DWELL200", "X100", "DELAY200", "X100")
+    ask("%50")
+    ask("I5194=8388607")
+    position = run(card, ask, 3500)
+    cycle_ms = card.servo.cycle_ms
+    still = np.abs(np.diff(position)) < 1e-9
+    moving = np.flatnonzero(~still)
+    gaps = np.diff(moving)
+    pauses = gaps[gaps > 100] * cycle_ms
+    assert len(pauses) == 2
+    assert pauses[0] == pytest.approx(200, abs=3)
+    assert pauses[1] == pytest.approx((200 - 10) * 2, abs=6)
+
+
+def test_rapid_ends_on_its_target_at_jog_speed(card: Card, ask: Ask) -> None:
+    prepare(ask, "RAPID ABS X3000")
+    ask("I190=0 I122=20")
+    position = run(card, ask, 1200)
+    velocity = np.diff(position) / card.servo.cycle_ms
+    assert velocity.max() == pytest.approx(20, rel=0.01)
+    assert position[-1] == pytest.approx(3000, abs=0.01)
+
+
+def test_calls_loops_labels_and_inline_conditions(card: Card, ask: Ask) -> None:
+    ask("OPEN PROG 100 CLEAR")
+    for line in ("P20=P20+1 RETURN", "N500 P21=P21+1 RETURN"):
+        ask(line)
+    ask("CLOSE")
+    prepare(
+        ask,
+        "P20=0 P21=0 P22=0 P23=0 P24=0",
+        "WHILE(P22<5) P22=P22+1",
+        "CALL100 CALL100.005",
+        "GOSUB300",
+        "IF(P22=5)P23=1",
+        "ELSE P23=2",
+        "IF(P22=4)P24=1",
+        "ELSE P24=2",
+        "GOTO400",
+        "P25=99",
+        "N300 P26=7 RETURN",
+        "N400 DWELL10",
+    )
+    ask("P25=0 P26=0")
+    run(card, ask, 200)
+    assert ask("P20..26") == "1 1 5 1 2 0 7"
+    assert ask("&1??")[5] == "0"
+
+
+def test_synchronous_assignment_acts_when_the_next_move_starts(card: Card, ask: Ask) -> None:
+    ask("M500->Y:$10F0,0,8")
+    prepare(ask, "LINEAR INC TA20 TS0 TM100", "M500=1", "X100", "M500==2", "X100", "P30=1", "X100")
+    ask("M500=0 P30=0")
+    card.run_cycles(20)
+    ask("&1B1R")
+    seen = []
+    for _ in range(12):
+        seen.append(ask("M500 P30"))
+        card.run_cycles(60)
+    assert seen[1] == "1 1"  # calculated ahead of the motion
+    assert "2 1" in seen
+    change = seen.index("2 1") * 60 * card.servo.cycle_ms
+    assert 80 <= change <= 160
+
+
+def test_feed_hold_and_resume(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA20 TS0 TM500", "X5000")
+    ask("I5195=200000")
+    card.run_cycles(20)
+    ask("&1B1R")
+    card.run_cycles(500)
+    assert ask("&1H") == ""
+    card.run_cycles(200)
+    held = float(ask("#1P"))
+    card.run_cycles(500)
+    assert float(ask("#1P")) == pytest.approx(held, abs=3)
+    assert 100 < held < 4900
+    assert ask("&1%") == "0"
+
+
+def test_program_start_errors(card: Card, ask: Ask) -> None:
+    assert ask("&1R") == "ERR014"
+    prepare(ask, "LINEAR INC TA20 TS0 TM500", "X5000")
+    assert ask("&1R") == "ERR015"
+    ask("&1B1")
+    ask("#1K")
+    assert ask("&1R") == "ERR012"
+    ask("#1J/")
+    ask("#1J+")
+    card.run_cycles(50)
+    assert ask("&1R") == "ERR011"
+    ask("#1J/")
+    card.run_cycles(2000)
+    assert ask("&1R") == ""
+    card.run_cycles(50)
+    assert ask("#1J+") == "ERR001"
+    assert ask("#1K") == "ERR001"
+    assert ask("OPEN PROG 3") == "ERR001"
+    assert ask("&1A") == ""
+    card.run_cycles(3000)
+    assert ask("#1J=0") == ""
+
+
+def test_abort_decelerates_by_ixx15(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA20 TS0 TM1000", "X20000")
+    ask("I115=0.1")
+    card.run_cycles(20)
+    ask("&1B1R")
+    card.run_cycles(1000)
+    ask("&1A")
+    position = record(card, 800)
+    acceleration = np.diff(position, 2) / card.servo.cycle_ms**2
+    assert acceleration[2:].min() == pytest.approx(-0.1, rel=0.02)
+    assert np.abs(np.diff(position)[-10:]).max() < 1e-9
+
+
+def test_homing_from_a_program(card: Card, ask: Ask) -> None:
+    prepare(ask, "HOME1", "P40=1")
+    ask("I123=-20 I7012=1 P40=0")
+    card.run_cycles(20)
+    ask("&1B1R")
+    for _ in range(60):
+        card.run_cycles(200)
+        if ask("P40") == "1":
+            break
+    assert ask("P40") == "1"
+    assert ask("M145") == "1"
+    assert abs(float(ask("#1P"))) < 2
+
+
+def test_rotary_buffer_runs_lines_as_they_come(card: Card, ask: Ask) -> None:
+    ask("&1#1->X")
+    ask("I116=1000 I117=1000 I113=0 I114=0 I111=0")
+    ask("#1J/")
+    card.run_cycles(20)
+    assert ask("&1DEFINE ROT 200") == ""
+    assert ask("&1B0") == ""
+    assert ask("OPEN ROT") == ""
+    for line in ("LINEAR INC TA20 TS0 TM100", "X100", "X100"):
+        assert ask(line) == ""
+    assert ask("PR") == "3"
+    assert ask("&1R") == ""
+    card.run_cycles(1000)
+    assert float(ask("#1P")) == pytest.approx(200, abs=2)
+    assert ask("PR") == "0"
+    ask("X-50")
+    card.run_cycles(1000)
+    assert float(ask("#1P")) == pytest.approx(150, abs=2)
+    assert ask("CLOSE") == ""
+    card.run_cycles(100)
+    assert ask("&1Q") == ""
+    card.run_cycles(100)
+    assert ask("DELETE ROT") == ""
+
+
+def test_position_rename_and_pmatch(card: Card, ask: Ask) -> None:
+    ask("&1#1->100X")
+    ask("#1J/")
+    card.run_cycles(50)
+    assert ask("&1X=5") == ""
+    assert float(ask("#1P")) == pytest.approx(500, abs=2)
+    ask("#1K")
+    assert ask("Z") == ""
+    assert float(ask("#1P")) == pytest.approx(0, abs=2)
+
+
+def test_chunking_does_not_change_anything(bench: Bench) -> None:
+    def final(chunks: list[int]) -> tuple[bytes, bytes]:
+        card = Card(bench)
+        port = card.port()
+        for line in (
+            "&1#1->X", "OPEN PROG 1 CLEAR", "LINEAR INC TA50 TS10 F20000", "X1000 DWELL20",
+            "WHILE(P1<5)", "X-200", "P1=P1+1", "ENDWHILE", "CLOSE",
+            "OPEN PLC 3 CLEAR", "P50=P50+1", "P51=M161", "CLOSE", "I5=2 P1=0", "ENABLE PLC 3",
+            "#1J/",
+        ):  # fmt: skip
+            port.line(line)
+        card.run_cycles(25)
+        port.line("&1B1R")
+        for chunk in chunks:
+            card.run_cycles(chunk)
+        return card.memory.x.tobytes(), card.memory.y.tobytes()
+
+    assert final([2000]) == final([1, 7, 92, 400, 3, 497, 1000]) == final([2] * 1000)
