@@ -641,6 +641,8 @@ class Card:
             is_encoder = motor == bench.encoder.motor_number
             if not is_encoder or bench.encoder.extension == "none":
                 self.variables.write_i(entry, float(0xC00000 | r.channel_base(motor)))
+        # A bench file that states no I10 still has a servo period; the clock must agree with it.
+        self.variables.write_i(10, float(round(bench.servo_period_s * 1e3 * 8388608.0)))
         for name, value in bench.controller.ivariables.items():
             self.variables.write_i(int(name[1:]), value)
 
