@@ -113,9 +113,12 @@ def execute_command(context: LineContext) -> None:
     """Execute the command that stands at the present place."""
     scanner = context.scanner
     character = scanner.peek()
+    start = scanner.position
     for keyword in _BY_FIRST.get(character, ()):
-        word = program_word(scanner)
         if scanner.take(keyword):
+            end, scanner.position = scanner.position, start
+            word = program_word(scanner)
+            scanner.position = end
             if word is not None and len(word) > len(keyword):
                 # STOP is a program statement, not S followed by nonsense.
                 raise CardError(5)

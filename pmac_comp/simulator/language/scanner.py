@@ -56,6 +56,10 @@ class Scanner:
 
     def _match(self, word: str) -> int | None:
         position = self.position
+        if self.text.startswith(word, position):
+            return position + len(word)
+        if not self.text.startswith(word[0], position):
+            return None
         for character in word:
             while position < len(self.text) and self.text[position] in " \t":
                 position += 1
