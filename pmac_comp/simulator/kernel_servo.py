@@ -624,7 +624,8 @@ def servo_cycles(
                 status |= reg.S1_DWELL
             if flags & traj.ABORTING:
                 status |= reg.S1_ABORT_DECELERATION
-            if cursor[m, traj.C_VELOCITY] == 0.0:
+            # A real killed motor shows this bit as 0 (850000000000), a holding one as 1.
+            if cursor[m, traj.C_VELOCITY] == 0.0 and not status & reg.S1_OPEN_LOOP:
                 status |= reg.S1_DESIRED_VELOCITY_ZERO
             x[base + reg.M_STATUS1] = status
             compensation[m] = 0.0
