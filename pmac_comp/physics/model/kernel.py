@@ -483,6 +483,8 @@ def run(
     base_v = 0.0
     base_a = 0.0
     table_a = 0.0
+    nut_a = 0.0
+    motor_a = 0.0
     extreme = theta0
     heading = 1.0
     since = 1e9
@@ -523,7 +525,9 @@ def run(
         for j in range(n_terms):
             site = int(terms[j, s.TERM_SITE])
             if 3 <= site <= 4:
-                value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
+                value = _term(
+                    terms[j], term_values[j], z[3], z[7], z[0], t, since, guide_state, nut_state
+                )
                 if site == 3:
                     motor_read += value
                 else:
@@ -675,9 +679,9 @@ def run(
             if use_stribeck:
                 ratio = mid_speed / par[s.STRIBECK_SPEED]
                 level_guide += par[s.STRIBECK_GUIDE] * math.exp(-ratio * ratio)
-                ratio = rho * z[5] / par[s.STRIBECK_SPEED]
+                ratio = rho * (z[5] + 0.5 * h * nut_a) / par[s.STRIBECK_SPEED]
                 level_nut += par[s.STRIBECK_NUT] * math.exp(-ratio * ratio)
-                ratio = rho * z[4] / par[s.STRIBECK_SPEED]
+                ratio = rho * (z[4] + 0.5 * h * motor_a) / par[s.STRIBECK_SPEED]
                 level_motor += par[s.STRIBECK_MOTOR] * math.exp(-ratio * ratio)
             if par[s.PER_REV] != 0.0:
                 level_nut += par[s.PER_REV] * math.cos(
@@ -691,7 +695,17 @@ def run(
                 site = int(terms[j, s.TERM_SITE])
                 if 3 <= site <= 4:
                     continue
-                value = _term(terms[j], term_values[j], z, t, since, guide_state, nut_state)
+                value = _term(
+                    terms[j],
+                    term_values[j],
+                    mid_x,
+                    mid_speed,
+                    mid_theta,
+                    t + (sub + 0.5) * h,
+                    since,
+                    guide_state,
+                    nut_state,
+                )
                 if site == 0:
                     push_motor += value
                 elif site == 1:
@@ -809,10 +823,14 @@ def run(
                 for i in range(n_gms):
                     slip[i] = slip_end[i]
                     force[2] += slip_end[i]
-            old_speed = z[7]
+            table_a = z[7]
+            nut_a = z[5]
+            motor_a = z[4]
             for i in range(N_STATES):
                 z[i] = zf[i] - W[i, 8] * mean[0] - W[i, 10] * mean[1] - W[i, 11] * mean[2]
-            table_a = (z[7] - old_speed) / h
+            table_a = (z[7] - table_a) / h
+            nut_a = (z[5] - nut_a) / h
+            motor_a = (z[4] - motor_a) / h
             motor_torque = held + fade * fading
             if use_wobble and not rigid:
                 wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
@@ -859,7 +877,9 @@ def _bristle(
 def _term(
     term: FloatArray,
     values: FloatArray,
-    z: FloatArray,
+    x: float,
+    v: float,
+    theta: float,
     t: float,
     since: float,
     guide_state: float,
@@ -869,11 +889,11 @@ def _term(
     coordinate = int(term[s.TERM_COORDINATE])
     where = t
     if coordinate == 0:
-        where = z[3]
+        where = x
     elif coordinate == 1:
-        where = z[7]
+        where = v
     elif coordinate == 2:
-        where = z[0]
+        where = theta
     elif coordinate == 3:
         where = since
     value: float = _lookup(values, term, where)
@@ -883,5 +903,5 @@ def _term(
     elif factor == 2:
         value *= nut_state
     elif factor == 3:
-        value *= z[7]
+        value *= v
     return value

@@ -51,10 +51,10 @@ def best_fit_rate(measured: FloatArray, simulated: FloatArray) -> float:
     first = finite_array("measured", measured, min_size=2)
     second = finite_array("simulated", simulated, min_size=2)
     _same_size(first, second)
-    spread = float(np.linalg.norm(first - np.mean(first)))
+    spread = rms(first - np.mean(first))
     if spread == 0.0:
         raise ModelError("measured is constant: its fit has no scale.", code="PC-MET-002")
-    return 100.0 * (1.0 - float(np.linalg.norm(first - second)) / spread)
+    return 100.0 * (1.0 - rms(first - second) / spread)
 
 
 def relative_error_percent(measured: FloatArray, simulated: FloatArray) -> float:
@@ -62,10 +62,10 @@ def relative_error_percent(measured: FloatArray, simulated: FloatArray) -> float
     first = finite_array("measured", measured)
     second = finite_array("simulated", simulated)
     _same_size(first, second)
-    size = float(np.linalg.norm(first))
+    size = rms(first)
     if size == 0.0:
         raise ModelError("measured is zero throughout.", code="PC-MET-002")
-    return 100.0 * float(np.linalg.norm(first - second)) / size
+    return 100.0 * (rms(first - second) / size)
 
 
 @dataclass(frozen=True)
