@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import SiControl, load_bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.model.effect import effect_library, load_effects
@@ -146,10 +146,15 @@ def test_parameters_that_are_not_finite_are_refused_by_name(value):
 
 
 def test_unstable_loop_is_reported_not_returned():
-    drive = BENCH.drive.model_copy(update={"torque_limit_Nm": 1e9, "torque_per_dac_Nm": 1.0})
-    control = BENCH.controller.model_copy(update={"ivariables": {"I130": 8388607.0}})
-    bench = BENCH.model_copy(update={"drive": drive, "controller": control})
-    model = DriveModel.base(bench).with_effect("actuator_delay", {"time_s": 0.03})
+    law = SiControl(Kp_Nm_per_mm=1e6)
+    update = {"kind": "si", "si": law}
+    bench = BENCH.model_copy(
+        update={
+            "drive": BENCH.drive.model_copy(update={"torque_limit_Nm": 1e100}),
+            "controller": BENCH.controller.model_copy(update=update),
+        }
+    )
+    model = DriveModel.base(bench)
     with pytest.raises(NonFinite, match="unstable"):
         simulate(model, np.concatenate([np.zeros(10), np.full(60_000, 1e-3)]))
 
