@@ -39,6 +39,17 @@ from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
 _STATIC_EFFECTS = ("lead_linear", "lead_cyclic", "encoder_eccentricity", "scale_slope")
+# With these effects only, the moments after a reversal are left out: see ``records.prepare``.
+_NO_DETAIL_AT_REST = {
+    "coulomb",
+    "viscous",
+    "bias_force",
+    "payload",
+    "lead_linear",
+    "lead_cyclic",
+    "friction_asymmetry",
+    "viscous_nonlinear",
+}
 _RIGID_NAMES = {
     "mass_kg": ("chain.mass_kg", 1.0),
     "viscous_N_s_per_m": ("viscous.guide_Ns_per_m", 1.0),
@@ -114,7 +125,8 @@ def _identify_elastic(
     if has_scale:
         tell("linear start from the two regressions", 0.0)
         start = starting_model(captures, bench, start)
-    records = [rec.prepare(capture, bench) for capture in captures]
+    plain = set(start.effects) <= _NO_DETAIL_AT_REST
+    records = [rec.prepare(capture, bench, skip_reversals=plain) for capture in captures]
     own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
     free_map = static_map == "free" or (static_map == "auto" and not own)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
@@ -123,7 +135,10 @@ def _identify_elastic(
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
         require_identifiable(fit, has_torque=has_torque)
-    residuals = tuple(_residuals_of(r, left, fit, i) for i, (r, left) in _pairs(records, fit))
+    residuals = tuple(
+        _residuals_of(record, fit, column, i)
+        for i, (record, column) in enumerate(zip(records, columns, strict=True))
+    )
     return Identification(
         model=fit.model,
         parameters=_estimates(fit),
@@ -136,12 +151,6 @@ def _identify_elastic(
         figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
         static_map=None if shape is None else rec.map_from(shape, fit.nuisance[len(records) :]),
     )
-
-
-def _pairs(
-    records: Sequence[rec.Record], fit: Fit
-) -> Iterable[tuple[int, tuple[rec.Record, FloatArray]]]:
-    return enumerate(zip(records, fit.residuals, strict=True))
 
 
 def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
@@ -165,21 +174,26 @@ def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     return found
 
 
-def _residuals_of(record: rec.Record, left: FloatArray, fit: Fit, i: int) -> CaptureResiduals:
-    gap = np.where(record.valid[:, None], left, np.nan)
-    by_name = {name: gap[:, c] for c, name in enumerate(record.channels)}
-    motor = by_name.get("motor")
-    if motor is None:
-        simulated_m = rec.response_of(record, fit.model).motor_position_m
-        measured_m = record.capture.motor_position_m
-        motor = measured_m - simulated_m[:: record.stride][: record.capture.n]
-        motor = np.where(record.valid, motor, np.nan)
-    difference = by_name.get("difference")
+def _residuals_of(record: rec.Record, fit: Fit, nuisance: FloatArray, i: int) -> CaptureResiduals:
+    response = rec.response_of(record, fit.model)
+    capture, cut = record.capture, slice(None, None, record.stride)
+
+    def left(measured: FloatArray | None, simulated: FloatArray) -> FloatArray | None:
+        if measured is None:
+            return None
+        return np.where(capture.mask, measured - simulated[cut][: capture.n], np.nan)
+
+    motor = left(capture.motor_position_m, response.motor_position_m)
+    table = None
+    if capture.table_position_m is not None:
+        difference = capture.table_position_m - capture.motor_position_m
+        table = left(difference, response.mechanical_error_m)
+        table = None if table is None else table - nuisance @ fit.nuisance
     return CaptureResiduals(
         motor_m=motor,
-        table_m=difference,
-        torque_Nm=by_name.get("torque"),
-        scale_offset_m=float(fit.nuisance[i]) if difference is not None else 0.0,
+        table_m=table,
+        torque_Nm=left(capture.torque_command_Nm, response.torque_command_Nm),
+        scale_offset_m=float(fit.nuisance[i]) if table is not None else 0.0,
     )
 
 
@@ -247,9 +261,9 @@ def _rigid_residuals(
         cut = slice(None, None, record.stride)
         n = record.capture.n
         motor = record.capture.motor_position_m - response.motor_position_m[cut][:n]
-        measured = record.measured[:, 0]
+        measured = record.full[:, 0]
         torque = measured - response.torque_command_Nm[cut][:n]
-        ok = record.valid
+        ok = record.capture.mask
         found.append(
             CaptureResiduals(np.where(ok, motor, np.nan), None, np.where(ok, torque, np.nan))
         )

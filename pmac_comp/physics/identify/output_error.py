@@ -15,7 +15,7 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge, NonFinite
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.records import Record, simulated
+from pmac_comp.physics.identify.records import Record, simulated, thinned
 from pmac_comp.physics.identify.regression import block_sums
 from pmac_comp.physics.identify.whitening import Whitener, fit_whitener, white
 from pmac_comp.physics.model.drive import DriveModel
@@ -58,8 +58,6 @@ class Fit:
         Scale of each parameter.
     nuisance : ndarray, shape (q,)
         Scale offsets and map coefficients.
-    residuals : tuple of ndarray, shape (n, c)
-        Measured minus simulated, nuisances removed.
     rounds : int
         Jacobians that were computed.
     step : float
@@ -73,7 +71,6 @@ class Fit:
     prior: FloatArray
     scales: FloatArray
     nuisance: FloatArray
-    residuals: tuple[FloatArray, ...]
     rounds: int
     step: float
 
@@ -112,7 +109,7 @@ class _Problem:
         jobs = [(r, model, float(s) * self.count_m) for s in shifts for r in self.records]
         done = list(self.executor.map(_quantised_triple, jobs))
         k = len(self.records)
-        return [r.measured - np.mean(done[i::k], axis=0) for i, r in enumerate(self.records)]
+        return [r.measured - np.stack(done[i::k]).mean(axis=0) for i, r in enumerate(self.records)]
 
     def many(self, thetas: Sequence[FloatArray]) -> list[list[FloatArray]]:
         models = [self.model_at(theta) for theta in thetas]
@@ -151,7 +148,7 @@ def refine(
     Parameters
     ----------
     records, nuisance : sequences
-        Prepared captures and their nuisance columns.
+        Prepared captures and their nuisance columns at the full rate.
     model : DriveModel
         Start; its effects stay.
     bench : Bench
@@ -210,7 +207,7 @@ def _problem(
     }
     return _Problem(
         records,
-        nuisance,
+        [thinned(columns, r.factor) for r, columns in zip(records, nuisance, strict=True)],
         model,
         specs,
         scales,
@@ -277,7 +274,6 @@ def _finished(
         prior=problem.weight,
         scales=problem.scales,
         nuisance=final.nuisance,
-        residuals=tuple(_without(problem, problem.residuals(theta), final.nuisance)),
         rounds=rounds,
         step=step,
     )
@@ -388,7 +384,7 @@ def _block_scores(
     for i, _, part in parts:
         slopes = part[:, 1 : 1 + p] - part[:, 1 + p :] @ on_slopes
         left = part[:, 0] - part[:, 1 + p :] @ on_residual
-        block = max(round(_BLOCK_s / problem.records[i].capture.sample_period_s), 1)
+        block = max(round(_BLOCK_s / problem.records[i].period_s), 1)
         sums = block_sums(slopes * left[:, None], block)
         by_record[i] = by_record[i] + sums if i in by_record else sums
     return np.concatenate(list(by_record.values()))
@@ -409,7 +405,7 @@ def _damped_step(
         cost = _cost(problem, new, filters)
         if cost <= here * (1.0 + 1e-9):
             move = new - theta
-            return new, float(np.sqrt(max(move @ matrix @ move, 0.0) / theta.size))
+            return new, float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
         damping = 10.0 * damping if damping > 0.0 else 1e-2
     return theta, 0.0
 
@@ -420,7 +416,7 @@ def _plain_step(problem: _Problem, theta: FloatArray, at: _Normal) -> tuple[Floa
     gradient = at.gradient - problem.weight * (theta - problem.centre)
     new = problem.bounded(theta + _active_step(problem, theta, matrix, gradient))
     move = new - theta
-    return new, float(np.sqrt(max(move @ matrix @ move, 0.0) / theta.size))
+    return new, float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
 
 
 def _active_step(

@@ -4,6 +4,7 @@ What lives here: which channels are compared, which samples count, the linear nu
 offset per capture, static lead map), and the simulation of one capture. What may not: fitting.
 Imports ``physics.model``, ``files`` and ``base``.
 
+Comparison is made below about 150 Hz: above it encoder rounding and the stick zone speak.
 The channels are torque and table minus motor: a disturbance that the model does not know moves
 motor and table together by tens of um and leaves their difference alone, while motor position and
 torque are one signal seen through the control law. Without torque, the motor position is used.
@@ -11,15 +12,17 @@ torque are one signal seen through the control law. Without torque, the motor po
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import firwin, resample_poly
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.derivatives import bridged
+from pmac_comp.physics.identify.derivatives import bridged, usable_rows
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 
@@ -28,26 +31,71 @@ TORQUE_FEEDFORWARD = "torque_feedforward_Nm"
 _KNOT_SPACING_m = 0.05
 _MAX_KNOTS = 12
 _HARMONICS = (1.0, 2.0)
+_RATE_Hz = 320.0  # of the compared rows
+_HALF_TAPS = 4  # half length of the low pass in thinned rows
+_REST_m_per_s = 2e-4
+# The 28 Hz loop needs about 12 ms to rise and twice that to settle after the friction step.
+_AFTER_s, _BEFORE_s = 0.045, 0.010
 
 
 @dataclass(frozen=True)
 class Record:
-    """One capture prepared: measured channels shape (n, c), validity, inputs at the servo rate."""
+    """One capture prepared.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture, n samples.
+    channels : tuple of str
+        Names of the c channels.
+    full : ndarray, shape (n, c)
+        Measured channels.
+    measured, valid : ndarray, shapes (m, c) and (m,)
+        Channels as compared (low-passed and thinned by ``factor``), and which rows count.
+    stride : int
+        Servo periods per sample of the capture.
+    commanded_m, desired_m, feedforward_Nm, force_N : ndarray
+        Inputs at the servo rate.
+    """
 
     capture: Capture
     channels: tuple[str, ...]
+    full: FloatArray
     measured: FloatArray
     valid: BoolArray
+    factor: int
     stride: int
     commanded_m: FloatArray
     desired_m: FloatArray | None
     feedforward_Nm: FloatArray | None
     force_N: FloatArray | None
 
+    @property
+    def period_s(self) -> float:
+        """Period of the compared rows."""
+        return self.factor * self.capture.sample_period_s
 
-def prepare(capture: Capture, bench: Bench) -> Record:
-    """Record of a capture; raises CaptureError where its rate does not fit the servo period."""
+
+def prepare(capture: Capture, bench: Bench, *, skip_reversals: bool = False) -> Record:
+    """Record of a capture, ready for comparison.
+
+    Parameters
+    ----------
+    capture : Capture
+        One run.
+    bench : Bench
+        Its bench.
+    skip_reversals : bool
+        Leave out standstill and the first moments after each reversal: what friction does there
+        in detail (presliding, Stribeck) is not in a Coulomb model and would bend its parameters.
+
+    Raises
+    ------
+    CaptureError
+        The sample period is not a multiple of the servo period.
+    """
     stride = _stride(capture, bench)
+    factor = max(round(1.0 / (_RATE_Hz * capture.sample_period_s)), 1)
     mask = capture.mask
     named = _channels(capture)
     extra = capture.extra
@@ -55,11 +103,14 @@ def prepare(capture: Capture, bench: Bench) -> Record:
     def fine(values: FloatArray | None) -> FloatArray | None:
         return None if values is None else _on_servo_grid(bridged(values, mask), stride)
 
+    full = np.column_stack([bridged(column, mask) for column in named.values()])
     return Record(
         capture=capture,
         channels=tuple(named),
-        measured=np.column_stack([bridged(column, mask) for column in named.values()]),
-        valid=mask,
+        full=full,
+        measured=thinned(full, factor),
+        valid=_rows_that_count(capture, factor, skip_reversals=skip_reversals),
+        factor=factor,
         stride=stride,
         commanded_m=_on_servo_grid(bridged(capture.commanded_position_m, mask), stride),
         desired_m=fine(capture.desired_position_m),
@@ -90,7 +141,14 @@ def response_of(
 def simulated(
     record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
 ) -> FloatArray:
-    """Simulated channels of a record, shape (n, c)."""
+    """Simulated channels of a record as compared, shape (m, c)."""
+    return thinned(simulated_full(record, model, shift_m=shift_m, quantise=quantise), record.factor)
+
+
+def simulated_full(
+    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+) -> FloatArray:
+    """Simulated channels at the samples of the capture, shape (n, c)."""
     response = response_of(record, model, shift_m=shift_m, quantise=quantise)
     columns = [_channel(name, response)[:: record.stride] for name in record.channels]
     stack = np.column_stack(columns)[: record.capture.n]
@@ -99,10 +157,19 @@ def simulated(
     return stack
 
 
+def thinned(columns: FloatArray, factor: int) -> FloatArray:
+    """Columns low-passed without delay and thinned by a factor, shape (ceil(n / factor), c)."""
+    if factor == 1:
+        return columns
+    taps = firwin(2 * _HALF_TAPS * factor + 1, 1.0 / factor)
+    resample: Any = resample_poly  # its stubs know windows by name only
+    return np.asarray(resample(columns, 1, factor, axis=0, window=taps, padtype="line"))
+
+
 def nuisances(
     records: Sequence[Record], bench: Bench, *, static_map: bool
 ) -> tuple[list[FloatArray], StaticMap | None]:
-    """Regressors of the table channel that carry no drive parameter, shape (n, q) per record.
+    """Regressors of the table channel that carry no drive parameter, full rate, (n, q) each.
 
     The first columns are the scale offsets of the captures; then, with ``static_map``, the lead
     error as hat functions of the table position (two neighbouring knots fixed by the offsets) and
@@ -152,6 +219,26 @@ def _stride(capture: Capture, bench: Bench) -> int:
     return stride
 
 
+def _rows_that_count(capture: Capture, factor: int, *, skip_reversals: bool) -> BoolArray:
+    clean = usable_rows(capture.mask, _HALF_TAPS * factor) if factor > 1 else capture.mask
+    if skip_reversals and EXTERNAL_FORCE not in capture.extra:
+        clean = clean & _steady_direction(capture)
+    return clean[::factor]
+
+
+def _steady_direction(capture: Capture) -> BoolArray:
+    """Samples that are not at rest and not within the moments around a reversal, shape (n,)."""
+    period = capture.sample_period_s
+    speed = np.gradient(bridged(capture.commanded_position_m, capture.mask), period)
+    direction = np.where(np.abs(speed) < _REST_m_per_s, 0, np.sign(speed))
+    changed = np.concatenate(([True], direction[1:] != direction[:-1])) | (direction == 0)
+    count = np.concatenate(([0], np.cumsum(changed)))
+    index = np.arange(direction.size)
+    low = np.maximum(index - round(_AFTER_s / period), 0)
+    high = np.minimum(index + round(_BEFORE_s / period) + 1, direction.size)
+    return np.asarray(count[high] == count[low])
+
+
 def _channels(capture: Capture) -> dict[str, FloatArray]:
     named: dict[str, FloatArray] = {}
     if capture.torque_command_Nm is not None:
@@ -195,8 +282,8 @@ def _map_shape(records: Sequence[Record], bench: Bench) -> StaticMap | None:
 def _table_m(record: Record) -> FloatArray:
     table = record.capture.table_position_m
     if table is None:
-        return bridged(record.capture.motor_position_m, record.valid)
-    return bridged(table, record.valid)
+        return bridged(record.capture.motor_position_m, record.capture.mask)
+    return bridged(table, record.capture.mask)
 
 
 def _map_columns(record: Record, shape: StaticMap) -> FloatArray:

@@ -60,8 +60,8 @@ def estimate(name: str, value: float, std: float, unit: str) -> ParameterEstimat
 class CaptureResiduals:
     """What the fitted model leaves of one capture, measured minus simulated, shape (n,) each.
 
-    Invalid samples hold NaN. Channels that the capture lacks are None. The table residual is
-    without the scale offset of the capture and without the static map.
+    Invalid samples hold NaN. Channels that the capture lacks are None. ``table_m`` is that of table
+    minus motor, the mechanical error, without the capture's scale offset and the static map.
     """
 
     motor_m: FloatArray | None

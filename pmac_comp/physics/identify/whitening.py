@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 
-AR_ORDER = 12
+AR_ORDER = 6
 
 
 @dataclass(frozen=True)
