@@ -13,13 +13,19 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.errors import (
+    ConfigError,
+    ControllerState,
+    PmacCompError,
+    SafetyRefusal,
+    VerifyMismatch,
+)
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.machine.controller import law_upload, motors, recovery
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
-from pmac_comp.machine.controller.sign_check import check_master_sign
+from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.transaction import Context, UploadResult
 from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
@@ -41,6 +47,8 @@ Progress = Callable[[str, float], None]
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 _TORQUE_ROUTES = ("law", "servo")
 _CHEAP_SHARE = 0.25
+_SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
+_NOT_MOVED = "PC-SGN-005"
 
 
 # Computing ----------------------------------------------------------------------------------------
@@ -305,7 +313,13 @@ def _checked_sign(axis: Axis, context: Context) -> list[str]:
     status = motors.read_motor(axis.link, axis.motor).status
     if head.is_armed or not status.is_closed_loop:
         return []
-    found = check_master_sign(axis.link, axis.motor)
+    # The law writes the master word every cycle: it must stand aside while the test does.
+    axis.link.command("DISABLE PLC 0")
+    try:
+        axis.link.clock.sleep_s(0.01)
+        found = _sign_against_friction(axis)
+    finally:
+        axis.link.command("ENABLE PLC 0")
     if found.sign < 0:
         raise SafetyRefusal(
             f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
@@ -317,6 +331,23 @@ def _checked_sign(axis: Axis, context: Context) -> list[str]:
         f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
         f"{found.moved_ct:+.1f} counts"
     ]
+
+
+def _sign_against_friction(axis: Axis) -> SignResult:
+    """Sign test with an offset that grows until it moves the motor against its friction."""
+    for offset_um in _SIGN_OFFSETS_um[:-1]:
+        try:
+            return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, offset_um))
+        except PmacCompError as error:
+            if error.code != _NOT_MOVED:
+                raise
+    return check_master_sign(
+        axis.link, axis.motor, offset_ct=_offset_ct(axis, _SIGN_OFFSETS_um[-1])
+    )
+
+
+def _offset_ct(axis: Axis, offset_um: float) -> float:
+    return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
 
 
 def stand_at_zero(axis: Axis) -> None:
