@@ -5,6 +5,6 @@ model that is fitted, and anything of the card. Imports ``files`` and ``base``.
 """
 
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant, make_plant
-from pmac_comp.simulator.plant.door import Plant, load_plant
+from pmac_comp.simulator.plant.door import GuardedPlant, Plant, load_plant
 
-__all__ = ["BallscrewPlant", "Plant", "load_plant", "make_plant"]
+__all__ = ["BallscrewPlant", "GuardedPlant", "Plant", "load_plant", "make_plant"]

@@ -5,12 +5,17 @@ Python is executed only from a path that a person typed. Imports ``files`` and `
 """
 
 import importlib.util
+import math
 import sys
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from pmac_comp.base.errors import ConfigError
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import ConfigError, NonFinite
 from pmac_comp.files.bench import Bench
+from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 
 _DEFAULT_FACTORY = "make_plant"
 
@@ -29,6 +34,76 @@ class Plant(Protocol):
         """Motor angle in rad and table position in m after one period of this torque."""
 
 
+class GuardedPlant:
+    """A user's plant with what the card needs around it: finite values, a record of the truth.
+
+    Parameters
+    ----------
+    plant : Plant
+        The user's plant.
+    lead_m_per_rad : float
+        Screw lead, so that the record is in m for both sides.
+    name : str
+        Where it came from, for error texts.
+    """
+
+    def __init__(self, plant: Plant, lead_m_per_rad: float, name: str = "plant") -> None:
+        self.plant = plant
+        self._lead = lead_m_per_rad
+        self._name = name
+        self._reading = (0.0, 0.0)
+        self._cycle = 0
+        self._log: FloatArray = np.zeros((0, 4))
+        self._recorded = 0
+
+    def reset(self, table_position_m: float = 0.0) -> None:
+        """Put the drive at rest; it reads the motor angle that belongs to the position."""
+        self.plant.reset(table_position_m)
+        self._reading = (table_position_m / self._lead, table_position_m)
+        self._cycle = 0
+
+    def reading(self) -> tuple[float, float]:
+        """Latest motor angle in rad and table position in m."""
+        return self._reading
+
+    def step(self, torque_command_Nm: float) -> tuple[float, float]:
+        """One servo period; raises NonFinite for values that are not finite numbers."""
+        angle, table = (float(value) for value in self.plant.step(torque_command_Nm))
+        self._cycle += 1
+        if not (math.isfinite(angle) and math.isfinite(table)):
+            raise NonFinite(
+                f"{self._name} returned ({angle}, {table}) in servo cycle {self._cycle}.",
+                code="PC-PLT-014",
+                hint="The plant has diverged; check its integration step and its parameters.",
+            )
+        self._reading = (angle, table)
+        if self._log.shape[0]:
+            row = self._recorded % self._log.shape[0]
+            self._log[row] = (self._cycle, angle * self._lead, table, torque_command_Nm)
+            self._recorded += 1
+        return self._reading
+
+    def set_external_force(self, force_N: float) -> None:
+        """Force on the table in N, if the user's plant takes one."""
+        push = getattr(self.plant, "set_external_force", None)
+        if push is not None:
+            push(force_N)
+
+    def record(self, n_cycles: int) -> None:
+        """Start a ring of the values before quantisation; 0 stops it."""
+        self._log = np.zeros((n_cycles, 4))
+        self._recorded = 0
+
+    def recorded(self) -> dict[str, FloatArray]:
+        """Values since ``record``, oldest first, as ``BallscrewPlant.recorded`` gives them."""
+        capacity = self._log.shape[0]
+        first = max(0, self._recorded - capacity)
+        rows = np.arange(first, self._recorded) % max(capacity, 1)
+        table = self._log[rows] if capacity else np.zeros((0, 4))
+        names = ("cycle", "motor_position_m", "table_position_m", "torque_Nm")
+        return {name: table[:, i].copy() for i, name in enumerate(names)}
+
+
 def load_plant(text: str, bench: Bench) -> Plant:
     """Plant made by a user's file.
 
@@ -43,6 +118,11 @@ def load_plant(text: str, bench: Bench) -> Plant:
     ------
     ConfigError
         No such file, no such factory, it fails to import, or its result is not a plant.
+
+    Returns
+    -------
+    Plant
+        Our own compiled drive as it is, any other one with a guard around it.
     """
     path, factory_name = _split(text)
     module = _module_from(path)
@@ -61,7 +141,9 @@ def load_plant(text: str, bench: Bench) -> Plant:
             hint="It needs reset(table_position_m=0.0) and step(torque_command_Nm).",
         )
     plant.reset()
-    return plant
+    if isinstance(plant, BallscrewPlant):
+        return plant
+    return GuardedPlant(plant, bench.lead_m_per_rad, path.name)
 
 
 def _split(text: str) -> tuple[Path, str]:

@@ -1,0 +1,111 @@
+"""Plants of a user's own: loading, guarding, recording."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, NonFinite
+from pmac_comp.files.bench import load_bench
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.closed_loop import run_closed_loop
+from pmac_comp.simulator.plant import BallscrewPlant, GuardedPlant, load_plant
+
+BENCH = load_bench("paper")
+OWN = """
+class Axis:
+    def __init__(self, bench, mass=1.1e-3):
+        self.ts, self.lead, self.inertia = bench.servo_period_s, bench.lead_m_per_rad, mass
+        self.reset()
+
+    def reset(self, table_position_m=0.0):
+        self.angle, self.speed = table_position_m / self.lead, 0.0
+
+    def step(self, torque_command_Nm):
+        self.speed += self.ts * (torque_command_Nm - 0.02 * self.speed) / self.inertia
+        self.angle += self.ts * self.speed
+        return self.angle, self.angle * self.lead
+
+
+def make_plant(bench):
+    return Axis(bench)
+
+
+def heavy(bench):
+    return Axis(bench, 1.5e-3)
+
+
+def nothing(bench):
+    return 3
+
+
+def diverging(bench):
+    axis = Axis(bench)
+    axis.inertia = -1e-9
+    return axis
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "axis.py"
+    path.write_text(OWN)
+    return path
+
+
+def test_default_and_named_factories(file):
+    assert load_plant(str(file), BENCH).plant.inertia == 1.1e-3
+    assert load_plant(f"{file}:heavy", BENCH).plant.inertia == 1.5e-3
+
+
+@pytest.mark.parametrize(
+    ("suffix", "code"), [(":absent", "012"), (":nothing", "013"), ("x", "010"), (":no-name", "010")]
+)
+def test_what_cannot_be_a_plant_is_refused(file, suffix, code):
+    with pytest.raises(ConfigError) as caught:
+        load_plant(f"{file}{suffix}", BENCH)
+    assert caught.value.code == f"PC-PLT-{code}"
+
+
+@pytest.mark.parametrize("text", ["import nonsense_module_x", "def f(:", "x = undefined_name"])
+def test_files_that_do_not_load_are_refused(tmp_path, text):
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_plant(str(path), BENCH)
+    assert caught.value.code == "PC-PLT-011"
+
+
+def test_own_drive_from_a_user_file_stays_compiled(tmp_path):
+    path = tmp_path / "ours.py"
+    path.write_text(
+        "from pmac_comp.simulator.plant import make_plant as base\n"
+        "def make_plant(bench):\n"
+        "    return base(bench, effects={'backlash': {'gap_um': 6.0}}, seed=4)\n"
+    )
+    plant = load_plant(str(path), BENCH)
+    assert isinstance(plant, BallscrewPlant)
+    assert plant.effects == {"backlash": {"gap_um": 6.0}}
+
+
+def test_card_moves_a_users_axis_and_records_it(file):
+    plant = load_plant(str(file), BENCH)
+    assert isinstance(plant, GuardedPlant)
+    card = Card(BENCH, plant=plant)
+    plant.record(5000)
+    port = card.port()
+    card.run_cycles(20)
+    port.line("#1J/")
+    port.line("#1J=4000")
+    card.run_cycles(2500)
+    assert float(port.line("#1P").split(b"\r")[0]) == pytest.approx(4000, abs=2)
+    truth = plant.recorded()
+    assert truth["cycle"].tolist() == list(range(1, 2521))
+    assert truth["motor_position_m"][-1] == pytest.approx(4e-3, abs=3e-6)
+    np.testing.assert_array_equal(truth["motor_position_m"], truth["table_position_m"])
+
+
+def test_diverging_plants_are_stopped_with_their_cycle(file):
+    plant = load_plant(f"{file}:diverging", BENCH)
+    with pytest.raises(NonFinite, match=r"axis\.py.*servo cycle"):
+        run_closed_loop(BENCH, plant, 0.001 * np.sin(np.arange(5000) * math.pi / 500))
