@@ -122,6 +122,8 @@ class Gram:
     def _solve_total(self, total: FloatArray, chosen: IntArray) -> Solution:
         precision = 1.0 / self.prior.sigma[chosen] ** 2
         matrix = total[np.ix_(chosen, chosen)] + np.diag(precision)
+        # A column that does nothing (an effect out of reach of the data) must not blow up.
+        matrix += np.diag((np.diag(matrix) <= 0.0).astype(np.float64))
         right = total[chosen, -1] + precision * self.prior.centre[chosen]
         unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = matrix * np.outer(unit, unit) + _RIDGE * np.eye(chosen.size)

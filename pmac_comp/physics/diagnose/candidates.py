@@ -1,0 +1,250 @@
+"""Ways to change a model: its own parameters, and every effect of the library from several starts.
+
+What lives here: directions of the joint refit. Effects with memory, dead zones, orders or phases
+have local minima, so each is tried from several starts and in each of its places. No statistics.
+May import ``physics.model``.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.workbench import Direction
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import Effect, split_name
+from pmac_comp.physics.model.parameters import ParameterSpec
+
+_STEP_FRAC = 0.02
+# A tolerance is one half-width; a value anywhere inside is as likely: sigma = half-width/sqrt 3.
+_UNIFORM = 1.0 / math.sqrt(3.0)
+_EDGE = 1.02
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of one candidate.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect.
+    key : str
+        Name in a model, ``effect`` or ``effect@place``.
+    values : Mapping[str, float]
+        Starting values, SI, bare names.
+    directions : tuple of Direction
+        One column, or two when a phase is free (cosine and sine).
+    linear : bool
+        Whether the effect vanishes with its size; others replace a value of the model.
+    """
+
+    effect: str
+    key: str
+    values: Mapping[str, float]
+    directions: tuple[Direction, ...]
+    linear: bool = True
+
+
+def own_directions(model: DriveModel) -> list[Direction]:
+    """Directions along the model's own parameters, known ones within their tolerance."""
+    directions = []
+    for spec in model.specs:
+        if spec.discrete:
+            continue
+        direction = _own_direction(model, spec)
+        if direction is not None:
+            directions.append(direction)
+    return directions
+
+
+def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
+    value = model.parameters[spec.name]
+    lower, upper, centre, sigma = spec.lower, spec.upper, value, math.inf
+    if spec.kind == "known":
+        width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
+        if width <= 0.0:
+            return None
+        lower = max(lower, spec.nominal - _EDGE * width)
+        upper = min(upper, spec.nominal + _EDGE * width)
+        centre, sigma = spec.nominal, width * _UNIFORM
+    step = _step(spec, value, lower, upper)
+    if step == 0.0:
+        return None
+    unit = abs(step)
+    moved = model.with_parameters({spec.name: value + step})
+    return Direction(
+        owner="",
+        label=spec.name,
+        model=moved,
+        step=step / unit,
+        lower=(lower - value) / unit,
+        upper=(upper - value) / unit,
+        centre=(centre - value) / unit,
+        sigma=sigma / unit,
+        unit=unit,
+    )
+
+
+def _step(spec: ParameterSpec, value: float, lower: float, upper: float) -> float:
+    """Finite step that stays inside the hard bounds; 0 where there is no room."""
+    size = _STEP_FRAC * max(abs(value), spec.scale)
+    if spec.kind == "known":
+        size = min(size, 0.2 * (upper - lower))
+    if spec.period:
+        size = 0.05
+    if value + size <= spec.upper:
+        return size
+    return -size if value - size >= spec.lower else 0.0
+
+
+def starts_of(
+    effect: Effect,
+    model: DriveModel,
+    bench: Bench,
+    orders: Sequence[float],
+    frequencies_Hz: Sequence[float],
+) -> list[Start]:
+    """Starts of an effect at a model, leaving out those that the model cannot hold.
+
+    Parameters
+    ----------
+    effect : Effect
+        Candidate.
+    model : DriveModel
+        Working point.
+    bench : Bench
+        Tells rigid benches and benches without a scale.
+    orders : sequence of float
+        Orders per revolution to try where the effect has one.
+    frequencies_Hz : sequence of float
+        Frequencies to try where the effect has one.
+
+    Returns
+    -------
+    list of Start
+    """
+    rigid = "chain.mass_kg" in model.parameters
+    if (rigid and not effect.rigid) or (effect.needs_scale and bench.scale is None):
+        return []
+    present = {split_name(name)[0] for name in model.effects}
+    if effect.name in present:
+        return []
+    found = []
+    for place in effect.places or ("",):
+        key = f"{effect.name}@{place}" if place else effect.name
+        specs = effect.specs(place)
+        for values in _start_values(effect, specs, orders, frequencies_Hz):
+            found.append(_start(effect.name, key, specs, values, model))
+    return [start for start in found if start.directions]
+
+
+def _start_values(
+    effect: Effect,
+    specs: Sequence[ParameterSpec],
+    orders: Sequence[float],
+    frequencies_Hz: Sequence[float],
+) -> Iterable[dict[str, float]]:
+    """Starting values: those of the effect, spread over the orders or frequencies found."""
+    names = {spec.name: spec for spec in specs}
+    listed = [
+        {spec.name: float(start.get(spec.name, spec.nominal)) for spec in specs}
+        for start in (effect.starts or ({},))
+        if set(start) <= set(names)
+    ]
+    spread = {"order_per_rev": orders, "frequency_Hz": frequencies_Hz}
+    for name, grid in spread.items():
+        if name in names and grid:
+            spec = names[name]
+            inside = [g for g in grid if spec.lower <= g <= spec.upper]
+            own = [values[name] for values in listed]
+            grown = sorted({round(v, 4) for v in [*own, *inside]})
+            listed = [{**listed[0], name: value} for value in grown]
+    return listed
+
+
+# The parameter that is zero when the effect is absent, where it is not the first.
+_AMPLITUDES = {"base_mode": "mass_ratio"}
+
+
+def amplitude_of(effect: str, specs: Sequence[ParameterSpec]) -> ParameterSpec:
+    """The parameter that makes an effect vanish, or the first one."""
+    name = _AMPLITUDES.get(effect, specs[0].name)
+    return next(spec for spec in specs if spec.name == name)
+
+
+def _start(
+    effect: str,
+    key: str,
+    specs: Sequence[ParameterSpec],
+    values: dict[str, float],
+    model: DriveModel,
+) -> Start:
+    size = amplitude_of(effect, specs)
+    angle = next((spec.name for spec in specs if spec.period), None)
+    if values[size.name] == 0.0:
+        values = {**values, size.name: min(size.scale, size.upper)}
+    turns = [values] if angle is None else [{**values, angle: 0.0}, {**values, angle: math.pi / 2}]
+    linear = vanishes(key, size, values, model)
+    free_sign = linear and (angle is not None or size.lower < 0.0)
+    directions = tuple(
+        Direction(
+            owner=effect,
+            label=f"{key} {i}",
+            model=model.with_effect(key, turned),
+            step=1.0,
+            lower=-math.inf if free_sign else 0.0,
+            upper=math.inf if linear else 3.0,
+        )
+        for i, turned in enumerate(turns)
+    )
+    return Start(effect, key, values, directions, linear)
+
+
+def vanishes(key: str, size: ParameterSpec, values: Mapping[str, float], model: DriveModel) -> bool:
+    """Whether the effect is absent at size zero; others replace a value of the model."""
+    if not size.lower <= 0.0 <= size.upper:
+        return False
+    off = model.with_effect(key, {**values, size.name: 0.0})
+    if off.terms() != model.terms():
+        return True
+    changed = off.kernel_vector() - model.kernel_vector()
+    on = model.with_effect(key, values).kernel_vector() - model.kernel_vector()
+    # Periods, speeds and centres may differ: they act through the size alone.
+    same = np.isclose(changed, on, rtol=1e-12, atol=0.0)
+    return bool(np.all((changed == 0.0) | same))
+
+
+def started(
+    start: Start, step: Sequence[float], specs: Sequence[ParameterSpec]
+) -> dict[str, float]:
+    """Values of an effect after a linearised refit moved it by ``step`` from nothing.
+
+    Parameters
+    ----------
+    start : Start
+        Where the columns were taken.
+    step : sequence of float
+        Move along each direction, as multiples of the start's size.
+    specs : sequence of ParameterSpec
+        Of the effect, bare names.
+
+    Returns
+    -------
+    dict
+        Starting values of the nonlinear refit, SI.
+    """
+    values = dict(start.values)
+    size = amplitude_of(start.effect, specs)
+    angle = next((spec.name for spec in specs if spec.period), None)
+    share = float(step[0])
+    if angle is not None:
+        # a cos(w) + b cos(w + pi/2) = r cos(w + phi)
+        values[angle] = math.atan2(step[1], step[0])
+        share = math.hypot(step[0], step[1])
+    if start.linear:
+        share = share if abs(share) > 0.05 else math.copysign(0.05, share)
+        values[size.name] = float(np.clip(values[size.name] * share, size.lower, 0.98 * size.upper))
+    return values

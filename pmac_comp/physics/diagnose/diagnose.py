@@ -1,0 +1,275 @@
+"""Find where simulation and measurement disagree, name the missing effect, show the gap shrink.
+
+What lives here: the door of the package and the assembly of the answer. May import the rest of
+this package.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.estimates import estimates_of, findings_of
+from pmac_comp.physics.diagnose.growth import Grown, Rules, grow
+from pmac_comp.physics.diagnose.localise import Region, localise
+from pmac_comp.physics.diagnose.lookalikes import separating_experiment
+from pmac_comp.physics.diagnose.records import Gap, gap, prepare
+from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
+from pmac_comp.physics.diagnose.result import (
+    Diagnosis,
+    Evidence,
+    Growth,
+    SeparatingExperiment,
+    Trace,
+    Verdict,
+)
+from pmac_comp.physics.diagnose.words import statements_of
+from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import Effect, effect_library, split_name
+
+Progress = Callable[[str], None]
+# A second form of presliding for prediction; the diagnosis names the phenomenon once.
+_FORMS = frozenset({"presliding_gms"})
+
+
+def diagnose(
+    captures: Sequence[Capture],
+    bench: Bench,
+    *,
+    validate: Sequence[Capture] = (),
+    model: DriveModel | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    progress: Progress | None = None,
+    rules: Rules | None = None,
+) -> Diagnosis:
+    """What the base model lacks on these captures.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs for fitting, each starting at rest.
+    bench : Bench
+        What is known of the drive.
+    validate : sequence of Capture
+        Runs for judging; without any, part of ``captures`` is held back.
+    model : DriveModel or None
+        Base model instead of that of the bench.
+    effects : Mapping of str to Effect or None
+        Candidates instead of the built-in library (a user's own are added to it by the caller).
+    progress : callable or None
+        Told in words what is being done.
+    rules : Rules or None
+        Figures of the decisions.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    NotIdentifiable
+        No capture, or one that cannot be used.
+    ModelError
+        The base model cannot be simulated on these captures.
+
+    Source
+    ------
+    Grow one effect at a time as Bacher and Madsen (2011), with whole closed-loop runs instead of
+    innovations, look-alikes kept as ties and flexible rivals as the bound of what has no name.
+    """
+    if not captures:
+        raise NotIdentifiable(
+            "There is no capture to diagnose.",
+            code="PC-DIA-002",
+            hint="Give at least one capture; three or more places and speeds tell more.",
+        )
+    tell = progress or _silent
+    start = DriveModel.base(bench) if model is None else model
+    library = _candidates(effects, start)
+    fit = prepare([*captures, *validate], bench, prefix="capture")
+    records, judges = fit[: len(captures)], fit[len(captures) :]
+    with processors() as executor:
+        workbench = Workbench(fit, split(records, judges), executor)
+        grown = grow(workbench, start, library, rules or Rules(), tell)
+        tell("measuring what is left")
+        left = remainder_of(grown, bench)
+        return _assembled(grown, left, library, bench)
+
+
+def _silent(text: str) -> None:
+    """Progress that nobody listens to."""
+
+
+def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict[str, Effect]:
+    """Effects that may be added: the library, less what the model already holds."""
+    present = {split_name(name)[0] for name in start.effects}
+    offered = effect_library() if effects is None else effects
+    return {
+        name: effect
+        for name, effect in offered.items()
+        if name not in present and name not in _FORMS
+    }
+
+
+def _assembled(
+    grown: Grown, left: Remainder, library: Mapping[str, Effect], bench: Bench
+) -> Diagnosis:
+    executor = grown.bench.executor
+    judging = grown.bench.judging_records
+    before = gap(judging, grown.base.model, executor)
+    after = gap(judging, grown.final.model, executor)
+    tied = _tied_groups(grown)
+    named = _named(grown, tied)
+    verdict = _verdict(named, tied, left)
+    where = _where(grown, bench)
+    estimates = estimates_of(grown)
+    findings = findings_of(grown)
+    experiment = _experiment(tied, left, grown, library)
+    return Diagnosis(
+        verdict=verdict,
+        named=named,
+        tied=tied,
+        evidence=_evidence(grown, library),
+        where=where,
+        gap_before_um=before.position_um,
+        gap_after_um=after.position_um,
+        torque_gap_before_Nm=before.torque_Nm,
+        torque_gap_after_Nm=after.torque_Nm,
+        noise_floor_um=left.noise_floor_um,
+        gap_channel="table" if grown.bench.channels > 1 else "motor",
+        residual=left.regions if verdict == "unknown" else (),
+        separating_experiment=experiment,
+        findings=findings,
+        statements=statements_of(verdict, named, tied, estimates, where, before, after, left),
+        model=grown.final.model,
+        estimates=estimates,
+        path=_path(grown, before, after),
+        traces=_traces(grown, bench),
+    )
+
+
+def _tied_groups(grown: Grown) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (r.accepted.effect, *r.tied) for r in grown.rounds if r.accepted is not None and r.tied
+    )
+
+
+def _named(grown: Grown, tied: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """Tied groups first, then the settled effects in the order added."""
+    grouped = [name for group in tied for name in group]
+    settled = [c.effect for c in grown.accepted if c.effect not in grouped]
+    return tuple(dict.fromkeys([*grouped, *settled]))
+
+
+def _verdict(named: tuple[str, ...], tied: tuple[tuple[str, ...], ...], left: Remainder) -> Verdict:
+    if left.unexplained:
+        return "unknown"
+    if tied:
+        return "tie"
+    return "named" if named else "none"
+
+
+def _experiment(
+    tied: tuple[tuple[str, ...], ...],
+    left: Remainder,
+    grown: Grown,
+    library: Mapping[str, Effect],
+) -> SeparatingExperiment | None:
+    if tied:
+        return separating_experiment(tied[0], library)
+    if left.unexplained and grown.rounds and grown.rounds[-1].contenders:
+        rivals = [c.effect for c in grown.rounds[-1].contenders[:2]]
+        return separating_experiment(rivals, library)
+    return None
+
+
+def _evidence(grown: Grown, library: Mapping[str, Effect]) -> tuple[Evidence, ...]:
+    found = []
+    for number, done in enumerate(grown.rounds, start=1):
+        listed = set()
+        for contender in done.contenders:
+            listed.add(contender.effect)
+            chosen = done.accepted is not None and contender.effect == done.accepted.effect
+            status = "chosen" if chosen else "lost"
+            if contender.effect in done.tied:
+                status = "tied"
+            fitted = gap(grown.bench.judging_records, contender.fitted.model, grown.bench.executor)
+            found.append(
+                Evidence(
+                    contender.effect,
+                    number,
+                    1e3 * contender.judged_gain / max(done.rows_judge, 1.0),
+                    contender.screened.fit_gain,
+                    contender.bic_gain,
+                    contender.p_value,
+                    fitted.position_um,
+                    status,
+                )
+            )
+        for item in done.screening.ranked:
+            if item.start.effect in listed:
+                continue
+            found.append(
+                Evidence(
+                    item.start.effect, number, float("nan"), item.fit_gain,
+                    float("nan"), float("nan"), float("nan"), "screened",
+                )
+            )  # fmt: skip
+    return tuple(found)
+
+
+def _where(grown: Grown, bench: Bench) -> tuple[Region, ...]:
+    """Where the base model disagrees, in the table channel and in the motor's."""
+    workbench = grown.bench
+    residuals = workbench.residuals(grown.base.simulated)
+    responses = [r.response(grown.base.model) for r in workbench.records]
+    coordinates = [
+        r.coordinates(p, bench.pitch_m) for r, p in zip(workbench.records, responses, strict=True)
+    ]
+    period = workbench.records[0].coarse_period_s
+    names = ["motor"] if workbench.channels == 1 else ["motor", "table"]
+    found: list[Region] = []
+    for i, name in reversed(list(enumerate(names))):
+        marked = [
+            np.where(r.usable, d[:, i], np.nan)
+            for r, d in zip(workbench.records, residuals, strict=True)
+        ]
+        found += localise(marked, coordinates, channel=name, sample_s=period)
+    return tuple(found)
+
+
+def _path(grown: Grown, before: Gap, after: Gap) -> tuple[Growth, ...]:
+    steps = [Growth((), before.position_um, before.torque_Nm)]
+    judging, executor = grown.bench.judging_records, grown.bench.executor
+    accepted = grown.accepted
+    for i, contender in enumerate(accepted):
+        here = after if i == len(accepted) - 1 else gap(judging, contender.fitted.model, executor)
+        steps.append(Growth((contender.effect,), here.position_um, here.torque_Nm))
+    return tuple(steps)
+
+
+def _traces(grown: Grown, bench: Bench) -> tuple[Trace, ...]:
+    """Residuals of the judging samples before and after, for figures."""
+    workbench = grown.bench
+    before = workbench.residuals(grown.base.simulated)
+    after = workbench.residuals(grown.final.simulated)
+    traces = []
+    for i, (record, mask) in enumerate(zip(workbench.records, workbench.fitting, strict=True)):
+        part = ~mask & record.usable
+        if not part.any():
+            continue
+        at = record.coordinates(record.response(grown.final.model), bench.pitch_m)
+        traces.append(
+            Trace(
+                record.name,
+                at.values["time"][part],
+                MappingProxyType({k: v[part] for k, v in at.values.items()}),
+                1e6 * (before[i][part, -1] - before[i][part, -1].mean()),
+                1e6 * (after[i][part, -1] - after[i][part, -1].mean()),
+            )
+        )
+    return tuple(traces)

@@ -1,0 +1,356 @@
+"""The growth loop: screen, refit the leaders, let the best earn its place, go round again.
+
+What lives here: the order of work and the rules by which a candidate is accepted, tied or dropped.
+The rules' figures are collected in ``Rules``. May import the rest of this package.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.candidates import Start, started
+from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
+from pmac_comp.physics.diagnose.screen import Screened, Screening, look, noise_like, screen
+from pmac_comp.physics.diagnose.statistics import (
+    bic_gain,
+    corrected_p,
+    effective_size,
+    sign_flip_p,
+    studentised,
+)
+from pmac_comp.physics.diagnose.workbench import Noise, Workbench
+from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.model.effect import Effect
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Figures of the decisions.
+
+    Parameters
+    ----------
+    material : float
+        Least drop of chi-square per sample, on fitting and on judging samples alike: an effect
+        that changes less than this share of the noise's variance is not worth a name, however
+        significant it is (the model's own integration leaves about a quarter of it).
+    p_value : float
+        Largest corrected p-value.
+    tie_z : float
+        Paired difference over its standard error below which look-alikes are tied.
+    tie_material : float
+        Difference per sample below which look-alikes are tied, significant or not.
+    leaders : int
+        Candidates that get a full refit.
+    most_effects : int
+        Most effects added.
+    """
+
+    material: float = 0.04
+    p_value: float = 0.01
+    tie_z: float = 3.0
+    tie_material: float = 0.015
+    leaders: int = 4
+    most_effects: int = 4
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A candidate after its full joint refit, judged against the model without it."""
+
+    effect: str
+    key: str
+    screened: Screened
+    fitted: Fitted
+    fit_gain: float
+    judged_gain: float
+    p_value: float
+    bic_gain: float
+
+    @property
+    def gain(self) -> float:
+        """What ranks: both gains together."""
+        return self.fit_gain + self.judged_gain
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the loop."""
+
+    before: Fitted
+    screening: Screening
+    contenders: tuple[Contender, ...]
+    accepted: Contender | None
+    tied: tuple[str, ...]
+    rows_fit: float
+    rows_judge: float
+
+
+@dataclass(frozen=True)
+class Grown:
+    """Result of the loop.
+
+    Parameters
+    ----------
+    bench : Workbench
+        With the last noise estimate.
+    base, final : Fitted
+        Refitted base model and grown model.
+    rounds : tuple of Round
+        All rounds, the last one without an accepted candidate unless the limit was reached.
+    """
+
+    bench: Workbench
+    base: Fitted
+    final: Fitted
+    rounds: tuple[Round, ...] = field(default=())
+
+    @property
+    def accepted(self) -> tuple[Contender, ...]:
+        """Accepted candidates in order."""
+        return tuple(r.accepted for r in self.rounds if r.accepted is not None)
+
+    def final_on(self, part: Workbench) -> Fitted:
+        """The grown model evaluated on some of the records."""
+        return evaluate(part, self.final.model)
+
+
+def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
+    """Weights before any data was explained: what the sensors' steps do inside the loop."""
+    sharp = bench.simulate([model])[0]
+
+    def rounded(i: int) -> FloatArray:
+        record = bench.records[i]
+        response = simulate(
+            model, record.commanded_m, desired_position_m=record.desired_m, quantise=True
+        )
+        return record.coarsen(record.channels_of(response)) - sharp[i]
+
+    noise = list(bench.executor.map(rounded, range(len(bench.records))))
+    return bench.with_noise(Noise(bench.noise_from(noise, sensor_floor_m(bench, model)).whitener))
+
+
+def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
+    """Least innovation per channel: a tenth of what one coarse sample resolves."""
+    description = model.bench
+    steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
+    coarse = 0.1 / np.sqrt(12.0 * bench.records[0].factor)
+    return np.maximum(coarse * np.array(steps[: bench.channels]), 1e-10)
+
+
+def grow(
+    bench: Workbench,
+    start: DriveModel,
+    library: Mapping[str, Effect],
+    rules: Rules,
+    progress: Progress,
+) -> Grown:
+    """Refit the base, then add effects while one earns its place.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records, no noise yet.
+    start : DriveModel
+        Base model.
+    library : Mapping of str to Effect
+        Candidates.
+    rules : Rules
+        Figures of the decisions.
+    progress : callable
+        Told in words what is being done.
+
+    Returns
+    -------
+    Grown
+    """
+    progress("fitting the base model")
+    bench = first_noise(bench, start)
+    part = bench.fitting_bench()
+    point = refit(part, evaluate(part, start), rounds=8)
+    rounds: list[Round] = []
+    base: Fitted | None = None
+    for number in range(1, rules.most_effects + 2):
+        progress(f"round {number}: looking at {len(library)} effects")
+        bench, point, screening = _look_around(bench, point, library)
+        whole = evaluate(bench, point.model)
+        base = whole if base is None else base
+        done = _round(bench, whole, screening, library, rules, progress)
+        if number > rules.most_effects:
+            done = replace(done, accepted=None, tied=())
+        rounds.append(done)
+        if done.accepted is None:
+            break
+        progress(f"round {number}: {done.accepted.effect} earns its place")
+        part = bench.fitting_bench()
+        point = refit(part, evaluate(part, done.accepted.fitted.model), rounds=3)
+    base_model = evaluate(bench, base.model) if base is not None else evaluate(bench, start)
+    final = evaluate(bench, point.model)
+    return Grown(bench, base_model, final, tuple(rounds))
+
+
+def _look_around(
+    bench: Workbench, point: Fitted, library: Mapping[str, Effect]
+) -> tuple[Workbench, Fitted, Screening]:
+    """Columns at the point, a fresh noise estimate, the point refitted under it, the ranking."""
+    part = bench.fitting_bench()
+    seen = look(part, point.model.bench, point, library)
+    left = noise_like(part, point, seen)
+    noise = part.noise_from(left, sensor_floor_m(part, point.model))
+    part = part.with_noise(noise)
+    frozen = Frozen(seen.own, [c[:, :, : len(seen.own)] for c in seen.columns])
+    moved = refit(part, evaluate(part, point.model), frozen=frozen, rounds=3)
+    screening = screen(part, moved, seen)
+    return bench.with_noise(_spread(bench, noise)), moved, screening
+
+
+def _spread(bench: Workbench, noise: Noise) -> Noise:
+    """Noise of the fitting records for all records; judging samples are weighed alike."""
+    weights, given = [], iter(noise.robust or ())
+    for record, mask in zip(bench.records, bench.fitting, strict=True):
+        whole = np.ones((record.usable.size, bench.channels))
+        weights.append(next(given) if mask.any() and noise.robust is not None else whole)
+    return Noise(noise.whitener, tuple(weights))
+
+
+def _round(
+    bench: Workbench,
+    before: Fitted,
+    screening: Screening,
+    library: Mapping[str, Effect],
+    rules: Rules,
+    progress: Progress,
+) -> Round:
+    gram = empty_gram(bench, before.simulated)
+    fits, rows = gram.fitting, gram.rows
+    rows_fit, rows_judge = float(rows[fits].sum()), float(rows[~fits].sum())
+    contenders = []
+    for item in _leaders(screening, rows_fit, library, rules):
+        progress(f"refitting with {item.start.key}")
+        contender = _contend(bench, before, screening, item, library, fits)
+        if contender is not None:
+            contenders.append(contender)
+    contenders = _best_of_each(contenders)
+    winner = contenders[0] if contenders else None
+    if winner is not None and not _earned(winner, rows_fit, rows_judge, rules):
+        winner = None
+    tied = () if winner is None else _tied(winner, contenders, library, rows, rules)
+    return Round(before, screening, tuple(contenders), winner, tied, rows_fit, rows_judge)
+
+
+def _leaders(
+    screening: Screening, rows_fit: float, library: Mapping[str, Effect], rules: Rules
+) -> list[Screened]:
+    """Candidates worth a full refit: the best few, and the look-alikes of the very best."""
+    worth = [s for s in screening.ranked if s.fit_gain > 0.25 * rules.material * rows_fit]
+    if not worth:
+        return []
+    top = worth[0]
+    chosen = [s for s in worth[: rules.leaders] if s.fit_gain > 0.05 * top.fit_gain]
+    names = {s.start.effect for s in chosen}
+    for item in worth:
+        name = item.start.effect
+        close = item.fit_gain > 0.2 * top.fit_gain
+        if name not in names and close and alike(name, top.start.effect, library):
+            chosen.append(item)
+    second = screening.starts[top.start.effect][1:2]
+    return [*chosen, *(s for s in second if s.fit_gain > 0.5 * top.fit_gain)]
+
+
+def _contend(
+    bench: Workbench,
+    before: Fitted,
+    screening: Screening,
+    item: Screened,
+    library: Mapping[str, Effect],
+    fits: BoolArray,
+) -> Contender | None:
+    """Full joint refit of one candidate; None where no simulation stays finite."""
+    part = bench.fitting_bench()
+    start = item.start
+    try:
+        model = _model_at(before.model, start, item.step, library)
+        fitted = refit(part, evaluate(part, model), frozen=screening.frozen, rounds=4)
+        whole = evaluate(bench, fitted.model)
+    except ModelError:
+        return None
+    drop = before.blocks - whole.blocks
+    judged = drop[~fits]
+    gain = float(drop[fits].sum())
+    size = effective_size(drop) / max(1, drop.size)
+    rows = float(sum(r.usable.size for r in part.records)) * bench.channels
+    parameters = len(library[start.effect].parameters)
+    return Contender(
+        start.effect,
+        start.key,
+        item,
+        whole,
+        gain,
+        float(judged.sum()),
+        corrected_p(sign_flip_p(judged, seed=len(start.key)), len(library)),
+        bic_gain(gain * size, parameters, rows * size),
+    )
+
+
+def _model_at(
+    model: DriveModel, start: Start, step: Sequence[float], library: Mapping[str, Effect]
+) -> DriveModel:
+    """The model with the candidate at the size that the linearised refit found."""
+    effect = library[start.effect]
+    placed = model.with_effect(start.key, start.values, library={start.effect: effect})
+    specs = tuple(
+        replace(spec, name=spec.name.partition(".")[2])
+        for spec in placed.specs
+        if spec.name.startswith(f"{start.effect}.")
+    )
+    values = started(start, step, specs)
+    return placed.with_parameters({f"{start.effect}.{k}": v for k, v in values.items()})
+
+
+def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
+    """The best start of every effect, best effect first."""
+    best: dict[str, Contender] = {}
+    for contender in sorted(contenders, key=lambda c: -c.gain):
+        best.setdefault(contender.effect, contender)
+    return list(best.values())
+
+
+def _earned(winner: Contender, rows_fit: float, rows_judge: float, rules: Rules) -> bool:
+    """Whether a candidate is worth a name: material, held out, and not by chance."""
+    return (
+        winner.fit_gain > rules.material * rows_fit
+        and winner.judged_gain > rules.material * rows_judge
+        and winner.p_value < rules.p_value
+        and winner.bic_gain > 0.0
+    )
+
+
+def _tied(
+    winner: Contender,
+    contenders: Sequence[Contender],
+    library: Mapping[str, Effect],
+    rows: FloatArray,
+    rules: Rules,
+) -> tuple[str, ...]:
+    """Look-alikes that the data cannot tell from the winner."""
+    tied = [
+        other.effect
+        for other in contenders
+        if other.effect != winner.effect
+        and alike(other.effect, winner.effect, library)
+        and _inseparable(winner, other, rows, rules)
+    ]
+    tied += [name for name in exact_twins(winner.effect, library) if name not in tied]
+    return tuple(tied)
+
+
+def _inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: Rules) -> bool:
+    lost = other.fitted.blocks - winner.fitted.blocks
+    per_row = float(lost.sum()) / float(rows.sum())
+    return per_row < rules.tie_material or studentised(lost) < rules.tie_z

@@ -1,0 +1,249 @@
+"""Captures made ready for comparison: channels, block means, simulated counterparts.
+
+What lives here: how a capture and a simulation become residuals on a common, coarser grid.
+No statistics and no decisions. May import ``files`` and ``physics.model``.
+
+The comparison runs closed loop from the command alone (derivatives and feedback both mislead), in
+the channels that carry information: motor position and, where there is a scale, table position.
+The torque command is a known function of command and motor position, so it adds no evidence of
+its own; its gap is reported.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
+from pmac_comp.physics.model.drive import DriveModel, Response, simulate
+
+_COARSE_Hz = 450.0
+_SHORTEST_s = 0.2
+_FORCE_COLUMN = "external_force_N"
+
+
+@dataclass(frozen=True)
+class Record:
+    """One capture on the servo grid with its measured channels.
+
+    Parameters
+    ----------
+    name : str
+        For messages and figures.
+    capture : Capture
+        Source.
+    commanded_m, desired_m : ndarray, shape (n,)
+        Command on the servo grid.
+    measured_m : ndarray, shape (n, channels)
+        Motor position, then table position where there is a scale.
+    torque_Nm : ndarray, shape (n,) or None
+        Measured torque command.
+    external_force_N : ndarray, shape (n,) or None
+        Known force of the loading screws.
+    valid : ndarray of bool, shape (n,)
+        Samples that may be compared.
+    factor : int
+        Servo samples per coarse sample.
+    period_s : float
+        Servo period.
+    """
+
+    name: str
+    capture: Capture
+    commanded_m: FloatArray
+    desired_m: FloatArray
+    measured_m: FloatArray
+    torque_Nm: FloatArray | None
+    external_force_N: FloatArray | None
+    valid: BoolArray
+    factor: int
+    period_s: float
+
+    @property
+    def channels(self) -> int:
+        """Number of channels: 1 motor only, 2 with a table."""
+        return int(self.measured_m.shape[1])
+
+    @property
+    def coarse_period_s(self) -> float:
+        """Sample period of the coarse grid in s."""
+        return self.factor * self.period_s
+
+    @cached_property
+    def coarse_measured_m(self) -> FloatArray:
+        """Measured channels on the coarse grid, shape (m, channels)."""
+        return self.coarsen(self.measured_m)
+
+    @cached_property
+    def usable(self) -> BoolArray:
+        """Coarse samples all of whose servo samples are valid, shape (m,)."""
+        count = self.valid.size // self.factor
+        return np.asarray(self.valid[: count * self.factor].reshape(count, -1).all(axis=1))
+
+    def coarsen(self, values: FloatArray) -> FloatArray:
+        """Block means over ``factor`` samples along the first axis."""
+        count = values.shape[0] // self.factor
+        shape = (count, self.factor, *values.shape[1:])
+        return np.asarray(values[: count * self.factor].reshape(shape).mean(axis=1))
+
+    def response(
+        self,
+        model: DriveModel,
+        *,
+        probe_torque_Nm: FloatArray | None = None,
+        probe_force_N: FloatArray | None = None,
+    ) -> Response:
+        """Closed-loop simulation of this record's command on the servo grid."""
+        force = self.external_force_N
+        if probe_force_N is not None:
+            force = probe_force_N if force is None else force + probe_force_N
+        return simulate(
+            model,
+            self.commanded_m,
+            desired_position_m=self.desired_m,
+            torque_feedforward_Nm=probe_torque_Nm,
+            external_force_N=force,
+            time_origin_s=float(self.capture.time_s[0]),
+        )
+
+    def channels_of(self, response: Response) -> FloatArray:
+        """Simulated channels on the servo grid, shape (n, channels)."""
+        if self.channels == 1:
+            return response.motor_position_m[:, None]
+        return np.column_stack([response.motor_position_m, response.table_position_m])
+
+    def simulated_m(self, model: DriveModel) -> FloatArray:
+        """Simulated channels on the coarse grid, shape (m, channels)."""
+        return self.coarsen(self.channels_of(self.response(model)))
+
+    def coordinates(self, response: Response, lead_m_per_rev: float) -> Coordinates:
+        """Machine coordinates on the coarse grid, from a simulation (free of sensor noise)."""
+        return machine_coordinates(
+            self.capture.time_s[0]
+            + self.coarse_period_s * np.arange(self.coarse_measured_m.shape[0]),
+            self.coarsen(response.motor_position_m),
+            self.coarsen(response.torque_command_Nm),
+            lead_m_per_rev,
+        )
+
+
+def prepare(captures: Sequence[Capture], bench: Bench, *, prefix: str) -> tuple[Record, ...]:
+    """Records of captures.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs that start at rest.
+    bench : Bench
+        Gives the servo period and says whether there is a scale.
+    prefix : str
+        Name of a capture that has none.
+
+    Returns
+    -------
+    tuple of Record
+
+    Raises
+    ------
+    NotIdentifiable
+        A capture is too short or does not move.
+    """
+    with_table = all(c.table_position_m is not None for c in captures) and bench.scale is not None
+    return tuple(
+        _prepare_one(c, bench, f"{prefix} {i + 1}", with_table=with_table)
+        for i, c in enumerate(captures)
+    )
+
+
+def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool) -> Record:
+    name = str(capture.attributes.get("name", name))
+    _refuse_useless(capture, name)
+    stretch = max(1, round(capture.sample_period_s / bench.servo_period_s))
+    period_s = capture.sample_period_s / stretch
+    fine = np.arange(stretch * (capture.n - 1) + 1) / stretch
+    grid = np.arange(capture.n, dtype=np.float64)
+
+    def on_servo_grid(values: FloatArray) -> FloatArray:
+        return values if stretch == 1 else np.asarray(np.interp(fine, grid, values))
+
+    columns = [capture.motor_position_m]
+    if with_table and capture.table_position_m is not None:
+        columns.append(capture.table_position_m)
+    measured = np.column_stack([on_servo_grid(_filled(c, capture.mask)) for c in columns])
+    force = capture.extra.get(_FORCE_COLUMN)
+    torque = capture.torque_command_Nm
+    valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
+    return Record(
+        name=name,
+        capture=capture,
+        commanded_m=on_servo_grid(_filled(capture.commanded_position_m, capture.mask)),
+        desired_m=on_servo_grid(_filled(capture.desired_m, capture.mask)),
+        measured_m=measured,
+        torque_Nm=None if torque is None else on_servo_grid(_filled(torque, capture.mask)),
+        external_force_N=None if force is None else on_servo_grid(force),
+        valid=valid,
+        factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
+        period_s=period_s,
+    )
+
+
+def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:
+    """Samples marked invalid replaced by interpolation, so that no NaN travels on."""
+    if mask.all():
+        return values
+    index = np.arange(values.size)
+    return np.asarray(np.interp(index, index[mask], values[mask]))
+
+
+def _refuse_useless(capture: Capture, name: str) -> None:
+    """A diagnosis from nothing would be a confident wrong answer."""
+    enough = capture.n * capture.sample_period_s >= _SHORTEST_s and capture.mask.mean() > 0.2
+    moves = enough and float(np.ptp(capture.commanded_position_m[capture.mask])) > 1e-6
+    if not moves:
+        raise NotIdentifiable(
+            f"{name} cannot be diagnosed: it is shorter than {_SHORTEST_s} s, mostly invalid, "
+            "or its command does not move.",
+            code="PC-DIA-001",
+            hint="Capture motions in both directions; `pmac-comp capture` proposes a campaign.",
+        )
+
+
+def simulate_all(
+    records: Sequence[Record], models: Sequence[DriveModel], executor: Executor
+) -> list[list[FloatArray]]:
+    """Coarse channels for every model and record: ``result[model][record]``, on both cores."""
+    futures = [[executor.submit(r.simulated_m, m) for r in records] for m in models]
+    return [[f.result() for f in row] for row in futures]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Rms differences of measured and simulated signals over records."""
+
+    position_um: float
+    torque_Nm: float | None
+
+
+def gap(records: Sequence[Record], model: DriveModel, executor: Executor) -> Gap:
+    """Gap over records: table (motor without a scale), constant offset per record removed."""
+    responses = list(executor.map(lambda r: r.response(model), records))
+    squares, torques, count = 0.0, 0.0, 0
+    for record, response in zip(records, responses, strict=True):
+        good = record.valid
+        miss = (record.measured_m - record.channels_of(response))[good, -1]
+        # The motor has no free offset: its zero is that of the command.
+        squares += float(np.sum((miss - (miss.mean() if record.channels > 1 else 0.0)) ** 2))
+        count += int(good.sum())
+        if record.torque_Nm is not None:
+            torques += float(np.sum((record.torque_Nm - response.torque_command_Nm)[good] ** 2))
+    has_torque = all(r.torque_Nm is not None for r in records)
+    return Gap(
+        1e6 * float(np.sqrt(squares / max(count, 1))),
+        float(np.sqrt(torques / max(count, 1))) if has_torque else None,
+    )

@@ -1,0 +1,174 @@
+"""Nonlinear joint refits: Gauss-Newton through the closed loop with priors and bounds.
+
+What lives here: how a model moves to where the data wants it. No decisions about effects. May
+import ``workbench``, ``candidates`` and ``gram``.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.physics.diagnose.candidates import own_directions
+from pmac_comp.physics.diagnose.gram import Gram, Solution
+from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, prior_of
+from pmac_comp.physics.model.drive import DriveModel
+
+_HALVINGS = 4
+_ENOUGH = 0.5  # chi-square: below one, no parameter moves by a standard deviation
+_LARGEST_STEPS = 60.0
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at the end of a refit, with what it leaves.
+
+    Parameters
+    ----------
+    model : DriveModel
+        Refitted model.
+    simulated : list of ndarray
+        Coarse channels of the model in every record.
+    chi2 : float
+        Weighted sum of squares on fitting samples with priors.
+    blocks : ndarray, shape (b,)
+        Weighted sum of squares in every block.
+    """
+
+    model: DriveModel
+    simulated: list[FloatArray]
+    chi2: float
+    blocks: FloatArray
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """Columns that a refit may reuse: sensitivities hardly change along the way."""
+
+    directions: tuple[Direction, ...]
+    columns: Columns
+
+
+def evaluate(bench: Workbench, model: DriveModel) -> Fitted:
+    """What a model leaves; raises ModelError as ``simulate`` does."""
+    simulated = bench.simulate([model])[0]
+    return _fitted(bench, model, simulated)
+
+
+def _fitted(bench: Workbench, model: DriveModel, simulated: list[FloatArray]) -> Fitted:
+    gram = empty_gram(bench, simulated)
+    blocks = gram.blocks[:, -1, -1]
+    chi2 = float(blocks[gram.fitting].sum()) + prior_cost(model)
+    return Fitted(model, simulated, chi2, np.asarray(blocks))
+
+
+def empty_gram(bench: Workbench, simulated: Sequence[FloatArray]) -> Gram:
+    """Gram matrices of the residual alone."""
+    none: Columns = [np.zeros((*s.shape, 0), dtype=np.float32) for s in simulated]
+    return bench.gram(bench.residuals(simulated), none, prior_of([]))
+
+
+def prior_cost(model: DriveModel) -> float:
+    """Sum of squares that known parameters cost for leaving the bench's values."""
+    return float(
+        sum((d.centre / d.sigma) ** 2 for d in own_directions(model) if math.isfinite(d.sigma))
+    )
+
+
+def refit(
+    bench: Workbench,
+    start: Fitted,
+    *,
+    frozen: Frozen | None = None,
+    rounds: int = 4,
+) -> Fitted:
+    """Model moved to the least weighted squares on the fitting samples.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records and weights.
+    start : Fitted
+        Where to begin.
+    frozen : Frozen or None
+        Columns of parameters that need not be simulated again; all others are, in each round.
+    rounds : int
+        Most Gauss-Newton rounds.
+
+    Returns
+    -------
+    Fitted
+        Never worse than the start.
+    """
+    best = start
+    for _ in range(rounds):
+        gram, directions = linearised(bench, best, frozen)
+        solution = gram.solve(range(gram.n_columns))
+        moved = _line_search(bench, best, directions, solution)
+        if moved is None:
+            return best
+        gain, best = best.chi2 - moved.chi2, moved
+        if gain < max(_ENOUGH, 1e-4 * best.chi2):
+            return best
+    return best
+
+
+def linearised(
+    bench: Workbench, point: Fitted, frozen: Frozen | None
+) -> tuple[Gram, list[Direction]]:
+    """Gram matrices of a model's own directions at a point."""
+    known = {} if frozen is None else {d.label: i for i, d in enumerate(frozen.directions)}
+    directions = own_directions(point.model)
+    fresh = [d for d in directions if d.label not in known]
+    kept = [d for d in directions if d.label in known]
+    columns = bench.columns(point.simulated, fresh)
+    if frozen is not None and kept:
+        index = [known[d.label] for d in kept]
+        # A frozen column counts in steps of the point where it was taken.
+        ratio = np.array([d.unit / frozen.directions[known[d.label]].unit for d in kept]).astype(
+            np.float32
+        )
+        columns = [
+            np.concatenate([c, f[:, :, index] * ratio], axis=2)
+            for c, f in zip(columns, frozen.columns, strict=True)
+        ]
+    ordered = [*fresh, *kept]
+    return bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered)), ordered
+
+
+def moved_values(
+    model: DriveModel, directions: Sequence[Direction], step: Sequence[float]
+) -> Mapping[str, float]:
+    """Parameters after a step along own directions, inside their bounds."""
+    values = {}
+    for direction, size in zip(directions, step, strict=True):
+        spec = model.spec(direction.label)
+        value = model.parameters[direction.label] + size * direction.unit
+        if spec.period:
+            value = math.remainder(value, spec.period)
+        values[direction.label] = float(np.clip(value, spec.lower, spec.upper))
+    return values
+
+
+def _line_search(
+    bench: Workbench, point: Fitted, directions: Sequence[Direction], solution: Solution
+) -> Fitted | None:
+    """The step, halved until it helps; None if none does."""
+    ordered = [directions[i] for i in solution.indices.tolist()]
+    share = min(1.0, _LARGEST_STEPS / max(1e-9, float(np.max(np.abs(solution.step), initial=0.0))))
+    for _ in range(_HALVINGS):
+        try:
+            model = point.model.with_parameters(
+                moved_values(point.model, ordered, (share * solution.step).tolist())
+            )
+            tried = evaluate(bench, model)
+        except ModelError:
+            share *= 0.25
+            continue
+        if tried.chi2 < point.chi2:
+            return tried
+        share *= 0.4
+    return None

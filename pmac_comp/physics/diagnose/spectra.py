@@ -1,0 +1,121 @@
+"""Orders per revolution and frequencies worth trying, from periodograms of the residual.
+
+What lives here: least-squares periodograms over screw angle and over time. No decisions. May
+import ``records`` only.
+
+Below the loop's bandwidth the torque residual mirrors a disturbance torque, and table minus motor
+shows an error of lead or encoder, whatever the loop does.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.physics.diagnose.records import Record
+from pmac_comp.physics.model.drive import Response
+
+_BLOCK_s = 0.01
+_FASTEST_Hz = 14.0
+_ORDERS = np.arange(0.4, 64.0, 0.05)
+_FREQUENCIES_Hz = np.arange(0.4, 45.0, 0.02)
+_PEAKS = 2
+
+
+def order_peaks(
+    records: Sequence[Record], responses: Sequence[Response], lead_m_per_rev: float
+) -> list[float]:
+    """Orders per revolution at which the residuals peak, strongest of each kind first."""
+    found: list[float] = []
+    torque = [_torque_residual(r, p) for r, p in zip(records, responses, strict=True)]
+    stretch = [_mechanical_residual(r, p) for r, p in zip(records, responses, strict=True)]
+    for kind, residuals in (("one", torque), ("direction", torque), ("one", stretch)):
+        series = [
+            _angle_series(r, p, d, kind, lead_m_per_rev)
+            for r, p, d in zip(records, responses, residuals, strict=True)
+            if d is not None
+        ]
+        if series:
+            found += _peaks(_ORDERS, _order_power(series), width=0.3)
+    return sorted({_rounded(order) for order in found})
+
+
+def frequency_peaks(records: Sequence[Record], responses: Sequence[Response]) -> list[float]:
+    """Frequencies in Hz at which the torque residual peaks, phases counted from time zero."""
+    power = np.zeros(_FREQUENCIES_Hz.size)
+    for record, response in zip(records, responses, strict=True):
+        residual = _torque_residual(record, response)
+        if residual is None:
+            return []
+        time, values = _blocks(record, residual)
+        centred = values - values.mean()
+        waves = np.exp(-2j * np.pi * np.outer(_FREQUENCIES_Hz, time))
+        power += np.abs(waves @ centred) ** 2 / max(1, centred.size)
+    return _peaks(_FREQUENCIES_Hz, power, width=0.4)
+
+
+def _torque_residual(record: Record, response: Response) -> FloatArray | None:
+    if record.torque_Nm is None:
+        return None
+    return np.where(record.valid, record.torque_Nm - response.torque_command_Nm, 0.0)
+
+
+def _mechanical_residual(record: Record, response: Response) -> FloatArray | None:
+    if record.channels == 1:
+        return None
+    measured = record.measured_m[:, 1] - record.measured_m[:, 0]
+    return np.where(record.valid, measured - response.mechanical_error_m, 0.0)
+
+
+def _blocks(record: Record, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Time and means over short blocks."""
+    size = max(1, round(_BLOCK_s / record.period_s))
+    count = values.size // size
+    time = record.capture.time_s[0] + record.period_s * size * (np.arange(count) + 0.5)
+    return time, np.asarray(values[: count * size].reshape(count, size).mean(axis=1))
+
+
+def _angle_series(
+    record: Record, response: Response, residual: FloatArray, kind: str, lead_m_per_rev: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Angle in rev, residual and speed in rev/s of blocks; friction changes sign with direction."""
+    _, turns = _blocks(record, response.motor_position_m / lead_m_per_rev)
+    _, values = _blocks(record, residual)
+    speed = np.gradient(turns, max(1, round(_BLOCK_s / record.period_s)) * record.period_s)
+    values = values - values.mean()
+    if kind == "direction":
+        values = values * np.sign(speed)
+        values = values - values.mean()
+    return turns, values, np.abs(speed)
+
+
+def _order_power(series: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> FloatArray:
+    """Power explained by a wave of every order, over samples slow enough to show it."""
+    turns, values, speed = (np.concatenate(parts) for parts in zip(*series, strict=True))
+    power = np.zeros(_ORDERS.size)
+    for i, order in enumerate(_ORDERS):
+        slow = (speed * order < _FASTEST_Hz) & (speed > 0.02)
+        count = int(np.count_nonzero(slow))
+        if count > 50:
+            wave = np.exp(-2j * np.pi * order * turns[slow])
+            power[i] = abs(wave @ values[slow]) ** 2 / count
+    return power
+
+
+def _peaks(grid: FloatArray, power: FloatArray, *, width: float) -> list[float]:
+    """Strongest peaks that are apart by more than ``width``."""
+    left = power.copy()
+    found = []
+    for _ in range(_PEAKS):
+        top = int(np.argmax(left))
+        if left[top] <= 0.0:
+            break
+        found.append(float(grid[top]))
+        left[np.abs(grid - grid[top]) < width] = 0.0
+    return found
+
+
+def _rounded(order: float) -> float:
+    """Orders of machines are whole or nearly so; a grid point next to a whole number is it."""
+    nearest = round(order)
+    return float(nearest) if nearest > 0 and abs(order - nearest) < 0.08 else round(order, 2)

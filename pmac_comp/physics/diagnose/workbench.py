@@ -1,0 +1,226 @@
+"""Records, noise and processors together: simulates columns and weighs them.
+
+What lives here: the numerical work that every stage of the diagnosis shares. No decisions. May
+import ``records``, ``gram``, ``statistics`` and ``physics.model``.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
+from pmac_comp.physics.diagnose.records import Record, simulate_all
+from pmac_comp.physics.diagnose.statistics import Whitener, fit_whitener, huber_weights
+from pmac_comp.physics.model.drive import DriveModel
+
+Columns = list[NDArray[np.float32]]
+_ORDER = 6
+_BLOCK_s = 0.5
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A way in which a model may be changed, as one column of the joint refit.
+
+    Parameters
+    ----------
+    owner : str
+        Effect, or empty for the model's own parameters.
+    label : str
+        Parameter, and what else tells this column from others of its owner.
+    model : DriveModel
+        The model moved by one finite step.
+    step : float
+        Size of that step in units of the column.
+    lower, upper : float
+        Bounds of the move in units of the column.
+    centre, sigma : float
+        Prior of the move.
+    unit : float
+        Parameter change in SI that one unit of the column stands for; 1 for an effect.
+    """
+
+    owner: str
+    label: str
+    model: DriveModel
+    step: float
+    lower: float = -np.inf
+    upper: float = np.inf
+    centre: float = 0.0
+    sigma: float = np.inf
+    unit: float = 1.0
+
+
+def prior_of(directions: Sequence[Direction]) -> Prior:
+    """Bounds and priors of directions as arrays."""
+
+    def column(name: str) -> FloatArray:
+        return np.array([getattr(d, name) for d in directions], dtype=np.float64)
+
+    return Prior(column("lower"), column("upper"), column("centre"), column("sigma"))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is taken for noise: whitening filter and weights of single samples per record."""
+
+    whitener: Whitener
+    robust: tuple[FloatArray, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """Records for fitting and judging with the processors that simulate them.
+
+    Parameters
+    ----------
+    records : tuple of Record
+        All records, fitting ones first.
+    fitting : tuple of ndarray of bool
+        For every record, which coarse samples are fitted; the others judge.
+    executor : Executor
+        Runs simulations; the kernel releases the lock, so threads use all cores.
+    noise : Noise or None
+        Weighting; None until it has been estimated.
+    """
+
+    records: tuple[Record, ...]
+    fitting: tuple[BoolArray, ...]
+    executor: Executor
+    noise: Noise | None = None
+
+    @property
+    def channels(self) -> int:
+        """Channels of every record."""
+        return self.records[0].channels
+
+    @property
+    def judging_records(self) -> tuple[Record, ...]:
+        """Records with samples that judge, cut to the samples that do."""
+        return tuple(
+            replace(r, valid=r.valid & _fine(~f, r))
+            for r, f in zip(self.records, self.fitting, strict=True)
+            if not f.all()
+        )
+
+    def fitting_bench(self) -> "Workbench":
+        """The records that have fitting samples alone: what judges need not be simulated."""
+        keep = [i for i, mask in enumerate(self.fitting) if mask.any()]
+        if len(keep) == len(self.records):
+            return self
+        noise = self.noise
+        if noise is not None and noise.robust is not None:
+            noise = Noise(noise.whitener, tuple(noise.robust[i] for i in keep))
+        return Workbench(
+            tuple(self.records[i] for i in keep),
+            tuple(self.fitting[i] for i in keep),
+            self.executor,
+            noise,
+        )
+
+    def with_noise(self, noise: Noise) -> "Workbench":
+        """The same bench with other weights."""
+        return replace(self, noise=noise)
+
+    def simulate(self, models: Sequence[DriveModel]) -> list[list[FloatArray]]:
+        """Coarse channels of every model and record."""
+        return simulate_all(self.records, models, self.executor)
+
+    def residuals(self, simulated: Sequence[FloatArray]) -> list[FloatArray]:
+        """Measured minus simulated on the coarse grid."""
+        return [r.coarse_measured_m - s for r, s in zip(self.records, simulated, strict=True)]
+
+    def columns(self, simulated: Sequence[FloatArray], directions: Sequence[Direction]) -> Columns:
+        """Finite-difference columns per record, shape (m, channels, k) each."""
+        moved = self.simulate([d.model for d in directions])
+        steps = np.array([d.step for d in directions])
+        columns: Columns = []
+        for i, base in enumerate(simulated):
+            stacked = np.empty((*base.shape, len(directions)), dtype=np.float32)
+            for j, row in enumerate(moved):
+                stacked[:, :, j] = (row[i] - base) / steps[j]
+            columns.append(stacked)
+        return columns
+
+    def gram(self, residuals: Sequence[FloatArray], columns: Columns, prior: Prior) -> Gram:
+        """Scalar products per block; blocks never mix fitted and judging samples."""
+        noise = self.noise
+        if noise is None:
+            raise ValueError("the noise has not been estimated")
+        jobs = [
+            (record, np.flatnonzero(part), bool(fits), i)
+            for i, (record, mask) in enumerate(zip(self.records, self.fitting, strict=True))
+            for fits, part in ((True, mask), (False, ~mask))
+            if np.count_nonzero(part) > 2 * _ORDER
+        ]
+
+        def work(job: tuple[Record, NDArray[np.int64], bool, int]) -> tuple[FloatArray, FloatArray]:
+            record, samples, _, i = job
+            first, last = int(samples[0]), int(samples[-1]) + 1
+            return gram_of_record(
+                residuals[i][first:last],
+                columns[i][first:last].astype(np.float64),
+                record.usable[first:last],
+                noise.whitener,
+                block=max(4 * _ORDER, round(_BLOCK_s / record.coarse_period_s)),
+                offset_channels=[1] if self.channels > 1 else [],
+                robust=None if noise.robust is None else noise.robust[i][first:last],
+            )
+
+        parts = list(self.executor.map(work, jobs))
+        return Gram(
+            np.concatenate([p[0] for p in parts]),
+            np.concatenate([np.full(len(p[1]), j[2]) for p, j in zip(parts, jobs, strict=True)]),
+            np.concatenate([p[1] for p in parts]),
+            prior,
+        )
+
+    def noise_from(self, noise_like: Sequence[FloatArray], floor_m: FloatArray) -> Noise:
+        """Whitener and robust weights from what a flexible refit leaves."""
+        usable = [r.usable for r in self.records]
+        whitener = fit_whitener(noise_like, usable, order=_ORDER, floor=floor_m)
+        weights = tuple(
+            huber_weights(whitener.apply(n - n[u].mean(axis=0)))
+            for n, u in zip(noise_like, usable, strict=True)
+        )
+        return Noise(whitener, weights)
+
+    def left_by(
+        self, residuals: Sequence[FloatArray], columns: Columns, solution: Solution
+    ) -> list[FloatArray]:
+        """Residuals less what a linearised refit explains."""
+        return [
+            r - np.einsum("tck,k->tc", c[:, :, solution.indices].astype(np.float64), solution.step)
+            for r, c in zip(residuals, columns, strict=True)
+        ]
+
+
+def _fine(coarse: BoolArray, record: Record) -> BoolArray:
+    """Coarse samples spread over the servo grid; the rest that fills no block is left out."""
+    wide = np.zeros(record.valid.size, dtype=np.bool_)
+    wide[: coarse.size * record.factor] = np.repeat(coarse, record.factor)
+    return wide
+
+
+def split(fit: Sequence[Record], judge: Sequence[Record]) -> tuple[BoolArray, ...]:
+    """Which coarse samples are fitted.
+
+    With judging captures all samples of the others are fitted. Without any, the last third of
+    the captures is held back; of fewer than three captures, the last third of each.
+    """
+    if judge:
+        return tuple(np.full(r.usable.size, i < len(fit)) for i, r in enumerate([*fit, *judge]))
+    if len(fit) >= 3:
+        kept = len(fit) - max(1, len(fit) // 3)
+        return tuple(np.full(r.usable.size, i < kept) for i, r in enumerate(fit))
+    return tuple(np.arange(r.usable.size) < (2 * r.usable.size) // 3 for r in fit)
+
+
+def processors() -> ThreadPoolExecutor:
+    """One thread per core."""
+    return ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1))
