@@ -44,6 +44,7 @@ from pmac_comp.simulator.ports import Port
 from pmac_comp.simulator.programs import Program, ProgramStore, parse_program
 from pmac_comp.simulator.rotary import RotaryBuffers
 from pmac_comp.simulator.servo import Servo, ServoEvent
+from pmac_comp.simulator.servo_tuning import pmac_gains
 from pmac_comp.simulator.variables import Variables
 
 # Commands register themselves when their modules are imported.
@@ -643,6 +644,8 @@ class Card:
                 self.variables.write_i(entry, float(0xC00000 | r.channel_base(motor)))
         # A bench file that states no I10 still has a servo period; the clock must agree with it.
         self.variables.write_i(10, float(round(bench.servo_period_s * 1e3 * 8388608.0)))
+        for tail, value in pmac_gains(bench).items():
+            self.variables.write_i(100 * bench.encoder.motor_number + tail, value)
         for name, value in bench.controller.ivariables.items():
             self.variables.write_i(int(name[1:]), value)
 
