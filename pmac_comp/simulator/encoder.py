@@ -68,7 +68,7 @@ def decode_table(x: Space, y: Space, entries: IntArray) -> tuple[int, bool]:
             break
         method = setup >> 20
         bit19 = (setup >> 19) & 1
-        source = setup & 0x7FFFF
+        source = min(setup & 0x7FFFF, 0x7FFF0)  # three neighbours are read, too
         lines = 1
         entry = entries[n]
         entry[:] = 0
