@@ -47,6 +47,8 @@ SUSPECT_SHARE: Final = 0.2
 SUSPECT_LEAST: Final = 5
 # Communication modes belong to the conversation, I51 and I30 to the tables.
 NOT_RESTORED: Final = frozenset({0, 1, 3, 4, 6, 9, 30, 51, 53, 54})
+# User timers Isx11 and Isx12 run (p. 176): they are no configuration.
+TIMERS: Final = frozenset(100 * s + k for s in range(51, 67) for k in (11, 12))
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ def read_backup(
     active = [m for m in range(1, 33) if i_values.get(100 * m, "0") == "1"]
     return Backup(
         identity=dict(identity.as_dict()),
-        ivariables=i_values,
+        ivariables={n: v for n, v in i_values.items() if n not in TIMERS},
         pvariables=p_values,
         definitions=definitions,
         axes=tuple(_read_axes(link, active)),
@@ -377,26 +379,32 @@ def check_flash(link: Link, backup: Backup) -> None:
         during SAVE reverts it to factory values (p. 394).
     """
     status = int(link.query("???")[0].strip()[:6], 16)
-    numbers = [n for n in backup.ivariables if 100 <= n < 3300 and n % 100 in range(2, 70)]
+    if status & FLASH_FAULTS:
+        raise _suspect("It reports a flash error.", [])
+    check_flash_values(link, backup)
+
+
+def check_flash_values(link: Link, backup: Backup) -> None:
+    """The same by the motor variables alone; raises FlashSuspect."""
     active = [m for m in range(1, 33) if backup.ivariables.get(100 * m) == "1"]
-    keys = [n for n in numbers if n // 100 in active]
     found: dict[int, str] = {}
     for motor in active:
         first = 100 * motor + 2
         lines = link.query(f"I{first}..{first + 67}")
         found.update(zip(range(first, first + 68), (x.strip() for x in lines), strict=True))
-    wrong = [n for n in keys if found.get(n) != backup.ivariables[n]]
-    bad_share = len(wrong) > max(SUSPECT_LEAST, SUSPECT_SHARE * len(keys))
-    if status & FLASH_FAULTS or bad_share:
-        raise FlashSuspect(
-            f"The controller came up with other values than its backup: {len(wrong)} of "
-            f"{len(keys)} motor variables differ"
-            + (", and it reports a flash error." if status & FLASH_FAULTS else "."),
-            code="PC-BCK-005",
-            hint="`pmac-comp restore` brings the backup back; check the axis before moving it.",
-            context={"differ": [f"I{n}" for n in wrong[:20]]},
-            left=ControllerState.DISABLED,
-        )
+    wrong = [n for n, value in found.items() if backup.ivariables.get(n) != value]
+    if len(wrong) > max(SUSPECT_LEAST, SUSPECT_SHARE * len(found)):
+        raise _suspect(f"{len(wrong)} of {len(found)} motor variables differ.", wrong)
+
+
+def _suspect(why: str, wrong: list[int]) -> FlashSuspect:
+    return FlashSuspect(
+        f"The controller came up with something else than its saved configuration. {why}",
+        code="PC-BCK-005",
+        hint="`pmac-comp restore` brings the backup back; check the axis before moving it.",
+        context={"differ": [f"I{n}" for n in wrong[:20]]},
+        left=ControllerState.DISABLED,
+    )
 
 
 def require_same(remaining: Sequence[Difference], *, allowed: frozenset[str] = frozenset()) -> None:

@@ -26,7 +26,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 
     x = r - X0           v = dr        a = dv        j = da        (differences over dn cycles)
     u = v dn S_INV       s = (s + u) / (1 + |u|)          friction state, follows distance
-    w = v dn T_INV       t = (t + w) / (1 + |w|)          the same for the torque
+    w = v dn T_INV       t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
     c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
     y = c + D1 dc + D2 ddc                                 lead that undoes the loop's lag
     correction = gain clamp(y)         is ADDED to the command (positive moves the motor up)
@@ -34,7 +34,9 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     torque = gain limit(q + TL dq)     16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
-logic, holds its value at standstill and never overshoots.
+logic, holds its value at standstill and never overshoots. The torque's state fades within 0.2 s at
+rest: there friction holds the axis, and a torque that stays on would be wound up against by the
+integrator and be wrong at the next start.
 """
 
 import zlib
@@ -59,6 +61,7 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 RESTART_GAP_SC: Final = 16  # a pause of more cycles than this restarts the differences
 HEARTBEAT_OFF: Final = -1
+TORQUE_STATE_FADE: Final = 0.002  # per pass
 
 
 class Index(IntEnum):
@@ -310,7 +313,7 @@ def evaluate(
     x = r - p.X0
     start = dict(start_state or {})
     s = _friction_state(v * p.S_INV, start.get("s", 0.0))
-    t = _friction_state(v * p.T_INV, start.get("t", 0.0))
+    t = _friction_state(v * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
     dc = np.diff(c, prepend=c[0])
     y = c + p.D1 * dc + p.D2 * np.diff(dc, prepend=dc[0])
@@ -324,10 +327,10 @@ def evaluate(
     )
 
 
-def _friction_state(u: FloatArray, start: float) -> FloatArray:
+def _friction_state(u: FloatArray, start: float, *, fade: float = 0.0) -> FloatArray:
     state = np.empty_like(u)
     value = start
     for k, step in enumerate(u.tolist()):
-        value = (value + step) / (1.0 + abs(step))
+        value = (value + step) / (1.0 + fade + abs(step))
         state[k] = value
     return state

@@ -60,12 +60,18 @@ def latest_journal(context: Context) -> Journal | None:
     return None
 
 
-def find_unfinished(context: Context) -> Unfinished | None:
-    """The last upload of tables, if it got as far as its intent and did not end."""
+def last_upload(context: Context) -> Unfinished | None:
+    """The last upload of tables that got as far as its intent, ended or not."""
     journal = latest_journal(context)
-    if journal is None or not journal.is_open or journal.last("intent") is None:
+    if journal is None or journal.last("intent") is None:
         return None
     return _unfinished(context, journal)
+
+
+def find_unfinished(context: Context) -> Unfinished | None:
+    """The last upload of tables, if it got as far as its intent and did not end."""
+    last = last_upload(context)
+    return last if last is not None and last.journal.is_open else None
 
 
 def _unfinished(context: Context, journal: Journal) -> Unfinished:
@@ -121,10 +127,9 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     with host_lock(context):
-        unfinished = find_unfinished(context)
-        status = table_status(
-            link, context, journal_manifest=unfinished.manifest if unfinished else None
-        )
+        last = last_upload(context)
+        manifest = None if last is None else last.manifest
+        status = table_status(link, context, journal_manifest=manifest)
         _settle_lease(link, context)
         if status.decision.action is Action.DISABLE:
             link.command("I51=0")
@@ -135,19 +140,19 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
                 left=ControllerState.DISABLED,
             )
         if status.decision.action is Action.NOTHING:
-            return _settled(link, context, unfinished, status)
-    if unfinished is None:
+            return _settled(link, context, last, status)
+    if last is None:
         raise UploadIncomplete(
             "Tables are switched off and no journal of this folder knows the upload.",
             code="PC-UPL-013",
             hint="Run recover where the upload was started, or restore a backup.",
             left=ControllerState.DISABLED,
         )
-    if resume and status.decision.action is Action.RESUME and unfinished.enable_after:
-        return _finish(link, context, unfinished, unfinished.new, enable=True)
-    return _finish(
-        link, context, unfinished, unfinished.old, enable=bool(unfinished.manifest.enabled_old)
-    )
+    # A finished upload that is gone was lost in a reset without SAVE: it is written again.
+    whole = status.decision.action is Action.RESUME or not last.journal.is_open
+    if resume and whole and last.enable_after:
+        return _finish(link, context, last, last.new, enable=True)
+    return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
 
 
 def _settle_lease(link: Link, context: Context) -> None:
@@ -158,36 +163,24 @@ def _settle_lease(link: Link, context: Context) -> None:
 
 
 def _settled(
-    link: Link, context: Context, unfinished: Unfinished | None, status: TableStatus
+    link: Link, context: Context, last: Unfinished | None, status: TableStatus
 ) -> UploadResult:
     """Nothing is to be done: close the journal and say what stands there."""
     release_lease(link, context)
-    crc = status.tables.crc
-    if unfinished is None:
-        return _last_ended(context, status)
-    state = ControllerState.OLD if unfinished.is_rollback else status.decision.state
-    if state is ControllerState.OLD:
-        link.write_buffer(clear_lines(context.block))
-    unfinished.journal.write("done" if state is ControllerState.NEW else "rolled back")
-    old = unfinished.manifest.crc_old
-    return UploadResult(state, "table", old, crc, notes=(status.decision.reason,))
-
-
-def _last_ended(context: Context, status: TableStatus) -> UploadResult:
-    """The last upload ended by itself, or never began: say which."""
-    crc = status.tables.crc
+    crc, reason = status.tables.crc, status.decision.reason
     journal = latest_journal(context)
-    intent = None if journal is None else journal.last("intent")
-    if journal is None or intent is None:
+    if last is None:
         if journal is not None and journal.is_open:
             journal.write("rolled back")
-        note = f"no upload was begun ({status.decision.reason})"
-        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(note,))
-    ended = journal.entries()[-1].step
-    old = _unfinished(context, journal).manifest.crc_old
-    state = status.decision.state if ended == "done" else ControllerState.OLD
-    notes = (f"the last upload is {ended} ({status.decision.reason})",)
-    return UploadResult(state, "table", old, crc, journal=journal.path, notes=notes)
+        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
+    state = ControllerState.OLD if last.is_rollback else status.decision.state
+    if last.journal.is_open:
+        if state is ControllerState.OLD:
+            link.write_buffer(clear_lines(context.block))
+        last.journal.write("done" if state is ControllerState.NEW else "rolled back")
+    return UploadResult(
+        state, "table", last.manifest.crc_old, crc, journal=last.journal.path, notes=(reason,)
+    )
 
 
 def _finish(

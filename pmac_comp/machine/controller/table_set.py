@@ -111,18 +111,18 @@ def plan(old: TableSet, new: TableSet) -> TablePlan:
     return TablePlan(tuple(gone), new.tables[keep:])
 
 
-def read_tables(link: Link, motors: Sequence[int] | None = None) -> TableSet:
+def read_tables(link: Link, keys: Sequence[Key] | None = None) -> TableSet:
     """All tables on the controller, headers and entries.
 
     Parameters
     ----------
     link : Link
         Conversation.
-    motors : sequence of int, optional
-        Motors to look at; all that own a table by the card's pointer words if not given.
+    keys : sequence of (TableKind, int), optional
+        Tables to look at; those with a start address in the card's pointer words if not given.
     """
     found: list[Table] = []
-    for kind, motor in candidates(link) if motors is None else _product(motors):
+    for kind, motor in candidates(link) if keys is None else keys:
         table = read_table(link, kind, motor)
         if table is not None:
             found.append(table)
@@ -143,23 +143,24 @@ def read_table(link: Link, kind: TableKind, motor: int) -> Table | None:
 
 
 def candidates(link: Link) -> list[Key]:
-    """Tables that may exist, from the start addresses at X:$003152-$0031B1 (p. 509).
+    """Tables that may exist, from the start addresses at X:$003152-$0031B1 (p. 509)."""
+    return keys_of(read_pointers(link))
 
-    A motor without a table shares its start address with the table below it or holds zero, so
-    every motor whose word differs from its neighbours is asked, and all active motors.
-    """
+
+def read_pointers(link: Link) -> tuple[int, ...]:
+    """Start addresses of the 96 possible tables: BLCOMP, TCOMP, COMP of motors 1 to 32."""
     words = [
-        parse_integer(w) for line in link.query(f"RX:${BLCOMP_POINTERS:X},96") for w in line.split()
+        parse_integer(w) for line in link.query(f"RX${BLCOMP_POINTERS:X},96") for w in line.split()
     ]
     if len(words) != 96:
         raise RemoteProtocolError(f"96 table pointers were asked for, {len(words)} came.")
-    active = [parse_integer(v) for v in link.query("I100,32,100")]
-    keys: list[Key] = []
-    for group, kind in enumerate((TableKind.BLCOMP, TableKind.TCOMP, TableKind.COMP)):
-        block = words[32 * group : 32 * group + 32]
-        for motor, word in enumerate(block, start=1):
-            if (word != 0 and block.count(word) == 1) or active[motor - 1]:
-                keys.append((kind, motor))
+    return tuple(words)
+
+
+def keys_of(pointers: Sequence[int]) -> list[Key]:
+    """Kinds and motors whose start address is not zero: no table can start at the counter."""
+    kinds = (TableKind.BLCOMP, TableKind.TCOMP, TableKind.COMP)
+    keys = [(kinds[k // 32], k % 32 + 1) for k, word in enumerate(pointers) if word]
     return sorted(keys, key=_rank)
 
 
@@ -181,7 +182,3 @@ def _rank(key: Key) -> tuple[int, int]:
 
 def _desired(table: Table) -> bool:
     return isinstance(table, CompTable) and table.by_desired
-
-
-def _product(motors: Sequence[int]) -> list[Key]:
-    return sorted(((kind, motor) for kind in _KINDS for motor in motors), key=_rank)

@@ -54,7 +54,9 @@ from pmac_comp.machine.controller.table_files import table_to_json, write_table_
 from pmac_comp.machine.controller.table_set import (
     Key,
     TableSet,
+    keys_of,
     plan,
+    read_pointers,
     read_tables,
     with_lookup,
 )
@@ -144,10 +146,10 @@ def read_head(link: Link, context: Context) -> Head:
     """I51, I30, SIZE, manifest, lease and global status in one question."""
     first = context.block.p(Index.MANIFEST)
     lines = link.query(f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???")
+    if len(lines) != 3 + MANIFEST_SIZE + 2 + 1 or len(lines[-1].strip()) != 12:
+        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
     values = [float(read_number(v)) for v in lines[:-1]]
     digits = lines[-1].strip()
-    if len(values) != 3 + MANIFEST_SIZE + 2 or len(digits) != 12:
-        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
     return Head(
         i51=int(values[0]),
         i30=int(values[1]),
@@ -248,6 +250,8 @@ class TableUpload:
         self._prepared_s = 0.0
         self._has_lease = False
         self._i30 = 0
+        self._manifest: Manifest | None = None
+        self._pointers: tuple[int, ...] = ()
         self._left = ControllerState.OLD
         self._disabled_at_s: float | None = None
         self._disabled_s = 0.0
@@ -402,13 +406,28 @@ class TableUpload:
             yield
         except PmacCompError as error:
             lost = isinstance(error, LinkError | ProtocolError)
-            if error.left is None:
+            if not lost and self._manifest is not None:
+                self._settle(error, self._manifest)
+            elif error.left is None:
                 # Until compensation is switched off for the first time OLD is certain.
                 certain = not lost or self._left is ControllerState.OLD
                 mark_left(error, self._left, confirmed=certain)
             if not lost and self._has_lease:
                 self._release_after(error)
             raise
+
+    def _settle(self, error: PmacCompError, manifest: Manifest) -> None:
+        """Look at what the controller was left with; tables that nobody meant are switched off."""
+        try:
+            status = table_status(self.link, self.context, journal_manifest=manifest)
+            if status.decision.action is Action.DISABLE:
+                self.link.command("I51=0")
+            if status.decision.state is ControllerState.OLD:
+                self._disarm_manifest()
+            mark_left(error, status.decision.state, confirmed=True)
+        except PmacCompError as second:
+            error.add_note(f"What was left could not be read: {second.message}")
+            mark_left(error, self._left, confirmed=False)
 
     def _release_after(self, error: PmacCompError) -> None:
         try:
@@ -450,6 +469,7 @@ class TableUpload:
                 "closing": self._closing,
             },
         )
+        self._manifest = manifest
         self.link.write_buffer(manifest.lines(self.context.block))
         head = read_head(self.link, self.context)
         self._require_ours(head, manifest, int(the_plan.enabled_old))
@@ -464,8 +484,6 @@ class TableUpload:
         same = found is not None and found.transaction == manifest.transaction
         if same and head.lease.owner == self.context.owner and head.i51 == i51:
             return
-        if self._left is ControllerState.OLD and not live:
-            self._disarm_manifest()
         what = "enabled the tables" if live else "changed the manifest, the lease or I51"
         raise ForeignChange(
             f"Another client {what} during the upload"
@@ -498,6 +516,10 @@ class TableUpload:
         """
         status = "".join(f"#{m}?" for m in the_plan.motors)
         lines = self.link.command(f"{status}I51={value}{status}I51")
+        if len(lines) != 2 * len(the_plan.motors) + 1:
+            raise VerifyMismatch(
+                f"I51={value} was answered with {len(lines)} lines.", code="PC-UPL-003"
+            )
         words = [MotorStatus.parse(text) for text in lines[:-1]]
         if int(read_number(lines[-1])) != value:
             raise VerifyMismatch(f"I51 is {lines[-1]} after I51={value}.", code="PC-UPL-003")
@@ -533,27 +555,22 @@ class TableUpload:
                 )
             try:
                 self.link.write_buffer(packet)
-            except CommandRefused as error:
-                self._after_refusal(error, the_plan)
+            except CommandRefused:
+                self._switch_back(the_plan)
                 raise
             self.context.progress("write", k + 1, len(packets))
 
-    def _after_refusal(self, error: CommandRefused, the_plan: UploadPlan) -> None:
-        """A refused line: if the old tables still stand whole, switch them on again."""
-        tables = read_tables(self.link)
-        if tables.crc != the_plan.old.crc:
-            mark_left(error, ControllerState.DISABLED, confirmed=True)
-            return
-        if the_plan.enabled_old:
+    def _switch_back(self, the_plan: UploadPlan) -> None:
+        """After a refused line: if the old tables still stand whole, let them act again."""
+        if the_plan.enabled_old and read_tables(self.link).crc == the_plan.old.crc:
             self._switch(1, the_plan)
-        self._disarm_manifest()
-        mark_left(error, ControllerState.OLD, confirmed=True)
 
     def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:
         self.context.progress("read back", 0, 1)
         head = read_head(self.link, self.context)
         self._require_ours(head, manifest, 0)
-        found = read_tables(self.link)
+        self._pointers = read_pointers(self.link)
+        found = read_tables(self.link, keys_of(self._pointers))
         if found.crc != the_plan.new.crc:
             raise VerifyMismatch(
                 f"The tables on the controller are not those that were sent: "
@@ -579,6 +596,12 @@ class TableUpload:
             readings = read_motors(self.link, motors)
             refusals += self._step_refusals(readings, TableSet(), the_plan.new)
             raise_all(refusals, "Enabling")
+        if read_pointers(self.link) != self._pointers:
+            raise ForeignChange(
+                "Another client defined or deleted a table after the read-back.",
+                code="PC-UPL-002",
+                context={"was_live": False},
+            )
         journal.write("enable")
         self.context.progress("enable", 0, 1)
         try:

@@ -1,0 +1,379 @@
+"""F15 to F22: refusals, silent losses, other clients, resets and motion during an upload."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import (
+    CommandRefused,
+    ConfigError,
+    ControllerState,
+    FlashSuspect,
+    ForeignChange,
+    LeaseHeld,
+    MotorNotSafe,
+    PmacCompError,
+    TableStateError,
+)
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.client.reads import is_read
+from pmac_comp.machine.controller import backup, law_upload, programs, recovery, upload
+from pmac_comp.machine.controller.comp_table import TableKind
+from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, decide
+from pmac_comp.machine.controller.transaction import host_lock
+from pmac_comp.simulator.card import Card
+from tests.faults.upload_bench import UploadBench, new_table, old_table, snapshot
+from tests.unit.machine_controller.card_bench import CardBench
+
+pytestmark = pytest.mark.faults
+Count = Callable[[int], None]
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> UploadBench:
+    return UploadBench(tmp_path_factory.mktemp("controller"), n=40)
+
+
+class LineFault:
+    """Answers, drops or doubles the k-th line that changes something on the card."""
+
+    def __init__(self, bench: CardBench, k: int, kind: str, code: int = 3) -> None:
+        self.inner = bench.session.port.line
+        self.k, self.kind, self.code = k, kind, code
+        self.seen = 0
+        bench.session.port.line = self.line  # type: ignore[method-assign]
+
+    def line(self, text: bytes) -> bytes:
+        if is_read(text.decode()) or b"???" in text:
+            return self.inner(text)
+        number = self.seen
+        self.seen += 1
+        if number != self.k:
+            return self.inner(text)
+        if self.kind == "refuse":
+            return b"\x07ERR%03d\r" % self.code
+        if self.kind == "drop":
+            return b"\x06"
+        self.inner(text)
+        return self.inner(text)
+
+
+def buffer_lines(rig: UploadBench) -> int:
+    """How many lines an upload sends in buffers."""
+    counter: list[LineFault] = []
+    assert rig.upload_with(lambda b: counter.append(LineFault(b, -1, "none"))) is None
+    return counter[0].seen
+
+
+def test_f15_every_line_refused_with_every_code(
+    *, rig: UploadBench, exhaustive: bool, count_runs: Count
+) -> None:
+    n_lines = buffer_lines(rig)
+    codes = range(1, 23) if exhaustive else (3, 6)
+    runs = 0
+    for k in range(n_lines):
+        for code in codes:
+            error = rig.upload_with(lambda b, k=k, code=code: LineFault(b, k, "refuse", code))
+            runs += 1
+            assert isinstance(error, CommandRefused), (k, code, error)
+            assert error.context["error"] == code
+            assert error.left is rig.state, (k, error)
+            if rig.state is ControllerState.DISABLED:
+                assert rig.recover(resume=False) is ControllerState.OLD
+    count_runs(runs)
+
+
+@pytest.mark.parametrize("kind", ["drop", "double"])
+def test_f16_line_lost_or_doubled_is_found(
+    *, rig: UploadBench, kind: str, count_runs: Count
+) -> None:
+    n_lines = buffer_lines(rig)
+    harmless = 0
+    for k in range(n_lines):
+        error = rig.upload_with(lambda b, k=k: LineFault(b, k, kind))
+        state = rig.state
+        if error is None:
+            # Only a line without which the same tables result may be lost.
+            assert state is ControllerState.NEW, k
+            harmless += 1
+        else:
+            assert error.left is state, (k, error)
+            assert rig.recover() in {ControllerState.OLD, ControllerState.NEW}
+    assert harmless < n_lines
+    count_runs(n_lines)
+
+
+ACTIONS = ["I51=1", "I51=0", "7", "P7072=12345", "#1DELETE COMP", "P7080=77"]
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_f17_another_client_acts_after_every_packet(
+    *, rig: UploadBench, action: str, count_runs: Count
+) -> None:
+    total: list[int] = []
+    rig.upload_with(lambda b: setattr(b, "on_request", total.append))
+    n_requests = total[-1] + 1
+    wrong: list[int] = []
+    for k in range(n_requests):
+
+        def install(bench: CardBench, k: int = k) -> None:
+            other = bench.side_port()
+            bench.on_request = lambda n: other(action) and None if n == k else None
+
+        error = rig.upload_with(install)
+        truth = rig.truth
+        whole = truth.entries in {None, rig.old.entries, rig.new.entries}
+        if error is not None:
+            # We never leave a broken table enabled.
+            assert whole or not truth.i51, (k, action, error)
+        elif not (truth.i51 and truth.entries == rig.new.entries):
+            wrong.append(k)
+            status = upload.table_status(rig.bench.link, rig.bench.context)
+            assert status.decision.state is not ControllerState.NEW, (k, action)
+    # What is changed after the last look of the upload is found by the next status.
+    assert all(k >= n_requests - 12 for k in wrong), wrong
+    count_runs(n_requests)
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_f18_another_client_enables_during_the_upload(
+    *, tmp_path: Path, guarded: bool, count_runs: Count
+) -> None:
+    rig = UploadBench(tmp_path, n=40)
+    link = rig.bench.link
+    if guarded:
+        link.write_buffer(law_upload.definition_lines(1))
+        programs.download(link, law_upload.guard_program(rig.bench.context.block))
+        link.write_buffer(["I5=3", "ENABLE PLC 1"])
+        rig.bench.clock.sleep_s(0.05)
+        assert rig.bench.p(7082) > 0
+    rig.saved = snapshot(rig.bench.card)
+    total: list[int] = []
+    rig.upload_with(lambda b: setattr(b, "on_request", total.append))
+    live_cycles, runs = [], 0
+    for k in range(total[-1]):
+        since: list[int] = []
+
+        def install(bench: CardBench, k: int = k, since: list[int] = since) -> None:
+            other = bench.side_port()
+
+            def act(n: int) -> None:
+                writing = bench.p(7071) == 1 and bench.p(7070) == 505143
+                if n == k and writing and not bench.i51:
+                    other("I51=1")
+                    since.append(bench.card.cycles)
+
+            bench.on_request = act
+
+        error = rig.upload_with(install)
+        if not since:
+            continue
+        runs += 1
+        assert rig.state in ControllerState
+        if guarded:
+            assert rig.bench.p(7083) == 1 or rig.bench.p(7084) >= 1 or error is not None
+        elif error is not None:
+            assert isinstance(error, ForeignChange)
+            assert error.context["was_live"]
+            assert "live" in error.message
+        live_cycles.append(rig.bench.card.cycles - since[0])
+    assert runs >= 3
+    count_runs(runs)
+
+
+def test_f19_two_writers_on_this_host(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    with host_lock(bench.context), pytest.raises(LeaseHeld, match="this host") as refusal:
+        upload.upload_tables(bench.link, bench.context, [new_table(40)])
+    assert refusal.value.left is ControllerState.OLD
+
+
+def test_f19_another_host_holds_the_lease(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    bench.link.write_buffer(["P7081=100000", "P7080=4711"])
+    with pytest.raises(LeaseHeld) as refusal:
+        upload.upload_tables(bench.link, bench.context, [new_table(40)])
+    assert refusal.value.context["owner"] == 4711
+    assert 0 < float(str(refusal.value.context["expires_in_s"])) < 100
+    bench.link.write_buffer(["P7081=1"])
+    bench.clock.sleep_s(0.1)
+    result = upload.upload_tables(bench.link, bench.context, [new_table(40)])
+    assert result.verdict is ControllerState.NEW
+    assert bench.p(7080) == 0
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_f20_reset_after_every_packet(*, tmp_path: Path, saved: bool, count_runs: Count) -> None:
+    card = Card(load_bench("paper"), flash=tmp_path / "flash.bin")
+    folder = tmp_path / "store"
+    folder.mkdir()
+    first = CardBench(folder, card=card)
+    upload.upload_tables(first.link, first.context, [old_table(40)])
+    if saved:
+        upload.save(first.link)
+    total: list[int] = []
+    old, new = old_table(40).entries, new_table(40).entries
+
+    def run(k: int) -> None:
+        for path in folder.iterdir():
+            path.unlink()
+        bench = CardBench(folder, card=card)
+        if not saved:
+            with suppress(PmacCompError):
+                upload.upload_tables(bench.link, bench.context, [old_table(40)])
+            for path in folder.iterdir():
+                path.unlink()
+            bench.reconnect()
+
+        def act(n: int) -> None:
+            total.append(n)
+            if n == k:
+                card.reset()
+
+        bench.on_request = act
+        with suppress(PmacCompError):
+            upload.upload_tables(bench.link, bench.context, [new_table(40)])
+        bench.reconnect()
+        values = bench.values("COMP", 1)
+        assert not bench.i51 or tuple(values or ()) in {old, new}, k
+        result = recovery.recover(bench.link, bench.context)
+        values = bench.values("COMP", 1)
+        if result.verdict is ControllerState.NEW:
+            assert bench.i51
+            assert tuple(values or ()) == new
+        else:
+            assert result.verdict is ControllerState.OLD, (k, result)
+            assert values is None or tuple(values) == old
+            assert bench.i51 == (values is not None)
+        card.reset()
+        bench.session.close()
+
+    run(10**6)
+    n_requests = max(total) + 1
+    for k in range(n_requests):
+        run(k)
+    count_runs(n_requests)
+
+
+def test_f20_f18_decision_over_its_whole_domain(count_runs: Count) -> None:
+    runs = 0
+    for state in (None, ManifestState.WRITING, ManifestState.VALID):
+        for i51 in (0, 1):
+            for crc in (0, 111, 222, 333):
+                for enabled_old in (0, 1):
+                    for crc_old, crc_new in ((111, 222), (0, 222), (111, 0), (111, 111)):
+                        manifest = None
+                        if state is not None:
+                            manifest = Manifest(state, 5, 40, crc_old, crc_new, enabled_old)
+                        found = decide(manifest, i51, crc)
+                        runs += 1
+                        if manifest is None:
+                            assert found.state is ControllerState.OLD
+                            continue
+                        if found.state is ControllerState.NEW:
+                            assert i51
+                            assert crc == crc_new
+                            assert state is ManifestState.VALID
+                        if found.state is ControllerState.OLD:
+                            assert crc == crc_old
+                            assert i51 in {1, enabled_old}
+                        if found.action is Action.DISABLE:
+                            assert i51
+                            assert crc != crc_old
+                        if found.action is Action.RESUME:
+                            assert not i51
+                            assert crc == crc_new
+    count_runs(runs)
+
+
+def test_f21_damaged_flash_is_recognised_and_restored(tmp_path: Path, count_runs: Count) -> None:
+    flash = tmp_path / "flash.bin"
+    card = Card(load_bench("paper"), flash=flash)
+    bench = CardBench(tmp_path / "store", card=card)
+    upload.upload_tables(bench.link, bench.context, [old_table(40)])
+    upload.save(bench.link)
+    stored = backup.read_backup(bench.link, p_range=(7000, 7199))
+    image = flash.read_bytes()
+    blocks = [len(image) * k // 5 for k in range(5)]
+    for n, at in enumerate(blocks):
+        broken = bytearray(image)
+        broken[at : at + 64] = b"\xff" * len(broken[at : at + 64])
+        flash.write_bytes(bytes(broken))
+        bench = CardBench(bench.folder, card=Card(load_bench("paper"), flash=flash))
+        with pytest.raises(FlashSuspect):
+            backup.check_flash(bench.link, stored)
+        if n == 0:
+            _, remaining = backup.restore(bench.link, bench.context, stored)
+            assert remaining == ()
+            assert tuple(bench.values("COMP", 1) or ()) == old_table(40).entries
+            backup.check_flash_values(bench.link, stored)
+    count_runs(len(blocks))
+
+
+def test_f22_motion_that_starts_during_the_upload(*, rig: UploadBench, count_runs: Count) -> None:
+    total: list[int] = []
+    rig.upload_with(lambda b: setattr(b, "on_request", total.append))
+    refused = 0
+    for k in range(total[-1] + 1):
+
+        def install(bench: CardBench, k: int = k) -> None:
+            other = bench.side_port()
+            bench.on_request = lambda n: other("#1J+") and None if n == k else None
+
+        error = rig.upload_with(install)
+        if error is not None:
+            refused += 1
+            assert error.left is rig.state, (k, error)
+            if error.left is ControllerState.DISABLED:
+                assert not rig.bench.i51
+        rig.bench.link.command("#1J/")
+        rig.bench.clock.sleep_s(0.3)
+        rig.bench.link.command("#1J=0")
+        rig.bench.clock.sleep_s(0.5)
+    assert refused > 0.5 * total[-1]
+    count_runs(total[-1] + 1)
+
+
+def test_f22_a_moving_motor_is_refused_before_anything_is_written(rig: UploadBench) -> None:
+    def install(bench: CardBench) -> None:
+        bench.link.command("#1J+")
+        bench.clock.sleep_s(0.1)
+
+    error = rig.upload_with(install)
+    assert isinstance(error, MotorNotSafe)
+    assert rig.state is ControllerState.OLD
+    rig.bench.link.command("#1J/")
+    rig.bench.clock.sleep_s(0.3)
+    rig.bench.link.command("#1J=0")
+    rig.bench.clock.sleep_s(1.0)
+
+
+def test_f20_backup_that_was_touched_is_refused(rig: UploadBench) -> None:
+    rig.upload_with(lambda _b: None)
+    path = next(rig.folder.glob("*.tables.json"))
+    data = bytearray(path.read_bytes())
+    for k in range(0, len(data), 37):
+        broken = bytearray(data)
+        broken[k] ^= 1
+        path.write_bytes(bytes(broken))
+        with suppress(ConfigError):
+            recovery.read_table_backup(path)
+            text = path.read_text(encoding="utf-8")
+            assert text.strip() != data.decode().strip()
+            pytest.fail(f"a changed byte {k} was not noticed")
+    path.write_bytes(bytes(data))
+    assert recovery.rollback(rig.bench.link, rig.bench.context, path).verdict is (
+        ControllerState.OLD
+    )
+    assert rig.state is ControllerState.OLD
+
+
+def test_f16_removal_leaves_nothing(rig: UploadBench) -> None:
+    bench = rig.restart()
+    upload.remove_tables(bench.link, bench.context, [(TableKind.COMP, 1)])
+    assert rig.truth.entries is None
+    assert not rig.truth.i51
+    with pytest.raises(TableStateError):
+        law_upload.arm(bench.link, bench.context)
