@@ -13,7 +13,8 @@ the distance from the law's origin::
     q  = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v|/v_half)) t + T0
     torque = q + TL q'                                  is added to the controller's output
 
-``t`` is a second friction state with the break-away distance of the motor's friction.
+``t`` is a second friction state with the break-away distance of the motor's friction; it fades at
+rest within 0.2 s.
 """
 
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -117,6 +118,10 @@ class CompensationLaw:
         return replace(self, **zero, torque_limit_Nm=0.0)  # type: ignore[arg-type]
 
 
+# Share of the torque's friction state that is lost per servo period: at rest friction holds the
+# axis, and a torque that stays on would be wound up against by the controller's integrator.
+_FADE = 0.002
+
 TORQUE_NAMES = (
     "torque_inertia_Nm_s2_per_m",
     "torque_jerk_Nm_s3_per_m",
@@ -209,7 +214,7 @@ def _evaluate(p: FloatArray, r: FloatArray, period: float) -> tuple[FloatArray, 
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
         w = step / p[18]
-        t = (t + w) / (1.0 + abs(w))
+        t = (t + w) / (1.0 + _FADE + abs(w))
         x = r[k] - p[20]
         c = (p[0] + p[1] * x) * a + (p[2] + p[3] * x) * v + (p[4] + p[5] * x) * s + p[6] * j
         level = p[13] + p[14] * abs(a) + p[15] / (1.0 + abs(v) / p[17])
