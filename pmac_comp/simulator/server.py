@@ -17,6 +17,7 @@ import os
 import signal
 import threading
 import tty
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +33,7 @@ MOST_CLIENTS = 32
 MOST_UNSENT_BYTES = 1_000_000
 HALF_REQUEST_TIMEOUT_s = 30.0
 _TICK_s = 0.005
+_SLICE_s = 0.005  # longest time one client is served before others have their turn
 _MAX_CHUNK_CYCLES = 300
 _LONGEST_LAG_s = 0.25
 _PTY_READ = 4096
@@ -90,6 +92,7 @@ class _StreamClient(asyncio.Protocol):
         self.session: Session | None = None
         self.transport: asyncio.Transport | None = None
         self.timer: asyncio.TimerHandle | None = None
+        self.work: deque[Iterator[bytes]] = deque()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the client, or turn it away when there are too many."""
@@ -104,19 +107,36 @@ class _StreamClient(asyncio.Protocol):
         self.server.clients.add(self)
 
     def data_received(self, data: bytes) -> None:
-        """Answer what is complete."""
-        if self.session is None or self.transport is None:
+        """Answer what is complete, after what came before it."""
+        if self.session is None:
             return
-        if isinstance(self.session, EthernetSession):
-            # One send per answer: clients read an answer with one receive.
-            for answer in self.session.answers(data):
-                self.transport.write(answer)
-        else:
-            self.transport.write(self.session.receive(data))
-        if self.transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
-            self.transport.abort()
-        elif self.session.closed:
-            self.transport.close()
+        self.work.append(self.session.answers(data))
+        if len(self.work) == 1:
+            self._serve()
+
+    def _serve(self) -> None:
+        """Answer for one time slice; the rest waits until others had their turn."""
+        transport, loop = self.transport, asyncio.get_running_loop()
+        if transport is None or self.session is None:
+            return
+        until_s = loop.time() + _SLICE_s
+        while self.work:
+            answer = next(self.work[0], None)
+            if answer is None:
+                self.work.popleft()
+                continue
+            transport.write(answer)  # one send per answer: clients read it with one receive
+            if transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
+                self.work.clear()
+                transport.abort()
+                return
+            if loop.time() > until_s:
+                transport.pause_reading()
+                loop.call_soon(self._serve)
+                return
+        transport.resume_reading()
+        if self.session.closed:
+            transport.close()
         self._watch_half_request()
 
     def _watch_half_request(self) -> None:
@@ -141,6 +161,7 @@ class _StreamClient(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the client."""
         del exc
+        self.work.clear()
         if self.timer is not None:
             self.timer.cancel()
         if self.session is not None:

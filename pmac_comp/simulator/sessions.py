@@ -7,7 +7,7 @@ p. 254-263 (control characters).
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from pmac_comp.machine.wire.dialog import ControlCharacter
@@ -32,6 +32,7 @@ _ONE_BYTE = bytes([FLUSH_REPLY])
 _NOTHING = b"\x00"  # what the interface says when the card has nothing to say
 _LINE_ENDS = b"\r\x06\n"
 _FIRST_LINE = 1
+_ASCII_PIECE = 128  # bytes of an ASCII line taken at once
 
 
 class Refused(Exception):
@@ -84,19 +85,22 @@ class EthernetSession:
         """All answers to these bytes, joined."""
         return b"".join(self.answers(data))
 
-    def answers(self, data: bytes) -> list[bytes]:
-        """One answer per request completed by these bytes; each belongs into one packet."""
-        found: list[bytes] = []
+    def answers(self, data: bytes) -> Iterator[bytes]:
+        """One answer per request completed by these bytes; each belongs into one packet.
+
+        A request is carried out when its answer is asked for, so that a server can give other
+        clients their turn in between.
+        """
         for event in self._reader.receive(data):
+            if self.closed:
+                return
             if isinstance(event, Malformed):
                 self._refuse(event.reason)
-                break
+                return
             try:
-                found.append(self.answer(event))
+                yield self.answer(event)
             except Refused as refusal:
                 self._refuse(str(refusal))
-                break
-        return found
 
     def datagram(self, data: bytes) -> list[bytes]:
         """Answer to the one request of a datagram; what is no request is dropped."""
@@ -253,6 +257,11 @@ class AsciiSession:
         self._announcements = bytearray()
         self.closed = False
         card.listeners.append(self._announced)
+
+    def answers(self, data: bytes) -> Iterator[bytes]:
+        """What answers these bytes, in pieces, so that other clients get their turn in between."""
+        for start in range(0, len(data), _ASCII_PIECE):
+            yield self.receive(data[start : start + _ASCII_PIECE])
 
     def receive(self, data: bytes) -> bytes:
         """Bytes the card sends in answer, after what programs have said meanwhile."""

@@ -2,12 +2,9 @@
 
 import getpass
 import logging
-import os
 import re
 import shutil
-import socket
 import subprocess
-import time
 from pathlib import Path
 
 import paramiko
@@ -23,6 +20,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.gpascii import GpasciiTerminal
 from tests.contract.scripted_card import PacketPort, ScriptedCard
+from tests.faults.openssh import openssh_server, trusting
 from tests.faults.socket_peers import card_handler, peer
 from tests.faults.ssh_gateway import SECRET, USER, Gateway, ShellStyle
 
@@ -51,12 +49,6 @@ def gateway(keys):
     yield make
     for server in made:
         server.close()
-
-
-def trusting(tmp_path: Path, text: str) -> Path:
-    path = tmp_path / "known_hosts"
-    path.write_text(text)
-    return path
 
 
 def tunnel_url(server: Gateway, port: int, known_hosts: Path, login: str = "") -> str:
@@ -219,47 +211,8 @@ def test_f14_a_machine_without_gpascii_is_refused(gateway, tmp_path):
 
 @pytest.fixture
 def openssh(tmp_path):
-    server = shutil.which("sshd") or next(
-        (p for p in ("/usr/sbin/sshd", "/usr/local/sbin/sshd") if Path(p).exists()), None
-    )
-    keygen = shutil.which("ssh-keygen")
-    if server is None or keygen is None:
-        pytest.skip("the OpenSSH server is not installed (apt-get install openssh-server)")
-    for name in ("host", "user"):
-        make = [keygen, "-q", "-t", "ed25519", "-N", "", "-f", str(tmp_path / name)]
-        subprocess.run(make, check=True)
-    authorized = tmp_path / "authorized"
-    authorized.write_text((tmp_path / "user.pub").read_text())
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    config = tmp_path / "sshd_config"
-    config.write_text(
-        f"Port {port}\nListenAddress 127.0.0.1\nHostKey {tmp_path / 'host'}\n"
-        f"AuthorizedKeysFile {authorized}\nPasswordAuthentication no\nUsePAM no\n"
-        f"StrictModes no\nAllowTcpForwarding yes\nPidFile {tmp_path / 'pid'}\n"
-    )
-    if os.geteuid() == 0:
-        Path("/run/sshd").mkdir(exist_ok=True)  # the privilege separation folder of Debian
-    process = subprocess.Popen(
-        [server, "-D", "-e", "-f", str(config)], stderr=subprocess.PIPE, text=True
-    )
-    deadline_s = time.monotonic() + 10.0
-    while time.monotonic() < deadline_s and process.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                break
-        time.sleep(0.05)
-    if process.poll() is not None:
-        assert process.stderr is not None
-        pytest.fail(f"sshd ended: {process.stderr.read()}")
-    host = " ".join((tmp_path / "host.pub").read_text().split()[:2])
-    known = trusting(tmp_path, f"[127.0.0.1]:{port} {host}\n")
-    yield port, known, tmp_path / "user"
-    process.terminate()
-    process.wait(10.0)
-    assert process.stderr is not None
-    process.stderr.close()
+    with openssh_server(tmp_path) as gateway:
+        yield gateway
 
 
 @pytest.mark.system
