@@ -137,8 +137,9 @@ _HISTORY = 32
     S_CYCLE,
     S_WOBBLE_ZERO,
     S_RECORDED,
+    S_NUT_FORCE,  # N, at the end of the last period
     S_HISTORY,
-) = range(25)
+) = range(26)
 N_STATES = S_HISTORY + _HISTORY
 # Hysteresis of the reversal detector: well below any dip length, above round-off.
 _TURN_RAD = 1e-4
@@ -318,7 +319,7 @@ def ballscrew_step(
     z_n = state[S_Z_NUT]
     z_g = state[S_Z_GUIDE]
     time = state[S_TIME]
-    f_n = k_nut * (xt - rho * th_s - u)
+    f_n = state[S_NUT_FORCE]
 
     # Bristle stiffness belongs to the cold Coulomb level; the level itself may vary.
     sigma_m = par[P_MOTOR_LEVEL] / par[P_MOTOR_BREAK]
@@ -470,6 +471,7 @@ def ballscrew_step(
     state[S_TORQUE] = torque
     state[S_Z_MOTOR] = z_m
     state[S_Z_NUT] = z_n
+    state[S_NUT_FORCE] = f_n
     state[S_Z_GUIDE] = z_g
     state[S_TIME] = time
     state[S_CYCLE] = cycle + 1.0
