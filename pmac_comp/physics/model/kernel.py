@@ -355,19 +355,21 @@ def _slip_elements(
 
 
 @njit(cache=True, nogil=True)
-def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float]:
-    """Elastic force of the nut joint beyond k_n delta, and its derivative.
+def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
+    """Elastic force of the nut joint beyond k_n delta, its derivative, and the share of damping.
 
-    Dead zone (backlash), soft centre (preload loss) and softening of a preloaded double nut.
+    Dead zone (backlash), soft centre (preload loss) and softening of a preloaded double nut, which
+    has half its stiffness once one half is unloaded.
     """
     k = par[s.K_NUT]
     force = 0.0
     slope = 0.0
+    share = 1.0
     half = par[s.GAP_HALF]
     rest = delta_m
     if half > 0.0:
         if abs(delta_m) <= half:
-            return -k * delta_m, -k
+            return -k * delta_m, -k, 0.0
         rest = delta_m - math.copysign(half, delta_m)
         force = -math.copysign(k * half, delta_m)
     soft = par[s.SOFT_HALF]
@@ -376,17 +378,42 @@ def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float]:
         if abs(rest) <= soft:
             force -= loss * rest
             slope -= loss
+            share = par[s.SOFT_RATIO]
         else:
             force -= math.copysign(loss * soft, rest)
     softening = par[s.HERTZ]
     if softening > 0.0:
-        # F = k d / (1 + (k d)^2 / (36 F0^2)) to first order: stiffness k (1 - F^2 / (36 F0^2)).
-        spring = k * rest
-        cube = softening * spring * spring / 3.0
-        bounded = min(cube, 0.25)
-        force -= spring * bounded
-        slope -= k * (3.0 * bounded if cube < 0.25 else 0.25)
-    return force, slope
+        # F = k d (1 - (k d)^2 / (36 F0^2)) until the stiffness has fallen to k / 2, then that.
+        spring = k * abs(rest)
+        knee = 1.0 / math.sqrt(6.0 * softening)
+        bend = min(spring, knee)
+        lost = softening * bend * bend * bend + 0.5 * max(spring - knee, 0.0)
+        force -= math.copysign(lost, rest)
+        slope -= k * (3.0 * softening * bend * bend if spring <= knee else 0.5)
+    return force, slope, share
+
+
+@njit(cache=True, nogil=True)
+def _lead(par: FloatArray, theta: float, grown: float) -> tuple[float, float]:
+    """Lead error of the screw at a nut angle, m, and its derivative, m/rad.
+
+    ``grown`` is the thermal strain so far.
+    """
+    slope = par[s.LEAD] * (par[s.LEAD_SLOPE] + grown)
+    error = slope * theta + grown * par[s.X_ORIGIN]
+    if par[s.WOBBLE] != 0.0:
+        angle = par[s.WOBBLE + 1] * theta + par[s.WOBBLE + 2]
+        error += par[s.WOBBLE] * math.cos(angle)
+        slope -= par[s.WOBBLE] * par[s.WOBBLE + 1] * math.sin(angle)
+    return error, slope
+
+
+@njit(cache=True, nogil=True)
+def _strain(par: FloatArray, t: float) -> float:
+    """Thermal strain of the screw at a time."""
+    if par[s.GROWTH] == 0.0:
+        return 0.0
+    return float(par[s.GROWTH] * (1.0 - math.exp(-max(t, 0.0) / par[s.GROWTH_TIME])))
 
 
 @njit(cache=True, nogil=True)
@@ -443,9 +470,9 @@ def run(
     use_stribeck = (
         par[s.STRIBECK_GUIDE] != 0.0 or par[s.STRIBECK_NUT] != 0.0 or par[s.STRIBECK_MOTOR] != 0.0
     )
-    use_wobble = par[s.WOBBLE] != 0.0
+    use_lead = par[s.WOBBLE] != 0.0 or par[s.LEAD_SLOPE] != 0.0 or par[s.GROWTH] != 0.0
     use_joint = (
-        par[s.GAP_HALF] > 0.0 or par[s.SOFT_HALF] > 0.0 or par[s.HERTZ] > 0.0 or use_wobble
+        par[s.GAP_HALF] > 0.0 or par[s.SOFT_HALF] > 0.0 or par[s.HERTZ] > 0.0 or use_lead
     ) and not rigid
     use_waves = par[s.COGGING] != 0.0 or par[s.RIPPLE] != 0.0
     use_base = par[s.BASE_MASS] > 0.0
@@ -463,13 +490,19 @@ def run(
 
     # At rest and relaxed on the first desired position.
     theta0 = desired_m[0] / rho
+    for _ in range(50):
+        wrong = par[s.ECCENTRICITY] * math.cos(
+            par[s.ECCENTRICITY + 1] * theta0 + par[s.ECCENTRICITY + 2]
+        )
+        theta0 = (desired_m[0] - wrong) / rho
     z[0] = theta0
     z[1] = theta0
-    z[3] = desired_m[0]
-    wobble_mid = 0.0
-    if use_wobble and not rigid:
-        wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * theta0 + par[s.WOBBLE + 2])
-        z[3] += wobble_mid
+    z[3] = rho * theta0
+    grown = _strain(par, start_s)
+    lead, lead_slope = _lead(par, theta0, grown)
+    if rigid:
+        lead = 0.0
+    z[3] += lead
     motor_torque = 0.0
     # Friction at motor, nut and guide: force at the end of and mean over the last substep.
     force = np.zeros(3)
@@ -487,7 +520,7 @@ def run(
     motor_a = 0.0
     extreme = theta0
     heading = 1.0
-    since = 1e9
+    since = 0.0
     nut_state = 0.0
     guide_state = 0.0
 
@@ -512,12 +545,11 @@ def run(
                 par[s.ECCENTRICITY + 1] * z[0] + par[s.ECCENTRICITY + 2]
             )
         x_seen = z[3] - par[s.SKEW] * (z[7] - 0.5 * par[s.SKEW] * table_a)
-        table_read = x_seen + (par[s.LEAD_SLOPE] + par[s.SCALE_SLOPE]) * x_seen
-        if rigid and use_wobble:
-            table_read += par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
-        if par[s.GROWTH] != 0.0:
-            grown = par[s.GROWTH] * (1.0 - math.exp(-t / par[s.GROWTH_TIME]))
-            table_read += grown * (x_seen + origin)
+        table_read = x_seen + par[s.SCALE_SLOPE] * x_seen
+        if use_lead:
+            grown = _strain(par, t)
+            if rigid:
+                table_read += _lead(par, z[1], grown)[0]
         if par[s.SUBDIVISION] != 0.0:
             table_read += par[s.SUBDIVISION] * math.cos(
                 par[s.SUBDIVISION + 1] * x_seen + par[s.SUBDIVISION + 2]
@@ -583,7 +615,7 @@ def run(
         old_vc = vc
         history[k % _HISTORY] = min(max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT])
 
-        delta = z[3] - rho * z[1] - z[2] - wobble_mid
+        delta = z[3] - rho * z[1] - z[2] - lead
         out[0, k] = motor_read
         out[1, k] = table_read
         out[2, k] = command
@@ -663,6 +695,10 @@ def run(
                 )
                 push_nut -= par[s.ASYMMETRY_ROTARY] * par[s.NUT + s.VISCOUS] * abs(z[5])
                 push_motor -= par[s.ASYMMETRY_ROTARY] * par[s.MOTOR + s.VISCOUS] * abs(z[4])
+            if use_lead and not rigid:
+                # The nut's torque is force times advance per radian, lead error included.
+                pull = z[3] - rho * z[1] - z[2] - lead
+                push_nut += lead_slope * (par[s.K_NUT] * pull + joint_force(par, pull)[0])
             if use_base:
                 # Bed on its foundation, positions relative to the bed: the table feels -M x_b''.
                 omega = par[s.BASE_OMEGA]
@@ -732,35 +768,29 @@ def run(
             # ---- joint beyond its linear spring
             middle_lead = 0.0
             if use_joint:
-                old_delta = z[3] - rho * z[1] - z[2] - wobble_mid
-                lead_rate = 0.0
-                if use_wobble:
-                    angle = par[s.WOBBLE + 1] * 0.5 * (z[1] + zf[1]) + par[s.WOBBLE + 2]
-                    wobble_mid = par[s.WOBBLE] * math.cos(
-                        par[s.WOBBLE + 1] * zf[1] + par[s.WOBBLE + 2]
-                    )
-                    middle = par[s.WOBBLE] * math.cos(angle)
-                    lead_rate = -par[s.WOBBLE] * par[s.WOBBLE + 1] * math.sin(angle) * z[5]
-                    middle_lead = middle
-                else:
-                    middle = 0.0
-                new_delta = zf[3] - rho * zf[1] - zf[2] - wobble_mid
+                old_delta = z[3] - rho * z[1] - z[2] - lead
+                old_lead = lead
+                if use_lead:
+                    lead, lead_slope = _lead(par, zf[1], grown)
+                    middle_lead = 0.5 * (old_lead + lead)
+                new_delta = zf[3] - rho * zf[1] - zf[2] - lead
                 mean_delta = 0.5 * (old_delta + new_delta)
-                extra, slope = joint_force(par, mean_delta)
-                # The bank's spring and damper follow x - rho theta - u; take the lead out of it.
-                base_force = -par[s.K_NUT] * (middle + par[s.BETA] * lead_rate)
+                # The bank's spring and damper follow x - rho theta - u: take the lead out of it.
+                damper = par[s.K_NUT] * par[s.BETA]
+                base_force = -par[s.K_NUT] * middle_lead - damper * (lead - old_lead) / h
+                # Newton for the mean deflection; forces act back on it with half the mobility.
                 gain = 0.5 * mobility_joint
-                # One Newton step on the mean deflection; a negative slope only helps.
                 guess = mean_delta
-                for _ in range(4):
-                    pull, slope = joint_force(par, guess)
-                    miss = guess - mean_delta + gain * (pull + base_force)
-                    change = miss / (1.0 + gain * slope) if 1.0 + gain * slope > 0.2 else miss
+                extra = 0.0
+                for _ in range(6):
+                    pull, slope, share = joint_force(par, guess)
+                    missing = (1.0 - share) * damper * 2.0 / h
+                    extra = base_force + pull - missing * (guess - old_delta)
+                    rate = 1.0 + gain * (slope - missing)
+                    change = (guess - mean_delta + gain * extra) / max(rate, 0.2)
                     guess -= change
                     if abs(change) < 1e-13:
                         break
-                extra, slope = joint_force(par, guess)
-                extra += base_force
                 for i in range(N_STATES):
                     zf[i] += W[i, 12] * extra
 
@@ -832,8 +862,8 @@ def run(
             nut_a = (z[5] - nut_a) / h
             motor_a = (z[4] - motor_a) / h
             motor_torque = held + fade * fading
-            if use_wobble and not rigid:
-                wobble_mid = par[s.WOBBLE] * math.cos(par[s.WOBBLE + 1] * z[1] + par[s.WOBBLE + 2])
+            if use_lead and not rigid:
+                lead, lead_slope = _lead(par, z[1], grown)
             if level_guide > 0.0:
                 guide_state = force[2] / level_guide
             if level_nut > 0.0:
