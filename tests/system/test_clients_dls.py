@@ -1,0 +1,127 @@
+"""Other people's clients, unmodified, against the served card.
+
+They live in an environment of their own (``tools/clients-setup``); without it these tests skip.
+"""
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.server import ServeOptions, running_server
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON = ROOT / ".venv-clients" / "bin" / "python"
+CLIENTS = Path(__file__).resolve().parent / "clients"
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(not PYTHON.exists(), reason="tools/clients-setup has not been run"),
+]
+
+
+@pytest.fixture(scope="module")
+def endpoints() -> Iterator[dict[str, str]]:
+    card = Card(load_bench("paper"))
+    with running_server(card, ServeOptions(tcp=0, ascii_port=0, pty=True, speed="10")) as found:
+        yield found
+
+
+def port_of(url: str) -> str:
+    match = re.search(r":(\d+)", url.partition("//")[2])
+    assert match is not None
+    return match[1]
+
+
+def run(script: str, *arguments: str, timeout_s: float = 120.0) -> str:
+    done = subprocess.run(
+        [str(PYTHON), str(CLIENTS / script), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "PYTHONPATH": ""},
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def last_json(output: str) -> dict:
+    return json.loads(output.strip().splitlines()[-1])
+
+
+@pytest.mark.parametrize("kind", ["ethernet", "telnet", "serial"])
+def test_pmaclib_talks_jogs_and_gets_errors_right(endpoints: dict[str, str], kind: str) -> None:
+    if kind == "serial":
+        arguments = (endpoints["pty"].removeprefix("serial://"), "38400")
+    else:
+        url = endpoints["tcp" if kind == "ethernet" else "ascii"]
+        arguments = ("127.0.0.1", port_of(url))
+    result = last_json(run("pmaclib.py", kind, *arguments))
+    assert not result["connect"]
+    assert result["cid"][0].startswith("603382\r")
+    assert re.fullmatch(r"\d+\.\d+\s*\r\x06", result["ver"][0])
+    assert result["i102"] == ["$78002\r\x06", True]
+    assert "ERR003" in result["nonsense"][0]
+    assert result["p5"][0] == "3.25\r\x06"
+    assert result["m500"][0] == "200\r\x06"
+    assert result["i122"][0] == "77\r\x06"
+    assert result["m162->"][0] == "D:$8B\r\x06"
+    assert len(result["i100..131"][0].split("\r")) == 33
+    assert float(result["position"].split("\r")[0]) == pytest.approx(12345, abs=3)
+    if kind == "ethernet":
+        assert result["axes"] == 8
+        assert [entry[0] for entry in result["series"]] == [True, True, False, True]
+        assert "ERR" in result["series"][2][3]
+        assert result["listing"] == "P1=P1+1\rRET\r\x06"
+        assert result["save"][1]
+
+
+def test_pmacanalyse_reads_the_whole_configuration(
+    endpoints: dict[str, str], tmp_path: Path
+) -> None:
+    (tmp_path / "results").mkdir()
+    run("analyse.py", "127.0.0.1", port_of(endpoints["tcp"]), str(tmp_path))
+    text = (tmp_path / "bench.pmc").read_text()
+    assert "i130=139449" in text
+    assert "m162->D:$8b" in text
+    assert len(text.splitlines()) > 25_000
+    assert (tmp_path / "results" / "bench_compare.htm").exists()
+
+
+def test_backup_bl_saves_and_restores_positions(endpoints: dict[str, str], tmp_path: Path) -> None:
+    result = last_json(run("backup.py", "127.0.0.1", port_of(endpoints["tcp"]), str(tmp_path)))
+    assert "M162 = " + str(1234 * 3072) in result["positions"]
+    assert float(result["moved"].rstrip("\r\x06")) == pytest.approx(0, abs=3072)
+    restored = int(result["restored"].rstrip("\r\x06"))
+    assert restored / 3072 == pytest.approx(1234, abs=0.2)
+    assert result["configuration"] > 100_000
+
+
+def test_pmaccontrol_polls_and_gathers(endpoints: dict[str, str]) -> None:
+    result = last_json(run("control.py", "127.0.0.1", port_of(endpoints["tcp"])))
+    assert result["problems"] == []
+    assert result["identity"]
+    assert float(result["polled"]) == pytest.approx(0, abs=20000)
+    assert float(result["position"]) == pytest.approx(2000, abs=3)
+    first, second = result["channels"]
+    assert len(first) == len(second)
+    assert len(first) >= 500
+    assert first[-1] == pytest.approx(2000, abs=3)
+
+
+@pytest.mark.parametrize("sequence", ["home_hsw", "home_home"])
+def test_motorhome_plc_homes_the_axis(tmp_path: Path, sequence: str) -> None:
+    card = Card(load_bench("paper"))
+    with running_server(card, ServeOptions(tcp=0, speed="max")) as endpoints:
+        port = port_of(endpoints["tcp"])
+        result = last_json(run("motorhome.py", "127.0.0.1", port, str(tmp_path), sequence))
+    assert result["refused"] == []
+    assert result["last"].split("\r")[:2] == ["7", "0"], result["states"]
+    assert result["homed"].startswith("1\r")
