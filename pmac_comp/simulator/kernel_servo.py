@@ -681,6 +681,8 @@ def servo_cycles(
                 feedback = _signed24(int(x[base + reg.M_VELOCITY]))
             if status & reg.S1_OPEN_LOOP:
                 out = _open_loop(x, y, base, position, offset, k, cursor[m])
+                if status & reg.S1_AMPLIFIER_ENABLED:
+                    _limits(x, y, m, a, d, k, float(feedback), world, position, head, events)
             elif not close:
                 out = float(read_word_signed(x, base + reg.M_FILTER_RESULT))
             else:
@@ -757,7 +759,7 @@ def servo_cycles(
                     near = near and not status & (reg.S1_MOVE_TIMER | reg.S1_DWELL)
                     bit = reg.S2_FOREGROUND_IN_POSITION
                     y[base + reg.M_STATUS2] = status2 | bit if near else status2 & ~bit
-                _limits(x, y, m, a, d, k, cursor[m], world, position, head, events)
+                _limits(x, y, m, a, d, k, cursor[m, traj.C_VELOCITY], world, position, head, events)
                 if k[K_ARMED] != 0.0:
                     hit, captured = _trigger(x, y, m, a, d, k, world, position)
                     if hit:
@@ -894,13 +896,13 @@ def _limits(
     a: IntArray,
     d: FloatArray,
     k: FloatArray,
-    cursor: FloatArray,
+    speed: float,
     world: FloatArray,
     position: int,
     head: IntArray,
     events: IntArray,
 ) -> None:
-    """Overtravel limits of a closed loop; one event per stop."""
+    """Overtravel limits; one event per stop. ``speed`` tells the direction of the motion."""
     base = 0x80 * m
     status = int(x[base + reg.M_STATUS1]) & ~(reg.S1_POSITIVE_LIMIT | reg.S1_NEGATIVE_LIMIT)
     hard = 0
@@ -919,7 +921,6 @@ def _limits(
     elif side < 0:
         status |= reg.S1_NEGATIVE_LIMIT
     x[base + reg.M_STATUS1] = status
-    speed = cursor[traj.C_VELOCITY]
     if side == 0:
         k[K_LATCHED_LIMIT] = 0.0
     elif speed * side > 0.0 and k[K_LATCHED_LIMIT] == 0.0:

@@ -313,7 +313,8 @@ class Servo(Motors):
         elif event.kind == ks.EV_SERVO_FAULT:
             self.kill(event.motor)
         elif event.kind == ks.EV_LIMIT:
-            self.abort_motion(event.motor)
+            # An open loop beyond a limit is closed and stopped (p. 95).
+            self.abort(event.motor)
         elif event.kind == ks.EV_HARD_LIMIT:
             self._hard_limit(event.motor)
         elif event.kind == ks.EV_TRIGGER:
@@ -330,13 +331,25 @@ class Servo(Motors):
             for other in self.motors_of(self.coordinate_system(motor)):
                 self.kill(other)
 
+    def amplifier_fault(self, motor: int) -> None:
+        """Let the drive of a motor report a fault, for tests of what the host makes of it."""
+        base = reg.motor_base(motor)
+        if int(self.memory.y[base + reg.M_IXX25_IXX24]) & (1 << 20):
+            return  # Ixx24 bit 20: the fault input is ignored
+        self.kill(motor)
+        self.memory.y[base + reg.M_STATUS2] |= reg.S2_AMPLIFIER_FAULT
+        self._spread_fault(motor)
+        if self.on_event is not None:
+            self.on_event(ServoEvent(ks.EV_OVERCURRENT, motor, 0))
+
     def _hard_limit(self, motor: int) -> None:
         word = int(self.memory.y[reg.motor_base(motor) + reg.M_IXX25_IXX24])
         if word & 0x100:
             self.kill(motor)
         else:
             for other in self.motors_of(self.coordinate_system(motor)) or [motor]:
-                self.abort_motion(other)
+                if not self.is_killed(other):
+                    self.abort(other)
 
 
 def _channel(motor: int) -> int:

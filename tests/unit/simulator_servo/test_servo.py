@@ -221,6 +221,27 @@ def test_open_loop_output_is_a_share_of_ixx69(servo):
     assert servo.position(1) > 10.0
 
 
+def test_open_loop_beyond_a_limit_is_closed_and_stopped(servo):
+    servo.variables.write_i(113, 2000)
+    servo.open_loop(1, 8.0)
+    servo.run(6000)
+    assert not servo.is_open_loop(1)
+    assert not servo.is_killed(1)
+    assert 2000.0 < servo.position(1) < 6000.0
+
+
+@pytest.mark.parametrize(("ixx24", "tripped"), [(0x20001, True), (0x120001, False)])
+def test_amplifier_fault_trips_unless_ignored(enabled, ixx24, tripped):
+    enabled.variables.write_i(124, ixx24)
+    enabled.amplifier_fault(1)
+    enabled.run(5)
+    assert enabled.is_killed(1) is tripped
+    assert bool(status2(enabled) & reg.S2_AMPLIFIER_FAULT) is tripped
+    enabled.enable(1)
+    enabled.run(5)
+    assert not status2(enabled) & reg.S2_AMPLIFIER_FAULT
+
+
 def test_homing_ends_at_the_trigger_plus_offset(enabled):
     # Index of the encoder: every 10 000 counts; I7012 = 1 by default.
     write_float48(enabled.memory.x, enabled.memory.y, 0x80 + reg.M_IXX23, 20.0)
@@ -268,7 +289,7 @@ def test_zero_move_home_and_absolute_read(enabled):
     enabled.reset_position(1)
     enabled.run(5)
     assert enabled.is_killed(1)
-    assert enabled.position(1) == 0.0
+    assert enabled.position(1) == pytest.approx(0.0, abs=1.0)  # the screw springs back
 
 
 def test_following_in_offset_mode_is_hidden_from_p(enabled):
