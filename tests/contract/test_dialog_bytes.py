@@ -7,14 +7,12 @@ from pmac_comp.machine.wire.dialog import (
     ControlCharacter,
     LineReader,
     LineTooLong,
-    Reply,
-    ReplyReader,
     format_error,
     format_reply,
     format_unsolicited,
-    read_settled,
 )
 from pmac_comp.machine.wire.errors import ERROR_MEANINGS, error_meaning, error_text
+from pmac_comp.machine.wire.replies import Reply, ReplyReader, read_settled
 
 VALUES = ["25", "50", "75"]  # P1..3 of the manual's example
 

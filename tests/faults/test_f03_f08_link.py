@@ -8,7 +8,8 @@ import pytest
 from pmac_comp.base.errors import LinkError, PmacCompError, ReplyTimeout
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.machine.wire.dialog import ReplyReader, format_reply, format_unsolicited
+from pmac_comp.machine.wire.dialog import format_reply, format_unsolicited
+from pmac_comp.machine.wire.replies import ReplyReader
 from tests.contract.scripted_card import ScriptedCard
 from tests.faults.link_bench import TIMEOUT_S, LinkBench
 

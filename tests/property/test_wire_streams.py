@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from pmac_comp.machine.wire import ethernet
 from pmac_comp.machine.wire.dialog import (
     LineReader,
-    ReplyReader,
     format_reply,
     format_unsolicited,
-    read_settled,
 )
 from pmac_comp.machine.wire.ethernet import Malformed, RequestReader, encode
 from pmac_comp.machine.wire.numbers import (
@@ -21,6 +19,7 @@ from pmac_comp.machine.wire.numbers import (
     number_text,
     read_number,
 )
+from pmac_comp.machine.wire.replies import ReplyReader, read_settled
 
 printable = st.text(alphabet=st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=40)
 command = printable.map(str.encode).filter(lambda text: bool(text.strip()))

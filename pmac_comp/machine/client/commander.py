@@ -5,7 +5,6 @@ may take in total, and how refusals become errors. Imports the link, not the phy
 simulator.
 """
 
-import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,24 +23,22 @@ from pmac_comp.base.errors import (
     RemoteProtocolError,
     ReplyTimeout,
 )
+from pmac_comp.machine.client.batches import buffer_batches, line_batches, merged_runs
 from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY, LineLink, PacketLink, Statistics
 from pmac_comp.machine.client.modes import Modes, establish, restore
 from pmac_comp.machine.client.reads import is_read
+from pmac_comp.machine.client.refusals import accepted, batch_refused, encoded, garbled
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.machine.wire import ethernet
-from pmac_comp.machine.wire.dialog import MAX_ANSWER, Reply
-from pmac_comp.machine.wire.errors import error_meaning, error_text
+from pmac_comp.machine.wire.replies import MAX_ANSWER, Reply
 
 _T = TypeVar("_T")
 
 DEFAULT_TIMEOUT_S = 3.0
-BULK_LINE = 250
-"""Longest line that bulk reads put together; the card's queue takes 255 characters."""
-LONGEST_RUN = 512
-"""Most values asked for in one line, so that its answer stays within some kilobytes."""
-_VARIABLE = re.compile(r"([IPQM])(\d+)")
+SSH_CONNECT_S = 15.0
+"""Least time for a login: keys are agreed on and checked before the first byte."""
 _FIRST_TRY = 0.5
 _PERHAPS_NOISE = (3, 4)
 """Errors with which an ASCII port refuses a question that noise has changed."""
@@ -133,7 +130,8 @@ class Commander:
         endpoint = parse_url(url)
         used_clock = clock or SystemClock()
         sums = endpoint.option_flag("checksum", default=endpoint.scheme == "serial")
-        transport = open_transport(endpoint, Deadline.after(used_clock, timeout_s))
+        connect_s = max(timeout_s, SSH_CONNECT_S) if endpoint.scheme == "ssh" else timeout_s
+        transport = open_transport(endpoint, Deadline.after(used_clock, connect_s))
         commander = cls(
             transport,
             clock=used_clock,
@@ -175,17 +173,17 @@ class Commander:
         ReplyTimeout
             If there was no whole answer in time.
         """
-        command = _encoded(text)
+        command = encoded(text)
         deadline = self._deadline(timeout_s)
         with self._lock:
             if not is_read(text):
-                return _accepted(self._link.exchange(command, deadline), text)
+                return accepted(self._link.exchange(command, deadline), text)
             ask = partial(self._exchange_clean, command)
             reply = self._read(ask, deadline)
             if reply.error in _PERHAPS_NOISE and not self.capabilities.packets:
                 self._statistics.retries += 1
                 reply = self._read(ask, deadline)
-            return _accepted(reply, text)
+            return accepted(reply, text)
 
     def command(self, text: str, *, timeout_s: float | None = None) -> list[str]:
         """Lines that answer a command, usually none; sent exactly once.
@@ -197,9 +195,9 @@ class Commander:
         ReplyTimeout, LinkLost, RemoteProtocolError
             If there is no certain answer: the command may have been carried out, read it back.
         """
-        command = _encoded(text)
+        command = encoded(text)
         with self._lock:
-            return _accepted(self._link.exchange(command, self._deadline(timeout_s)), text)
+            return accepted(self._link.exchange(command, self._deadline(timeout_s)), text)
 
     def query_many(self, questions: Iterable[str], *, timeout_s: float | None = None) -> list[str]:
         """One line for each question, asked many at a time.
@@ -274,20 +272,20 @@ class Commander:
             count leaves two candidates), ``candidates``, ``error`` and ``lines_accepted``, the
             number of lines in requests that were accepted as a whole.
         """
-        encoded = [_encoded(line) for line in lines]
+        packed = [encoded(line) for line in lines]
         done = 0
         with self._lock:
-            for batch in buffer_batches(encoded, single=not self.capabilities.packets):
+            for batch in buffer_batches(packed, single=not self.capabilities.packets):
                 self._write_batch(batch, done, self._deadline(timeout_s))
                 done += len(batch)
                 if progress is not None:
-                    progress(done, len(encoded))
+                    progress(done, len(packed))
 
     def _write_batch(self, batch: Sequence[bytes], start: int, deadline: Deadline) -> None:
         if not isinstance(self._link, PacketLink):
             text = batch[0].decode("ascii")
             try:
-                _accepted(self._link.exchange(batch[0], deadline), text)
+                accepted(self._link.exchange(batch[0], deadline), text)
             except CommandRefused as error:
                 error.context |= {
                     "line_index": start,
@@ -299,7 +297,7 @@ class Commander:
         data = self._link.request(ethernet.write_buffer(batch), deadline)
         verdict = ethernet.BufferVerdict.decode(data)
         if verdict.refused:
-            raise _batch_refused(batch, start, verdict)
+            raise batch_refused(batch, start, verdict)
 
     # Memory ---------------------------------------------------------------------------------------
 
@@ -442,117 +440,5 @@ class Commander:
     def _exchange_clean(self, command: bytes, deadline: Deadline) -> Reply:
         reply = self._link.exchange(command, deadline)
         if reply.faults:
-            raise _garbled(reply, command.decode("ascii"))
+            raise garbled(reply, command.decode("ascii"))
         return reply
-
-
-def merged_runs(questions: Iterable[str]) -> Iterator[tuple[str, int]]:
-    """Questions with the number of lines each gives; runs of variables become ranges.
-
-    ``P1 P2 P3`` is asked as ``P1..3``: the card reads one name instead of three.
-    """
-    kind, first, last = "", 0, 0
-    for question in questions:
-        match = _VARIABLE.fullmatch(question)
-        number = int(match[2]) if match else 0
-        if match and match[1] == kind and number == last + 1 and number - first < LONGEST_RUN:
-            last = number
-            continue
-        if kind:
-            yield _run(kind, first, last)
-        kind, first, last = (match[1], number, number) if match else ("", 0, 0)
-        if not match:
-            yield question, 1
-    if kind:
-        yield _run(kind, first, last)
-
-
-def _run(kind: str, first: int, last: int) -> tuple[str, int]:
-    text = f"{kind}{first}" if first == last else f"{kind}{first}..{last}"
-    return text, last - first + 1
-
-
-def line_batches(questions: Iterable[tuple[str, int]]) -> Iterator[list[tuple[str, int]]]:
-    """Questions grouped so that each group fits one line and one answer of moderate size."""
-    batch: list[tuple[str, int]] = []
-    size = answers = 0
-    for question, count in questions:
-        if batch and (size + len(question) > BULK_LINE or answers + count > LONGEST_RUN):
-            yield batch
-            batch, size, answers = [], 0, 0
-        batch.append((question, count))
-        size += len(question)
-        answers += count
-    if batch:
-        yield batch
-
-
-def buffer_batches(lines: Sequence[bytes], *, single: bool) -> Iterator[Sequence[bytes]]:
-    """Lines grouped so that each group fits one WRITEBUFFER request (null bytes included)."""
-    limit = 0 if single else ethernet.MAX_WRITE_BUFFER
-    start = size = 0
-    for index, line in enumerate(lines):
-        if index > start and size + len(line) + 1 > limit:
-            yield lines[start:index]
-            start, size = index, 0
-        size += len(line) + 1
-    if start < len(lines):
-        yield lines[start:]
-
-
-def _encoded(text: str) -> bytes:
-    if not text.isascii():
-        raise LocalProtocolError(f"'{text}' holds characters that are not ASCII")
-    if not text.isprintable():
-        raise LocalProtocolError(f"{text!r} holds control characters; use control() for them")
-    if len(text) > ethernet.MAX_COMMAND:
-        raise LocalProtocolError(
-            f"a line holds at most {ethernet.MAX_COMMAND} characters, not {len(text)}",
-            hint="Split it into several lines.",
-        )
-    return text.encode("ascii")
-
-
-def _accepted(reply: Reply, text: str) -> list[str]:
-    if reply.faults:
-        raise _garbled(reply, text)
-    if reply.error is not None:
-        raise _refused(reply.error, text, reply.lines)
-    return list(reply.lines)
-
-
-def _garbled(reply: Reply, text: str) -> RemoteProtocolError:
-    return RemoteProtocolError(
-        f"the answer to '{text}' is garbled: {'; '.join(reply.faults)}",
-        hint="Check the cable. If the line was a command, it may have been carried out.",
-        context={"command": text, "faults": list(reply.faults)},
-    )
-
-
-def _refused(error: int, text: str, lines: Sequence[str]) -> CommandRefused:
-    return CommandRefused(
-        f"the controller refused '{text}': {error_meaning(error)}",
-        code=error_text(error),
-        context={"command": text, "error": error, "lines": list(lines)},
-    )
-
-
-def _batch_refused(
-    batch: Sequence[bytes], start: int, verdict: ethernet.BufferVerdict
-) -> CommandRefused:
-    number = verdict.line_number
-    # The manual does not say whether lines count from 0 or from 1; sometimes the figure tells.
-    local = sorted({k for k in (number - 1, number) if 0 <= k < len(batch)})
-    candidates = [start + k for k in local]
-    texts = " or ".join(f"'{batch[k].decode('ascii')}'" for k in local) or f"line {number}"
-    error = verdict.error
-    return CommandRefused(
-        f"the controller refused {texts} during a download: {error_meaning(error)}",
-        code=error_text(error),
-        context={
-            "error": error,
-            "line_index": candidates[0] if len(candidates) == 1 else None,
-            "candidates": candidates,
-            "lines_accepted": start,
-        },
-    )

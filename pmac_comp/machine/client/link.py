@@ -18,13 +18,14 @@ from pmac_comp.base.clock import Clock, Deadline
 from pmac_comp.base.errors import LinkLost, RemoteProtocolError, ReplyTimeout
 from pmac_comp.machine.transport.base import Transport
 from pmac_comp.machine.wire import dialog, ethernet
-from pmac_comp.machine.wire.dialog import Reply, ReplyReader
+from pmac_comp.machine.wire.replies import Reply, ReplyReader, plain_lines
 
 QUIET_S = 0.25
 """A pause inside an answer after which the packet port is asked for more."""
 CHANGED_ON_THE_WAY = "PC-LINK-SUM"
 """Code of the error that a changed command earns; it is never answered by asking again."""
 _SETTLE_S = 0.06
+_FLUSH_S = 0.5
 _BUSY_POLL_S = 0.02
 _MARK_LENGTH = 16
 _MARK_TRIES = 3
@@ -236,7 +237,7 @@ class PacketLink(BaseLink):
         self._send(ethernet.command_packet(command), deadline)
         data = self._receive(deadline)
         plain = not self.i4 and len(data) <= ethernet.MAX_REPLY
-        lines = dialog.plain_lines(data) if plain else None
+        lines = plain_lines(data) if plain else None
         if lines is not None:
             self.unsettled = False
             return Reply(lines)
@@ -303,8 +304,9 @@ class PacketLink(BaseLink):
 
     def _silence(self, deadline: Deadline) -> None:
         self._send(ethernet.encode(ethernet.flush()), deadline)
-        self._receive(deadline)
-        self._take_until_quiet(deadline)
+        # Should no answer come, what follows still finds its mark: FLUSH only makes way for it.
+        if self._receive_within(_FLUSH_S, deadline):
+            self._take_until_quiet(deadline)
 
     def _ask(self, command: bytes, deadline: Deadline) -> None:
         self._send(ethernet.encode(ethernet.get_response(command)), deadline)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ConnectFailed, LinkError
 from pmac_comp.machine.client.link import Link
-from pmac_comp.machine.wire.dialog import read_settled, visible
+from pmac_comp.machine.wire.dialog import visible
+from pmac_comp.machine.wire.replies import read_settled
 
 _QUESTION = b"I3I4I6I9"
 _NAMES = ("I3", "I4", "I6", "I9")

@@ -20,6 +20,7 @@ from pmac_comp.machine.transport.url import Endpoint
 
 DEFAULT_KNOWN_HOSTS = "~/.ssh/known_hosts"
 _SHORTEST_WAIT_S = 1e-3
+_KEEPALIVE_S = 30  # a gateway's firewall forgets connections on which nothing moves
 
 
 def fingerprint(key: paramiko.PKey) -> str:
@@ -82,6 +83,7 @@ def open_tunnel(endpoint: Endpoint, deadline: Deadline) -> TunnelTransport:
     try:
         if transport is None:
             raise paramiko.SSHException("the login has ended")  # noqa: TRY301
+        transport.set_keepalive(_KEEPALIVE_S)
         channel = transport.open_channel(
             "direct-tcpip", target, ("127.0.0.1", 0), timeout=_time_left_s(deadline)
         )

@@ -13,12 +13,8 @@ from pmac_comp.base.errors import (
     LocalProtocolError,
     RemoteProtocolError,
 )
-from pmac_comp.machine.client.commander import (
-    Commander,
-    buffer_batches,
-    line_batches,
-    merged_runs,
-)
+from pmac_comp.machine.client.batches import buffer_batches, line_batches, merged_runs
+from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.client.modes import Modes, read_modes
 from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.client.terminal import terminal_of
