@@ -26,7 +26,7 @@ def ask(card: Card) -> Ask:
     port = card.port()
 
     def send(text: str) -> str:
-        reply = port.line(text).decode()
+        reply = port.line(text).decode("latin-1")
         return reply.replace("\x07", "").replace("\r", " ").replace("\x06", "").strip(" ")
 
     return send

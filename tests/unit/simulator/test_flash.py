@@ -1,0 +1,105 @@
+"""SAVE, reset and what a spoiled flash image does."""
+
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.simulator.card import Card
+
+from .conftest import Ask
+
+SET_UP = (
+    "I130=777 P5=1.25 &2Q7=-3 M500->X:$10F0,0,8",
+    "&2#1->100X+5",
+    "#3DEFINE COMP 4,1000",
+    "10 -20 30 0",
+    "#1DEFINE COMP 4,#1D,2000",
+    "1 2 3 4",
+    "OPEN PROG 5 CLEAR",
+    "LINEAR X10",
+    "IF(P1=2)X5",
+    "ELSE X6",
+    "CLOSE",
+    "OPEN PLC 3 CLEAR",
+    "P6=P6+1",
+    "CLOSE",
+    "I51=1 I5=2",
+)
+QUESTIONS = (
+    "I130 P5 &2 Q7 M500-> I51",
+    "&2#1->",
+    "#3LIST COMP",
+    "#3LIST COMP DEF",
+    "#1LIST COMP",
+    "#1LIST COMP DEF",
+    "LIST PROG 5",
+    "LIST PLC 3",
+)
+
+
+def set_up(ask: Ask) -> list[str]:
+    for line in SET_UP:
+        assert ask(line) == "", line
+    return [ask(q) for q in QUESTIONS]
+
+
+def test_save_and_reset_bring_everything_back(card: Card, ask: Ask) -> None:
+    before = set_up(ask)
+    assert ask("SAVE") == ""
+    ask("I130=1 P5=0 #1DELETE COMP")
+    ask("#3DELETE COMP CLEAR ALL UNDEFINE ALL")
+    ask("$$$")
+    assert [ask(q) for q in QUESTIONS] == before
+    assert ask("LIST GATHER") == "ERR003"
+    card.run_cycles(50)
+    assert int(ask("P6")) > 0  # PLCs in memory start by I5
+
+
+def test_reset_without_save_goes_back_to_the_last_save(ask: Ask) -> None:
+    before = ask("I130")
+    ask("I130=5")
+    ask("$$$")
+    assert ask("I130") == before
+
+
+def test_image_file_survives_the_process(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "flash.bin"
+    card = Card(bench, flash=path)
+    port = card.port()
+    for line in (*SET_UP, "SAVE"):
+        port.line(line)
+    again = Card(bench, flash=path).port()
+    assert [again.line(q) for q in QUESTIONS] == [port.line(q) for q in QUESTIONS]
+
+
+@pytest.mark.parametrize("place", [0, 30, 100, -1])
+def test_spoiled_image_reverts_to_factory_values(bench: Bench, tmp_path: Path, place: int) -> None:
+    path = tmp_path / "flash.bin"
+    port = Card(bench, flash=path).port()
+    port.line("I130=777 SAVE")
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(bytes(data))
+    port = Card(bench, flash=path).port()
+    assert port.line("I3").endswith(b"1\r\n") or b"\n1\r" in port.line("I3")
+    assert b"2000" in port.line("I130")
+    word = int(port.line("???").strip(b"\n\r\x06")[:6], 16)
+    assert word & (1 << 10)
+    assert word & (1 << 13)
+
+
+def test_truncated_image_reverts_too(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "flash.bin"
+    path.write_bytes(b"TURBO PMAC FLASH 1\n")
+    assert b"2000" in Card(bench, flash=path).port().line("I130")
+
+
+def test_factory_reset_keeps_definitions_and_drops_programs(ask: Ask) -> None:
+    set_up(ask)
+    ask("$$$***")
+    ask("I4=0 I3=2")
+    assert ask("I130 P5 &2 Q7 M500->") == "2000 1.25 -3 X:$10F0,0,8"
+    assert ask("&2#1->") == "100X+5"
+    assert ask("LIST PROG 5") == "ERR003"
+    assert ask("#1LIST COMP") == "ERR003"
