@@ -16,6 +16,7 @@ import json
 import os
 import signal
 import threading
+import time
 import tty
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -35,10 +36,36 @@ HALF_REQUEST_TIMEOUT_s = 30.0
 _TICK_s = 0.005
 _SLICE_s = 0.005  # longest time one client is served before others have their turn
 _MAX_CHUNK_CYCLES = 300
+_LONGEST_CHUNK_s = 0.005  # of wall time between two looks at the clients
 _LONGEST_LAG_s = 0.25
+_IDLE_s = 0.0002  # between two looks at what the host grants
 _PTY_READ = 4096
 
 Session = EthernetSession | AsciiSession
+
+
+class HostPace:
+    """Servo cycles that the host in the same process has granted; the card never runs ahead.
+
+    A host that shares its interpreter with the card could otherwise be starved by it for longer
+    than the gather ring holds.
+    """
+
+    def __init__(self) -> None:
+        self._granted = 0
+        self._lock = threading.Lock()
+
+    def grant(self, cycles: int) -> None:
+        """Let the card run so many cycles more."""
+        with self._lock:
+            self._granted += cycles
+
+    def take(self, most: int) -> int:
+        """Cycles to run now, at most ``most``."""
+        with self._lock:
+            taken = min(self._granted, most)
+            self._granted -= taken
+            return taken
 
 
 @dataclass(frozen=True)
@@ -57,6 +84,8 @@ class ServeOptions:
         ``real``, a factor, or ``max``.
     force : Path or None
         CSV file with ``time_s,force_N``.
+    pace : HostPace or None
+        Grants of a host in this process; then ``speed`` has no meaning.
     """
 
     tcp: int | None = None
@@ -66,6 +95,7 @@ class ServeOptions:
     host: str = "127.0.0.1"
     speed: str = "real"
     force: Path | None = None
+    pace: HostPace | None = None
 
     @property
     def factor(self) -> float:
@@ -247,6 +277,7 @@ class SimulatorServer:
     options: ServeOptions
     clients: set[_StreamClient] = field(default_factory=set)
     endpoints: dict[str, str] = field(default_factory=dict)
+    _chunk_cycles: int = field(default=_MAX_CHUNK_CYCLES, init=False)
 
     async def run(self, ready: Callable[[dict[str, str]], None], stop: asyncio.Event) -> None:
         """Serve until `stop` is set; `ready` is called with the endpoints once they listen."""
@@ -327,11 +358,21 @@ class SimulatorServer:
 
     # --- time -----------------------------------------------------------------------------------
 
+    async def _follow(self, pace: HostPace) -> None:
+        while True:
+            cycles = pace.take(self._chunk_cycles)
+            if cycles:
+                self._run_chunk(cycles)
+            self._announce()
+            await asyncio.sleep(0 if cycles else _IDLE_s)
+
     async def _pass_time(self) -> None:
+        if self.options.pace is not None:
+            await self._follow(self.options.pace)
         factor = self.options.factor
         if factor == float("inf"):
             while True:
-                self.card.run_cycles(_MAX_CHUNK_CYCLES)
+                self._run_chunk(_MAX_CHUNK_CYCLES)
                 self._announce()
                 await asyncio.sleep(0)
         loop = asyncio.get_running_loop()
@@ -346,9 +387,22 @@ class SimulatorServer:
                 start_cycles -= slipped
                 behind -= slipped
             if behind > 0:
-                self.card.run_cycles(min(behind, _MAX_CHUNK_CYCLES))
+                self._run_chunk(behind)
             self._announce()
-            await asyncio.sleep(0 if behind > _MAX_CHUNK_CYCLES else _TICK_s)
+            await asyncio.sleep(0 if behind > self._chunk_cycles else _TICK_s)
+
+    def _run_chunk(self, wanted: int) -> None:
+        """Run at most as many cycles as keep clients waiting for ``_LONGEST_CHUNK_s``.
+
+        A plant written in Python may take 0.1 ms a cycle, the compiled one 1 us: the number of
+        cycles in a chunk follows what the last one took.
+        """
+        cycles = min(wanted, self._chunk_cycles)
+        start_s = time.perf_counter()
+        self.card.run_cycles(cycles)
+        per_cycle_s = (time.perf_counter() - start_s) / cycles
+        affordable = int(_LONGEST_CHUNK_s / per_cycle_s)
+        self._chunk_cycles = max(1, min(_MAX_CHUNK_CYCLES, affordable, 2 * self._chunk_cycles))
 
     def _announce(self) -> None:
         for client in self.clients:

@@ -29,11 +29,15 @@ from pmac_comp.workflow.deploy import (
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
 from pmac_comp.workflow.motions import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.simulated import ServedClock, TruthRecorder, default_servo, make_card
+from pmac_comp.workflow.simulated import (
+    ServedClock,
+    TruthRecorder,
+    default_servo,
+    make_card,
+)
 from pmac_comp.workflow.verify import Verification, store, verify_axis
 
 Progress = Callable[[str, float], None]
-SPEED = 8.0  # of real time: leaves the host time to empty the ring between polls
 
 
 @dataclass(frozen=True)
@@ -147,7 +151,6 @@ def run_demo(
     plant: str | None = None,
     route: str = "law",
     seed: int = 0,
-    speed: float = SPEED,
     progress: Progress | None = None,
 ) -> RunResult:
     """Run the whole job and leave captures, model, compensation and result in a folder.
@@ -164,8 +167,6 @@ def run_demo(
         ``law``, ``servo`` or ``table``.
     seed : int
         Draws the verification motions, after the upload.
-    speed : float
-        Multiple of real time at which the card runs.
     progress : callable, optional
         Called with a step and a fraction.
     """
@@ -177,10 +178,11 @@ def run_demo(
         servo = default_servo() if route == "servo" else None
         card = make_card(loaded, plant=plant, servo=servo)
         recorder = TruthRecorder(card)
-    from pmac_comp.simulator.server import ServeOptions, running_server
+    from pmac_comp.simulator.server import HostPace, ServeOptions, running_server
 
-    options = ServeOptions(tcp=0, speed=str(speed))
-    clock = ServedClock(card)
+    pace = HostPace()
+    options = ServeOptions(tcp=0, pace=pace)
+    clock = ServedClock(card, pace)
     with (
         running_server(card, options) as endpoints,
         open_axis(endpoints["tcp"], loaded, clock=clock) as axis,

@@ -4,6 +4,7 @@ What lives here: the clock that lets simulated time pass while the host waits, a
 handling of ``sim``. What may not: anything of the card itself.
 """
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,9 @@ from pmac_comp.machine.transport.url import Endpoint
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
+    from pmac_comp.simulator.server import HostPace
 
+_LOOK_s = 2e-4
 _REQUEST_CYCLES = 2  # servo cycles that a request takes: the host is never infinitely fast
 
 
@@ -47,25 +50,28 @@ class CardClock:
 
 
 class ServedClock:
-    """Clock of a card that is served by another thread, at whatever speed it gets.
+    """Clock of a card that another thread of this process serves: waiting grants it servo cycles.
 
-    Waiting ends when the card's own time has passed, so a busy machine stretches the wait instead
-    of breaking the protocol's timing.
+    The card never runs ahead of its host, so a busy machine or a slow plant stretches the run but
+    loses no sample. Looking at the clock grants a cycle too: a poll without a wait still ends.
     """
 
-    def __init__(self, card: "Card", step_s: float = 1e-3) -> None:
+    def __init__(self, card: "Card", pace: "HostPace") -> None:
         self._card = card
-        self._step_s = step_s
+        self._pace = pace
 
     def now_s(self) -> float:
         """Simulated time in s."""
+        self._pace.grant(1)
         return self._card.time_s
 
     def sleep_s(self, duration_s: float) -> None:
         """Wait until simulated time has passed."""
-        until_s = self._card.time_s + max(0.0, duration_s)
-        while self._card.time_s < until_s:
-            time.sleep(self._step_s)
+        cycles = math.ceil(max(0.0, duration_s) / self._card.bench.servo_period_s)
+        until = self._card.cycles + cycles
+        self._pace.grant(cycles)
+        while self._card.cycles < until:
+            time.sleep(_LOOK_s)
 
 
 def make_card(
