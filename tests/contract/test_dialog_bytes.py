@@ -60,6 +60,20 @@ def test_checksums(i3, i4, lines, data):
     assert read_settled(data, i3=i3, i4=i4) == Reply(tuple(lines), command_sum=0x81)
 
 
+def test_a_sum_may_be_any_byte():
+    # the sum of this line is a line feed: it must not count as one
+    for i3 in range(4):
+        data = format_reply(["KTYYbcpw"], i3=i3, i4=1, command=b"0")
+        found = {k: read_settled(data, i3=k, i4=1) for k in range(4)}
+        assert found.pop(i3) == Reply(("KTYYbcpw",), command_sum=0x30)
+        assert all(reply is None for reply in found.values())
+
+
+def test_text_of_programs_does_not_hide_a_settled_answer():
+    data = format_unsolicited("HI", i3=3) + format_reply(["7"], i3=3)
+    assert read_settled(data, i3=3) == Reply(("7",), unsolicited=("HI",))
+
+
 def test_control_characters_do_not_count_in_the_command_s_sum():
     assert format_reply([], i4=1, command=b"P\x101") == b"\x06\x81"
 

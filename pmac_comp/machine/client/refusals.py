@@ -70,6 +70,6 @@ def batch_refused(
             "error": error,
             "line_index": candidates[0] if len(candidates) == 1 else None,
             "candidates": candidates,
-            "linesaccepted": start,
+            "lines_accepted": start,
         },
     )

@@ -2,8 +2,9 @@
 
 HDF5 files are made from it afterwards: a full disk or a kill may break a file that is rewritten in
 place, but never the records that were synced here. Layout: the magic line, then records of
-``kind u8 | length u32 | crc32 u32 | payload``, little-endian. Kinds: header (JSON), block (JSON
-head, then int64 columns), gap (JSON), end (JSON). Imports ``base`` only.
+``kind u8 | length u32 | crc32 u32 | payload``, little-endian, the checksum seeded with the kind.
+Kinds: header (JSON), block (JSON head, then int64 columns), gap (JSON), end (JSON). Imports
+``base`` only.
 """
 
 import errno
@@ -131,7 +132,7 @@ class CaptureLog:
             self._fd = -1
 
     def _record(self, kind: RecordKind, payload: bytes) -> None:
-        self._write(_HEAD.pack(kind, len(payload), zlib.crc32(payload)) + payload)
+        self._write(_HEAD.pack(kind, len(payload), _crc(kind, payload)) + payload)
 
     def _write(self, data: bytes) -> None:
         view = memoryview(data)
@@ -210,13 +211,17 @@ def recover(path: Path) -> RecoveredLog:
     )
 
 
+def _crc(kind: int, payload: bytes) -> int:
+    return zlib.crc32(payload, kind)
+
+
 def _intact_records(data: bytes) -> tuple[list[tuple[int, bytes]], int]:
     records: list[tuple[int, bytes]] = []
     at = len(MAGIC)
     while at + _HEAD.size <= len(data):
         kind, length, crc = _HEAD.unpack_from(data, at)
         payload = data[at + _HEAD.size : at + _HEAD.size + length]
-        if length > RECORD_MAX or len(payload) < length or zlib.crc32(payload) != crc:
+        if length > RECORD_MAX or len(payload) < length or _crc(kind, payload) != crc:
             break
         records.append((kind, payload))
         at += _HEAD.size + length

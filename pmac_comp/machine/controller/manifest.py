@@ -131,7 +131,7 @@ def decide(manifest: Manifest | None, i51: int, crc: int) -> Decision:
     i51 : int
         Whether tables act.
     crc : int
-        Checksum of the tables that are there.
+        Checksum of the tables that are there, 0 for none: then nothing acts whatever I51 is.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def decide(manifest: Manifest | None, i51: int, crc: int) -> Decision:
         if not (crc == manifest.crc_new and manifest.state is ManifestState.VALID and i51):
             return Decision(ControllerState.OLD, Action.NOTHING, "the old tables are untouched")
         return Decision(ControllerState.NEW, Action.NOTHING, "old and new tables are the same")
-    if i51:
+    if i51 and crc:
         return _decide_enabled(manifest, crc)
     if crc == manifest.crc_new:
         return Decision(

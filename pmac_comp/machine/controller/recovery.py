@@ -139,7 +139,7 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
                 hint="Compare with a backup, then `pmac-comp rollback` or upload again.",
                 left=ControllerState.DISABLED,
             )
-        if status.decision.action is Action.NOTHING:
+        if status.decision.action is Action.NOTHING or _is_removed(last, status):
             return _settled(link, context, last, status)
     if last is None:
         raise UploadIncomplete(
@@ -153,6 +153,13 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     if resume and whole and last.enable_after:
         return _finish(link, context, last, last.new, enable=True)
     return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
+
+
+def _is_removed(last: Unfinished | None, status: TableStatus) -> bool:
+    """Whether the upload was meant to end switched off, and did."""
+    if last is None or last.enable_after or status.i51:
+        return False
+    return status.tables.crc == last.manifest.crc_new
 
 
 def _settle_lease(link: Link, context: Context) -> None:
@@ -173,7 +180,9 @@ def _settled(
         if journal is not None and journal.is_open:
             journal.write("rolled back")
         return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
-    state = ControllerState.OLD if last.is_rollback else status.decision.state
+    state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
+    if last.is_rollback:
+        state = ControllerState.OLD
     if last.journal.is_open:
         if state is ControllerState.OLD:
             link.write_buffer(clear_lines(context.block))

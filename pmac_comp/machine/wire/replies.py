@@ -9,7 +9,7 @@ the line has gone quiet: it serves the first contact, when the modes are still u
 """
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from pmac_comp.base.errors import RemoteProtocolError
@@ -250,43 +250,37 @@ def read_settled(data: bytes, *, i3: int, i4: int = 0) -> Reply | None:
     i3, i4 : int
         The modes to read it in.
     """
-    if i3 in (2, 3):
-        return _settled_acknowledged(data, checksum=bool(i4 & 1), line_feeds=i3 == 3)
-    checksum = bool(i4 & 1)
+    checksum, line_feeds = bool(i4 & 1), bool(i3 & 1)
     tail = 1 if checksum else 0
-    sum_of_command = data[-1] if checksum and data else None
-    body = data[: len(data) - tail]
-    if i3 == 1:
-        if not body.endswith(b"\n"):
-            return None
-        body = body[:-1]
-    lines = _split_lines(body, checksum=checksum, line_feeds=i3 == 1)
-    return None if lines is None else Reply(tuple(lines), command_sum=sum_of_command)
-
-
-def _settled_acknowledged(data: bytes, *, checksum: bool, line_feeds: bool) -> Reply | None:
-    reader = ReplyReader(checksum=checksum)
-    if not reader.receive(data) or reader.rest or reader.reply.faults:
+    if len(data) < tail:
         return None
-    has_line_feeds = b"\n" in data
-    return reader.reply if has_line_feeds == (line_feeds and bool(reader.reply.lines)) else None
+    command_sum = data[-1] if checksum else None
+    end = {0: b"", 1: b"\n", 2: b"\x06", 3: b"\x06"}[i3 & 3]
+    body = data[: len(data) - tail]
+    if not body.endswith(end):
+        return None
+    body = body[: len(body) - len(end)].lstrip(b"\x00\x18")
+    reply = _split_lines(body, checksum=checksum, line_feeds=line_feeds)
+    return None if reply is None else replace(reply, command_sum=command_sum)
 
 
-def _split_lines(body: bytes, *, checksum: bool, line_feeds: bool) -> list[str] | None:
+def _split_lines(body: bytes, *, checksum: bool, line_feeds: bool) -> Reply | None:
     lines: list[str] = []
+    unsolicited: list[str] = []
     position = 0
     while position < len(body):
         end = body.find(b"\r", position) + 1
         line = body[position:end]
-        if not end or line.startswith(b"\n") != line_feeds:
+        text = line.removeprefix(b"\x02")
+        if not end or text.startswith(b"\n") != line_feeds:
             return None
         position = end
         if checksum:
+            # The sum may be any byte, a line feed or an ACK among them.
             if position >= len(body) or body[position] != line_sum(line):
                 return None
             position += 1
-        text = line.strip(b"\r\n")
-        if _CONTROL.search(text):
+        if _CONTROL.search(text[line_feeds:-1]):
             return None
-        lines.append(visible(text))
-    return lines
+        (unsolicited if text != line else lines).append(visible(text[line_feeds:-1]))
+    return Reply(tuple(lines), unsolicited=tuple(unsolicited))
