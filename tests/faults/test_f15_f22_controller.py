@@ -237,7 +237,7 @@ def test_f20_reset_after_every_packet(*, tmp_path: Path, saved: bool, count_runs
             upload.upload_tables(bench.link, bench.context, [new_table(40)])
         bench.reconnect()
         values = bench.values("COMP", 1)
-        assert not bench.i51 or tuple(values or ()) in {old, new}, k
+        assert not bench.i51 or tuple(values or ()) in {(), old, new}, k
         result = recovery.recover(bench.link, bench.context)
         values = bench.values("COMP", 1)
         if result.verdict is ControllerState.NEW:
@@ -246,7 +246,7 @@ def test_f20_reset_after_every_packet(*, tmp_path: Path, saved: bool, count_runs
         else:
             assert result.verdict is ControllerState.OLD, (k, result)
             assert values is None or tuple(values) == old
-            assert bench.i51 == (values is not None)
+            assert bench.i51 or values is None, (k, result)
         card.reset()
         bench.session.close()
 
@@ -283,7 +283,7 @@ def test_f20_f18_decision_over_its_whole_domain(count_runs: Count) -> None:
                             assert i51
                             assert crc != crc_old
                         if found.action is Action.RESUME:
-                            assert not i51
+                            assert not (i51 and crc)
                             assert crc == crc_new
     count_runs(runs)
 
