@@ -10,7 +10,9 @@ from pmac_comp.simulator.card import Card
 from .conftest import Ask
 
 SET_UP = (
-    "I130=777 P5=1.25 &2Q7=-3 M500->X:$10F0,0,8",
+    "I130=777 P5=1.25",
+    "&2Q7=-3",
+    "M500->X:$10F0,0,8",
     "&2#1->100X+5",
     "#3DEFINE COMP 4,1000",
     "10 -20 30 0",
