@@ -7,11 +7,12 @@ May import ``physics.model``.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.spectra import Peaks
 from pmac_comp.physics.diagnose.workbench import Direction
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, split_name
@@ -100,13 +101,7 @@ def _step(spec: ParameterSpec, value: float, lower: float, upper: float) -> floa
     return -size if value - size >= spec.lower else 0.0
 
 
-def starts_of(
-    effect: Effect,
-    model: DriveModel,
-    bench: Bench,
-    orders: Sequence[float],
-    frequencies_Hz: Sequence[float],
-) -> list[Start]:
+def starts_of(effect: Effect, model: DriveModel, bench: Bench, peaks: Peaks) -> list[Start]:
     """Starts of an effect at a model, leaving out those that the model cannot hold.
 
     Parameters
@@ -117,51 +112,70 @@ def starts_of(
         Working point.
     bench : Bench
         Tells rigid benches and benches without a scale.
-    orders : sequence of float
-        Orders per revolution to try where the effect has one.
-    frequencies_Hz : sequence of float
-        Frequencies to try where the effect has one.
+    peaks : Peaks
+        Orders and frequencies to try where the effect has one.
 
     Returns
     -------
     list of Start
     """
-    rigid = "chain.mass_kg" in model.parameters
-    if (rigid and not effect.rigid) or (effect.needs_scale and bench.scale is None):
+    if (model.is_rigid and not effect.rigid) or (effect.needs_scale and bench.scale is None):
         return []
     present = {split_name(name)[0] for name in model.effects}
     if effect.name in present:
         return []
     found = []
-    for place in effect.places or ("",):
+    # A rigid bench is one mass: its friction has one place.
+    for place in (effect.places[:1] if model.is_rigid else effect.places) or ("",):
         key = f"{effect.name}@{place}" if place else effect.name
-        specs = effect.specs(place)
-        for values in _start_values(effect, specs, orders, frequencies_Hz):
-            found.append(_start(effect.name, key, specs, values, model))
+        library = {effect.name: effect}
+        specs = _specs(model.with_effect(key, library=library), effect.name)
+        for values in _start_values(effect, specs, peaks):
+            found.append(_start(effect, key, specs, values, model))
     return [start for start in found if start.directions]
 
 
+def _specs(model: DriveModel, effect: str) -> tuple[ParameterSpec, ...]:
+    """Parameters of one effect of a model under bare names."""
+    prefix = f"{effect}."
+    return tuple(
+        replace(spec, name=spec.name.removeprefix(prefix))
+        for spec in model.specs
+        if spec.name.startswith(prefix)
+    )
+
+
+# Which trace shows the order or frequency of an effect; others try all orders found.
+_TRACES = {
+    "cogging": "torque",
+    "friction_per_rev": "friction",
+    "torque_ripple": "ripple",
+    "lead_cyclic": "reading",
+    "encoder_eccentricity": "reading",
+}
+
+
 def _start_values(
-    effect: Effect,
-    specs: Sequence[ParameterSpec],
-    orders: Sequence[float],
-    frequencies_Hz: Sequence[float],
+    effect: Effect, specs: Sequence[ParameterSpec], peaks: Peaks
 ) -> Iterable[dict[str, float]]:
-    """Starting values: those of the effect, spread over the orders or frequencies found."""
+    """Starting values: those of the effect, or the orders and frequencies that the data shows."""
     names = {spec.name: spec for spec in specs}
-    listed = [
-        {spec.name: float(start.get(spec.name, spec.nominal)) for spec in specs}
-        for start in (effect.starts or ({},))
-        if set(start) <= set(names)
-    ]
-    spread = {"order_per_rev": orders, "frequency_Hz": frequencies_Hz}
-    for name, grid in spread.items():
-        if name in names and grid:
-            spec = names[name]
-            inside = [g for g in grid if spec.lower <= g <= spec.upper]
-            own = [values[name] for values in listed]
-            grown = sorted({round(v, 4) for v in [*own, *inside]})
-            listed = [{**listed[0], name: value} for value in grown]
+    listed: list[dict[str, float]] = []
+    for start in effect.starts or ({},):
+        values = {spec.name: float(start.get(spec.name, spec.nominal)) for spec in specs}
+        # The refit finds the sign of a size by itself.
+        mirrored = {k: (-v if k == specs[0].name else v) for k, v in values.items()}
+        if values not in listed and mirrored not in listed:
+            listed.append(values)
+    orders = getattr(peaks, _TRACES.get(effect.name, "torque"))
+    for name, grid in (("order_per_rev", orders), ("frequency_Hz", peaks.frequencies_Hz)):
+        if name not in names or not grid or effect.name == "base_mode":
+            continue
+        spec = names[name]
+        wanted = dict.fromkeys(
+            [listed[0][name], *(g for g in grid if spec.lower <= g <= spec.upper)]
+        )
+        listed = [{**listed[0], name: value} for value in wanted]
     return listed
 
 
@@ -176,42 +190,49 @@ def amplitude_of(effect: str, specs: Sequence[ParameterSpec]) -> ParameterSpec:
 
 
 def _start(
-    effect: str,
+    effect: Effect,
     key: str,
     specs: Sequence[ParameterSpec],
     values: dict[str, float],
     model: DriveModel,
 ) -> Start:
-    size = amplitude_of(effect, specs)
+    size = amplitude_of(effect.name, specs)
+    library = {effect.name: effect}
     angle = next((spec.name for spec in specs if spec.period), None)
     if values[size.name] == 0.0:
         values = {**values, size.name: min(size.scale, size.upper)}
     turns = [values] if angle is None else [{**values, angle: 0.0}, {**values, angle: math.pi / 2}]
-    linear = vanishes(key, size, values, model)
+    linear = vanishes(key, size, values, model, library)
     free_sign = linear and (angle is not None or size.lower < 0.0)
     directions = tuple(
         Direction(
-            owner=effect,
+            owner=effect.name,
             label=f"{key} {i}",
-            model=model.with_effect(key, turned),
+            model=model.with_effect(key, turned, library=library),
             step=1.0,
             lower=-math.inf if free_sign else 0.0,
             upper=math.inf if linear else 3.0,
         )
         for i, turned in enumerate(turns)
     )
-    return Start(effect, key, values, directions, linear)
+    return Start(effect.name, key, values, directions, linear)
 
 
-def vanishes(key: str, size: ParameterSpec, values: Mapping[str, float], model: DriveModel) -> bool:
+def vanishes(
+    key: str,
+    size: ParameterSpec,
+    values: Mapping[str, float],
+    model: DriveModel,
+    library: Mapping[str, Effect],
+) -> bool:
     """Whether the effect is absent at size zero; others replace a value of the model."""
     if not size.lower <= 0.0 <= size.upper:
         return False
-    off = model.with_effect(key, {**values, size.name: 0.0})
-    if off.terms() != model.terms():
+    off = model.with_effect(key, {**values, size.name: 0.0}, library=library)
+    if len(off.terms()) != len(model.terms()):
         return True
     changed = off.kernel_vector() - model.kernel_vector()
-    on = model.with_effect(key, values).kernel_vector() - model.kernel_vector()
+    on = model.with_effect(key, values, library=library).kernel_vector() - model.kernel_vector()
     # Periods, speeds and centres may differ: they act through the size alone.
     same = np.isclose(changed, on, rtol=1e-12, atol=0.0)
     return bool(np.all((changed == 0.0) | same))

@@ -70,7 +70,7 @@ def _hats(values: FloatArray, span: tuple[float, float]) -> FloatArray:
     """Piecewise linear functions that sum to one."""
     knots = np.linspace(span[0], span[1] + 1e-12, _KNOTS)
     place = (np.clip(values, knots[0], knots[-1]) - knots[0]) / (knots[1] - knots[0])
-    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(_KNOTS)[None, :]))
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(_KNOTS)[None, :])))
 
 
 def spans_of(

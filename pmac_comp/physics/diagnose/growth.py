@@ -11,7 +11,6 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import Start, started
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
@@ -141,7 +140,7 @@ def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
     description = model.bench
     steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
     coarse = 0.1 / np.sqrt(12.0 * bench.records[0].factor)
-    return np.maximum(coarse * np.array(steps[: bench.channels]), 1e-10)
+    return np.asarray(np.maximum(coarse * np.array(steps[: bench.channels]), 1e-10))
 
 
 def grow(
@@ -324,11 +323,18 @@ def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
 def _earned(winner: Contender, rows_fit: float, rows_judge: float, rules: Rules) -> bool:
     """Whether a candidate is worth a name: material, held out, and not by chance."""
     return (
-        winner.fit_gain > rules.material * rows_fit
+        _seen(winner.fitted.model)
+        and winner.fit_gain > rules.material * rows_fit
         and winner.judged_gain > rules.material * rows_judge
         and winner.p_value < rules.p_value
         and winner.bic_gain > 0.0
     )
+
+
+def _seen(model: DriveModel) -> bool:
+    """Whether presliding is wider than one encoder step: below that it is Coulomb friction."""
+    distance_m = model.parameters.get("presliding.distance_m")
+    return distance_m is None or distance_m > model.bench.motor_resolution_m
 
 
 def _tied(

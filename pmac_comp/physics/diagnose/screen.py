@@ -15,7 +15,7 @@ from pmac_comp.physics.diagnose.candidates import Start, own_directions, starts_
 from pmac_comp.physics.diagnose.flexible import flexible_columns
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen
-from pmac_comp.physics.diagnose.spectra import frequency_peaks, order_peaks
+from pmac_comp.physics.diagnose.spectra import peaks_of
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, prior_of
 from pmac_comp.physics.model.effect import Effect
 
@@ -143,12 +143,11 @@ def look(
     """
     own = tuple(own_directions(point.model))
     responses = list(bench.executor.map(lambda r: r.response(point.model), bench.records))
-    orders = order_peaks(bench.records, responses, description.pitch_m)
-    frequencies = frequency_peaks(bench.records, responses)
+    peaks = peaks_of(bench.records, responses, description.pitch_m)
     starts = tuple(
         start
         for effect in library.values()
-        for start in starts_of(effect, point.model, description, orders, frequencies)
+        for start in starts_of(effect, point.model, description, peaks)
     )
     directions = [*own, *(d for start in starts for d in start.directions)]
     columns = bench.columns(point.simulated, directions)

@@ -8,6 +8,7 @@ shows an error of lead or encoder, whatever the loop does.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,22 +23,66 @@ _FREQUENCIES_Hz = np.arange(0.4, 45.0, 0.02)
 _PEAKS = 2
 
 
-def order_peaks(
+@dataclass(frozen=True)
+class Peaks:
+    """Orders and frequencies worth trying, by the kind of trace they leave.
+
+    Parameters
+    ----------
+    torque, friction, ripple, reading : tuple of float
+        Orders per revolution in the torque residual as it is, with the sign of the motion, in
+        proportion to the torque, and in table minus motor.
+    frequencies_Hz : tuple of float
+        Frequencies in the torque residual.
+    """
+
+    torque: tuple[float, ...] = ()
+    friction: tuple[float, ...] = ()
+    ripple: tuple[float, ...] = ()
+    reading: tuple[float, ...] = ()
+    frequencies_Hz: tuple[float, ...] = ()
+
+
+def peaks_of(
     records: Sequence[Record], responses: Sequence[Response], lead_m_per_rev: float
-) -> list[float]:
-    """Orders per revolution at which the residuals peak, strongest of each kind first."""
-    found: list[float] = []
-    torque = [_torque_residual(r, p) for r, p in zip(records, responses, strict=True)]
-    stretch = [_mechanical_residual(r, p) for r, p in zip(records, responses, strict=True)]
-    for kind, residuals in (("one", torque), ("direction", torque), ("one", stretch)):
+) -> Peaks:
+    """Orders per revolution and frequencies at which the residuals peak.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Measured.
+    responses : sequence of Response
+        Simulated on the same grids.
+    lead_m_per_rev : float
+        Travel per revolution.
+
+    Returns
+    -------
+    Peaks
+    """
+    pairs = list(zip(records, responses, strict=True))
+    torque = [_torque_residual(r, p) for r, p in pairs]
+    stretch = [_mechanical_residual(r, p) for r, p in pairs]
+
+    def orders(residuals: Sequence[FloatArray | None], kind: str) -> tuple[float, ...]:
         series = [
             _angle_series(r, p, d, kind, lead_m_per_rev)
-            for r, p, d in zip(records, responses, residuals, strict=True)
+            for (r, p), d in zip(pairs, residuals, strict=True)
             if d is not None
         ]
-        if series:
-            found += _peaks(_ORDERS, _order_power(series), width=0.3)
-    return sorted({_rounded(order) for order in found})
+        if not series:
+            return ()
+        found = _peaks(_ORDERS, _order_power(series), width=0.3)
+        return tuple(dict.fromkeys(_rounded(order) for order in found))
+
+    return Peaks(
+        orders(torque, "one"),
+        orders(torque, "direction"),
+        orders(torque, "load"),
+        orders(stretch, "one"),
+        tuple(frequency_peaks(records, responses)),
+    )
 
 
 def frequency_peaks(records: Sequence[Record], responses: Sequence[Response]) -> list[float]:
@@ -83,8 +128,9 @@ def _angle_series(
     _, values = _blocks(record, residual)
     speed = np.gradient(turns, max(1, round(_BLOCK_s / record.period_s)) * record.period_s)
     values = values - values.mean()
-    if kind == "direction":
-        values = values * np.sign(speed)
+    if kind != "one":
+        _, load = _blocks(record, response.torque_command_Nm)
+        values = values * (np.sign(speed) if kind == "direction" else load / load.std())
         values = values - values.mean()
     return turns, values, np.abs(speed)
 
