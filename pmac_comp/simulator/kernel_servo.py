@@ -137,8 +137,15 @@ COMPENSATION_REGISTER_SIGN = -1.0
 ) = range(1, 12)
 MAX_EVENTS = 256
 BACKGROUND_CYCLES = 10
+# Modelled task times in half CPU cycles (the unit of the task-time registers): an interpreted
+# operation of about two instructions takes 3 us at 80 MHz, a compiled one 1 us (User Manual).
+PLC_INSTRUCTION_TIME = 60
+SERVO_INSTRUCTION_TIME = 20
+_INTERRUPT_TIME = 300
+_MOTOR_TIME = 500
 PLC_BUDGET = 20000
 SERVO_BUDGET = 5000
+_RTI_TIME = 0x00000B  # X last, Y longest real-time interrupt task time
 _WORD = 0xFFFFFF
 _DYNAMIC1 = (
     reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
@@ -650,6 +657,7 @@ def servo_cycles(
                 else:
                     backlash_table[t[comp.T_TARGET]] += value
         # 6. Servo laws.
+        servo_time = _INTERRUPT_TIME + _MOTOR_TIME * n_active
         for i in range(n_active):
             m = active[0, i]
             base = 0x80 * m
@@ -725,6 +733,7 @@ def servo_cycles(
                     if math.isnan(out):
                         out = 0.0
                         _event(head, events, EV_SERVO_FAULT, m, 0)
+                    servo_time += SERVO_INSTRUCTION_TIME * srv_state[vm.S_STEPS]
                     write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
                     k[: law.N_LAW] = 0.0
                 else:
@@ -784,6 +793,7 @@ def servo_cycles(
         # 7. Gathering sees this cycle's latch, command and output.
         gather.gather_cycle(x, y, plan, world[W_INPUT] != 0.0)
         # 8. Counters.
+        y[reg.TASK_TIME] = min(servo_time, _WORD)
         head[H_CYCLES] += 1
         _timers(x, y)
         if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
@@ -815,6 +825,9 @@ def servo_cycles(
                     plc_events,
                     PLC_BUDGET,
                 )
+                spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * plc_state[vm.S_STEPS]
+                x[_RTI_TIME] = min(spent, _WORD)
+                y[_RTI_TIME] = max(int(y[_RTI_TIME]), int(x[_RTI_TIME]))
                 if result == vm.FAULT:
                     x[reg.PLC_TABLE] |= 0x800000
                     y[reg.PLC_TABLE] |= 0x400000

@@ -174,6 +174,18 @@ def test_unsealed_bank_is_not_used(make_servo):
     assert p(servo, 7002) == 0.0
 
 
+def test_task_time_grows_with_the_algorithm(make_servo):
+    plain = make_servo()
+    plain.enable(1)
+    plain.run(5)
+    user = with_servo(make_servo, SHIPPED)
+    user.enable(1)
+    user.run(5)
+    extra = int(user.memory.y[reg.TASK_TIME]) - int(plain.memory.y[reg.TASK_TIME])
+    # Half CPU cycles at 80 MHz: the shipped algorithm takes tens of microseconds.
+    assert 10.0 < extra * 2 / 80.0 < 200.0
+
+
 def test_law_clamps_and_survives_kill_and_enable(make_servo):
     servo = with_servo(make_servo, SHIPPED)
     load_bank(servo, {2: 50.0, 21: 3000.0})
