@@ -207,3 +207,15 @@ def test_f45_a_password_in_an_address_is_refused_and_not_repeated():
     with pytest.raises(ConfigError) as caught:
         Commander.open("ssh://me:canary-7f3@gateway/pmac")
     assert "canary-7f3" not in str(caught.value)
+
+
+def test_a_session_can_be_recorded_by_its_address(tmp_path):
+    path = tmp_path / "session.jsonl"
+    with peer(card_handler(ScriptedCard(), PacketPort)) as server:
+        with Commander.open(f"tcp://127.0.0.1:{server.port}?record={path}") as commander:
+            assert commander.query("cid") == ["603382"]
+        lines = path.read_text().splitlines()
+        assert b"cid".hex() in "".join(lines)
+        assert b"603382\r\x06".hex() in "".join(lines)
+        with pytest.raises(ConfigError, match="cannot be recorded"):
+            Commander.open(f"tcp://127.0.0.1:{server.port}?record={path}")

@@ -1,8 +1,11 @@
 """From a connection address to a connected transport."""
 
+from pathlib import Path
+
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.machine.transport.base import Transport
+from pmac_comp.machine.transport.record import RecordingTransport
 from pmac_comp.machine.transport.serial_port import DEFAULT_BAUD, SerialTransport
 from pmac_comp.machine.transport.tcp import open_tcp
 from pmac_comp.machine.transport.udp import UdpTransport
@@ -28,6 +31,13 @@ def open_transport(url: str | Endpoint, deadline: Deadline) -> Transport:
         If there is no connection.
     """
     endpoint = parse_url(url) if isinstance(url, str) else url
+    transport = _connect(endpoint, deadline)
+    if "record" in endpoint.options:
+        return RecordingTransport(transport, Path(endpoint.options["record"]), deadline.clock)
+    return transport
+
+
+def _connect(endpoint: Endpoint, deadline: Deadline) -> Transport:
     if endpoint.scheme == "tcp":
         return open_tcp(endpoint.host, endpoint.port, deadline, endpoint.framing)
     if endpoint.scheme == "udp":

@@ -2,7 +2,8 @@
 
 ``tcp://host[:1025]``, ``udp://host[:1025]``, ``serial:///dev/ttyS0?baud=38400``,
 ``ssh://user@gateway/pmac-host:1025``, ``gpascii://user@host``, ``sim://``. The option
-``?dialog=ascii`` makes a TCP address an ASCII port, as behind a terminal server.
+``?dialog=ascii`` makes a TCP address an ASCII port, as behind a terminal server; ``?record=FILE``
+keeps every byte of the session in a file.
 """
 
 import difflib
@@ -26,10 +27,10 @@ _EXAMPLES = {
 _SSH_OPTIONS = frozenset({"known_hosts", "identity", "agent", "password_env"})
 _OPTIONS: dict[str, frozenset[str]] = {
     "sim": frozenset(),
-    "tcp": frozenset({"dialog"}),
-    "udp": frozenset(),
-    "serial": frozenset({"baud", "parity", "rtscts", "checksum"}),
-    "ssh": _SSH_OPTIONS | {"dialog"},
+    "tcp": frozenset({"dialog", "record"}),
+    "udp": frozenset({"record"}),
+    "serial": frozenset({"baud", "parity", "rtscts", "checksum", "record"}),
+    "ssh": _SSH_OPTIONS | {"dialog", "record"},
     "gpascii": _SSH_OPTIONS,
 }
 
