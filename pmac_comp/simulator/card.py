@@ -175,7 +175,8 @@ class Card:
             text, modal, port = self._queue.popleft()
             self._execute_queued(text, modal, port)
         for system in self.systems.values():
-            system.tick()
+            if system.running:
+                system.tick()
             if system.axes:
                 system.update_status()
 
@@ -504,7 +505,7 @@ class Card:
         """Position bias of a motor in counts."""
         cell = r.motor_base(motor) + r.M_BIAS
         units = int(read_long(self.memory.x, self.memory.y, cell))
-        return units / self.servo.unit(motor)
+        return units / self.servo.unit(motor) if units else 0.0
 
     def add_bias(self, motor: int, counts: float) -> None:
         """Change the position bias of a motor."""

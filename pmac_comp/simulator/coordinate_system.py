@@ -40,6 +40,10 @@ _MODE_BITS = {
 ERROR_LABEL, ERROR_STACK, ERROR_COUNTER, ERROR_AXES = 6, 5, 3, 10
 
 
+# Program and bytecode position.
+Place = tuple[Program, int]
+
+
 @dataclass
 class Frame:
     """One level of program execution."""
@@ -84,8 +88,9 @@ class CoordinateSystem:
         self._assignments: list[tuple[int, str, float]] = []
         self._at_start: dict[int, list[tuple[int, str, float]]] = {}
         self._calculating = False
-        self.executing: tuple[int, int] | None = None
-        self._places: dict[int, tuple[int, int]] = {}
+        self._executing: Place | None = None
+        self._places: dict[int, Place] = {}
+        self._units: dict[int, float] = {}
 
     # --- axes and positions ---------------------------------------------------------------------
 
@@ -127,16 +132,22 @@ class CoordinateSystem:
         found: dict[int, float] = {}
         for motor, definition in self.axes.items():
             counts = definition.offset - self._bias(motor)
-            counts += sum(s * targets.get(letter, 0.0) for letter, s in definition.terms)
-            found[motor] = counts * self.card.servo.unit(motor)
+            for letter, scale in definition.terms:
+                counts += scale * targets.get(letter, 0.0)
+            found[motor] = counts * self._unit(motor)
         return found
+
+    def _unit(self, motor: int) -> float:
+        # Ixx08 may only be changed while the motor is killed, so it holds for a run.
+        unit = self._units.get(motor)
+        return unit if unit is not None else self.card.servo.unit(motor)
 
     def motor_rates(self, rates: dict[str, float]) -> dict[int, float]:
         """Motor velocities in units per cycle of axis velocities in axis units per ms."""
         cycle_ms = self.card.servo.cycle_ms
         return {
-            motor: sum(s * rates.get(letter, 0.0) for letter, s in definition.terms)
-            * self.card.servo.unit(motor)
+            motor: sum([s * rates.get(letter, 0.0) for letter, s in definition.terms])
+            * self._unit(motor)
             * cycle_ms
             for motor, definition in self.axes.items()
         }
@@ -193,6 +204,7 @@ class CoordinateSystem:
         self._check_ready()
         self.match()
         self.planner = Planner(self._commanded())
+        self._units = {motor: self.card.servo.unit(motor) for motor in self.motors}
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
         self._queued = []
@@ -252,6 +264,7 @@ class CoordinateSystem:
         self.running = self.stopping = self.holding = self.single = False
         self.waiting = None
         self.planner = None
+        self._units = {}
         self._queued, self._at_start, self._assignments = [], {}, []
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
         self._set_status()
@@ -276,7 +289,7 @@ class CoordinateSystem:
             return
         while self._queued:
             passed = self._queued.pop(0)
-            self.executing = self._places.pop(passed, self.executing)
+            self._executing = self._places.pop(passed, self._executing)
             for number, op, value in self._at_start.pop(passed, []):
                 self.card.synchronous_assignment(number, op, value)
             if passed == tag:
@@ -296,6 +309,7 @@ class CoordinateSystem:
             self._ended()
 
     def _ended(self) -> None:
+        self._units = {}
         self.running = self.stopping = self.single = False
         self.planner = None
         self._queued = []
@@ -566,12 +580,15 @@ class CoordinateSystem:
             self.quit()
 
     def _set_prejog(self) -> None:
-        for motor, units in self.motor_targets(self.targets).items():
-            self.card.servo.set_prejog(motor, units / self.card.servo.unit(motor))
+        if self.planner is None:
+            return
+        for motor, units in self.planner.end.items():
+            self.card.servo.set_prejog(motor, units / self._unit(motor))
 
     def _remember(self, tag: int) -> None:
         self._queued.append(tag)
-        self._places[tag] = self.counter()
+        frame = self.frames[-1]
+        self._places[tag] = (frame.program, int(frame.context.state[vm.S_PC]))
         if self._assignments:
             self._at_start[tag] = self._assignments
             self._assignments = []
@@ -731,10 +748,12 @@ class CoordinateSystem:
         if not self.frames:
             raise CardError(3)
         frame = self.frames[-1]
-        if frame.program.assembled is None:
-            raise CardError(3)
-        index = frame.program.assembled.statement_at(int(frame.context.state[vm.S_PC]))
-        return frame.program.number, frame.program.offset_of(max(index, 0))
+        return _offset_of((frame.program, int(frame.context.state[vm.S_PC])))
+
+    @property
+    def executing(self) -> tuple[int, int] | None:
+        """Program number and word offset behind the executing move, None if nothing runs."""
+        return _offset_of(self._executing) if self._executing is not None else None
 
     def counter_text(self, *, executing: bool = False) -> str:
         """Answer to PC or PE."""
@@ -780,6 +799,14 @@ class CoordinateSystem:
         if self.running:
             word2 &= ~r.CS2_RUNTIME_ERROR
         memory.y[self.base + r.C_STATUS2_ADDRESS] = word2 | _MODE_BITS[self.modal.mode]
+
+
+def _offset_of(place: Place) -> tuple[int, int]:
+    program, position = place
+    if program.assembled is None:
+        raise CardError(3)
+    index = program.assembled.statement_at(position)
+    return program.number, program.offset_of(max(index, 0))
 
 
 def _total(plan: list[traj.Segment]) -> float:

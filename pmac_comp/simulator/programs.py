@@ -8,6 +8,7 @@ Source: Turbo PMAC Software Reference Manual p. 295-298, 341-349, 378-385, 509.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.errors import CardError
@@ -42,6 +43,7 @@ class Program:
     number: int
     statements: list[Statement] = field(default_factory=list)
     assembled: Assembled | None = None
+    _offsets: list[int] = field(default_factory=list, repr=False)
 
     @property
     def words(self) -> int:
@@ -87,7 +89,9 @@ class Program:
 
     def offset_of(self, statement: int) -> int:
         """Word offset of a statement."""
-        return sum(s.words for s in self.statements[:statement])
+        if len(self._offsets) != len(self.statements) + 1:
+            self._offsets = [0, *accumulate(s.words for s in self.statements)]
+        return self._offsets[statement]
 
 
 def end_line(statements: list[Statement]) -> None:
