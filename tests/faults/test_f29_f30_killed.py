@@ -100,7 +100,7 @@ def test_f29_sigkill_at_any_byte(*, tmp_path: Path, exhaustive: bool, count_runs
     status, total = serve_child(rig, 1 << 30)
     assert status == 0
     assert rig.state is ControllerState.NEW
-    points = range(0, total, 1 if exhaustive else total // 14)
+    points = range(0, total, 1 if exhaustive else total // 9)
     for n in points:
         rig.restart()
         status, _ = serve_child(rig, n)

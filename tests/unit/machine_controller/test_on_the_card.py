@@ -1,0 +1,203 @@
+"""Motors, gathering, backups, programs and the sign test on the simulated card."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, VerifyMismatch
+from pmac_comp.machine.controller import (
+    backup,
+    gather,
+    law_upload,
+    motion,
+    motors,
+    program_upload,
+    programs,
+    sign_check,
+    upload,
+    variables,
+)
+from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, TorqueTable
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
+
+
+def test_status_words_by_name() -> None:
+    # Holding in position, homed, axis X of coordinate system 1 (Reference Manual p. 280-286).
+    status = motors.MotorStatus.parse("892000078401")
+    assert status.is_closed_loop
+    assert status.is_commanded_still
+    assert status.is_in_position
+    assert "HOME_COMPLETE" in status.names()
+    killed = motors.MotorStatus.parse("850000000000")
+    assert killed.is_killed
+    assert not killed.is_closed_loop
+    assert motors.MotorStatus.parse("812000000006").trips == ("fatal following error",)
+
+
+def test_motor_moves_and_waits(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    reading = motors.move_to(bench.link, 1, 12345.0, timeout_s=20.0)
+    assert reading.position_ct == pytest.approx(12345.0, abs=5)
+    bench.link.command("#1J:50000")
+    with pytest.raises(MotorNotSafe, match="executing a move"):
+        motors.require_stationary(bench.link, [1, 2])
+    motors.kill(bench.link, 1)
+    with pytest.raises(MotorNotSafe):
+        motors.wait_in_position(bench.link, 1, timeout_s=5.0)
+
+
+def test_variables_are_written_verified_and_refused(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    variables.write_many(bench.link, {"I113": 250000.0, "P7190": 1.2345678, "I135": 30000.0})
+    assert variables.read_many(bench.link, ["I135", "P7190"]) == {
+        "I135": 30000.0,
+        "P7190": 1.2345678,
+    }
+    with pytest.raises(ConfigError, match="range"):
+        variables.write_many(bench.link, {"I129": 40000.0})
+    bench.link.command("I41=1")
+    with pytest.raises(VerifyMismatch, match="I41"):
+        variables.write_many(bench.link, {"I135": 1000.0})
+
+
+def test_ram_gather_equals_ring_gather(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    sources = gather.bench_sources(1, 2)
+    period = bench.bench.servo_period_s
+    bench.link.command("#1J:3000")
+    ram = gather.gather_ram(
+        bench.link, gather.GatherPlan(sources, mode=gather.GatherMode.RAM), 0.5, period
+    ).require_whole()
+    bench.link.command("#1J:-3000")
+    ring = gather.gather_ring(bench.link, gather.GatherPlan(sources), 0.5, period).require_whole()
+    for result in (ram, ring):
+        assert np.all(np.diff(result.servo_cycle) == 1)
+        error = (result.raw["commanded"] - result.raw["actual"]) / 3072
+        assert np.max(np.abs(error)) < 200
+        assert np.ptp(result.raw["actual"]) > 2000 * 3072
+        assert np.ptp(result.raw["scale"]) > 15000 * 3072
+        assert np.ptp(result.raw["output"]) > 256
+    assert set(ram.raw) == set(ring.raw)
+
+
+def test_decimated_gather(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    plan = gather.GatherPlan(gather.bench_sources(1, None), period_cycles=5)
+    result = gather.gather_ring(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
+    assert np.all(np.diff(result.servo_cycle) == 5)
+
+
+@pytest.mark.parametrize("door", ["register", "master"])
+def test_sign_is_measured_and_everything_taken_back(tmp_path: Path, door: str) -> None:
+    bench = make_plc_bench(tmp_path)
+    bench.link.command("I134=0")
+    before = float(bench.link.query("M162")[0]) / 3072
+    if door == "register":
+        found = sign_check.check_register_sign(bench.link, 1, offset_ct=20.0)
+    else:
+        law_upload.install_law(bench.link, bench.context, 1)
+        law_upload.disarm(bench.link, bench.context)
+        bench.link.command("DISABLE PLC 0")
+        found = sign_check.check_master_sign(bench.link, 1, offset_ct=20.0)
+        assert found.sign == 1
+        assert found.hidden_from_p
+    assert abs(found.moved_ct) == pytest.approx(20.0, abs=4.0)
+    bench.clock.sleep_s(2.0)
+    assert float(bench.link.query("M162")[0]) / 3072 == pytest.approx(before, abs=3.0)
+
+
+def test_sign_check_refuses_while_tables_act(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    bench.link.command("I51=1")
+    with pytest.raises(MotorNotSafe, match="I51"):
+        sign_check.check_register_sign(bench.link, 1)
+
+
+def test_backup_compare_restore(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    tables = [
+        CompTable(1, (16, 32, 0), 640000, by_desired=True),
+        BacklashTable(1, (8, 0), 640000),
+        TorqueTable(1, (256, 0), 640000),
+    ]
+    upload.upload_tables(bench.link, bench.context, tables)
+    programs.download(bench.link, Program(ProgramKind.PROG, 55, ("LINEAR", "X1000", "DWELL100")))
+    programs.download(bench.link, Program(ProgramKind.PLC, 9, ("P7150=P7150+1",)))
+    bench.link.write_buffer(["&1#1->1000X", "M500->X:$10F0,0,8", "P7150=1.25"])
+    stored = backup.read_backup(bench.link, p_range=(7000, 7199))
+    path = tmp_path / "whole.json"
+    backup.write_backup(path, stored)
+    assert backup.load_backup(path) == stored
+    bench.link.write_buffer(
+        ["I130=5", "I51=0", "#1DELETE BLCOMP", "&1#1->2000X", "M500->*", "OPEN PROG 55 CLEAR",
+         "X5", "CLOSE", "P7150=9", "OPEN PROG 66 CLEAR", "X1", "CLOSE"]
+    )  # fmt: skip
+    changed = backup.read_backup(bench.link, p_range=(7000, 7199))
+    items = {d.item for d in backup.compare(stored, changed)}
+    assert {"I130", "I51", "M500->", "&1#1->", "PROG 55", "PROG 66", "BLCOMP #1"} <= items
+    result, remaining = backup.restore(bench.link, bench.context, stored)
+    assert result.verdict is ControllerState.NEW
+    assert remaining == ()
+    assert bench.p(7150) == 1.25
+
+
+def test_restore_refuses_an_enabled_motor(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    stored = backup.read_backup(bench.link, p_range=(7000, 7001))
+    with pytest.raises(MotorNotSafe, match="killed"):
+        backup.restore(bench.link, bench.context, stored)
+
+
+def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    old = Program(ProgramKind.PROG, 710, ("LINEAR", "X1000"))
+    first = program_upload.upload_program(bench.link, bench.context, old)
+    new = Program(ProgramKind.PROG, 710, ("LINEAR", "X2000", "DWELL10"))
+    second = program_upload.upload_program(bench.link, bench.context, new)
+    assert (first.crc_old, second.crc_old, second.crc_new) == (0, old.crc, new.crc)
+    assert second.backup is not None
+    back = program_upload.rollback_program(bench.link, bench.context, second.backup)
+    assert back.verdict is ControllerState.OLD
+    assert programs.is_present(bench.link, old)
+    for crc, state in ((old.crc, "OLD"), (new.crc, "NEW"), (77, "DISABLED")):
+        assert program_upload.decide_program(crc, old.crc, new.crc).state.value == state
+
+
+def test_pvt_program_states_its_error() -> None:
+    time = np.arange(0, 1.0, 442e-6)
+    path = 5000 * (1 - np.cos(2 * np.pi * 3 * time)) * np.sin(np.pi * time) ** 2
+    errors = [
+        motion.pvt_program(path, 442e-6, segment_ms=ms).worst_error_ct for ms in (40.0, 20.0, 5.0)
+    ]
+    assert errors[0] > 8 * errors[1] > 8 * errors[2]
+    assert errors[2] < 0.01
+    with pytest.raises(ConfigError):
+        motion.pvt_program(path, 442e-6, segment_ms=5000.0)
+
+
+def test_cam_axis_runs_with_the_motion(tmp_path: Path) -> None:
+    """An unused motor counts time; its table corrects the axis (electronic cam)."""
+    bench = make_plc_bench(tmp_path)
+    bench.link.write_buffer(["I300=1", "I311=0", "I302=$0", "I316=10000", "#3J/"])
+    cam = [round(160 * np.sin(2 * np.pi * k / 40)) for k in range(1, 40)]
+    table = CompTable(3, (*cam, 0), 700000, source=3, target=1, by_desired=True)
+    limits_context = bench.context
+    upload.upload_tables(bench.link, limits_context, [table], route="cam")
+    time = np.arange(0, 0.6, bench.bench.servo_period_s)
+    path = 1000 * (1 - np.cos(2 * np.pi * time / 0.6))
+    move = motion.pvt_program(path, bench.bench.servo_period_s, time_axis_ct_per_ms=1000.0)
+    bench.link.write_buffer(motion.axis_lines(1, time_motor=3))
+    programs.download(bench.link, move.program)
+    sources = (*gather.bench_sources(1, 2), gather.motor_source("clock", 3, 0x08))
+    plan = gather.GatherPlan(sources)
+    result = gather.gather_ring(
+        bench.link, plan, 3.0, bench.bench.servo_period_s,
+        during=lambda: motion.start(bench.link, move.program.number),
+    ).require_whole()  # fmt: skip
+    clock_ct = result.raw["clock"] / 3072
+    expected = table.correction_ct(clock_ct)
+    applied = result.raw["compensation"] / 3072
+    assert np.ptp(clock_ct) > 590000
+    assert np.max(np.abs(np.abs(applied[1:]) - np.abs(expected[1:]))) < 0.3
