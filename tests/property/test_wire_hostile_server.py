@@ -88,7 +88,7 @@ def bed():
 
 def restore(bed: Bed) -> None:
     # A client may legally reset the card, start programs or save nonsense: begin afresh then.
-    bed.card.run_cycles(4000)
+    bed.card.run_cycles(500)
     if not bed.witness_is_served():
         bed.card.run_cycles(4000)
         assert bed.witness_is_served()
