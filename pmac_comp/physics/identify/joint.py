@@ -149,7 +149,9 @@ def _identify_elastic(
         statements=statements(fit),
         method="two linear regressions, then output error through the closed loop",
         figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
-        static_map=None if shape is None else rec.map_from(shape, fit.nuisance[len(records) :]),
+        static_map=None
+        if shape is None
+        else rec.map_from(shape, fit.nuisance[rec.n_leading(len(records)) :]),
     )
 
 

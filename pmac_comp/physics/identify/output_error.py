@@ -11,12 +11,13 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge, NonFinite
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.records import Record, simulated, thinned
-from pmac_comp.physics.identify.regression import block_sums
+from pmac_comp.physics.identify.records import Record, nuisance_prior, simulated, thinned
 from pmac_comp.physics.identify.whitening import Whitener, fit_whitener, white
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
@@ -33,10 +34,15 @@ _BLOCK_s = 0.2
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 6
 _DONE_STEP = 0.3  # of a standard deviation
+# The last rounds compare with rounded simulations and scatter by about one standard deviation.
+_LARGEST_LAST_STEP = 3.0
 _DAMPING_TRIES = 6
 # Rounding inside the loop dithers friction and shifts what the loop does on average; the last
 # rounds compare with the mean of rounding simulations at several places of the count.
 _DITHERS = 4
+# A block that decides a direction alone says nothing about its own scatter: beyond this share of
+# the information its score is not enlarged further.
+_MAX_LEVERAGE = 0.7
 _QUANTISED_ROUNDS = 2
 
 
@@ -88,16 +94,24 @@ class _Problem:
     count_m: float
     executor: Executor
 
+    @property
+    def nuisance_information(self) -> FloatArray:
+        return nuisance_prior(len(self.records), self.nuisance[0].shape[1])
+
     def model_at(self, theta: FloatArray) -> DriveModel:
         values = theta * self.scales
         return self.model.with_parameters(
             {spec.name: float(value) for spec, value in zip(self.specs, values, strict=True)}
         )
 
-    def bounded(self, theta: FloatArray) -> FloatArray:
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
         low = np.array([spec.lower for spec in self.specs]) / self.scales
         high = np.array([spec.upper for spec in self.specs]) / self.scales
-        return np.clip(theta, low, high)
+        return low, high
+
+    def bounded(self, theta: FloatArray) -> FloatArray:
+        return np.clip(theta, *self.bounds)
 
     def residuals(self, theta: FloatArray) -> list[FloatArray]:
         return self.many([theta])[0]
@@ -130,6 +144,8 @@ class _Normal:
     gradient: FloatArray
     cost: float
     scores: FloatArray
+    block_hessians: FloatArray
+    prior_scores: FloatArray
     nuisance: FloatArray
 
 
@@ -260,10 +276,9 @@ def _finished(
     problem: _Problem, theta: FloatArray, final: _Normal, rounds: int, step: float
 ) -> Fit:
     prior = np.diag(problem.weight)
-    inverse = np.linalg.inv(final.hessian + prior)
-    n_blocks, p = final.scores.shape
-    meat = final.scores.T @ final.scores * n_blocks / max(n_blocks - p, 1)
-    # White innovations would give the information itself; the larger of the two is believed.
+    inverse = np.asarray(np.linalg.inv(final.hessian + prior), dtype=np.float64)
+    scores = _jackknifed(final, inverse)
+    meat = scores.T @ scores + final.prior_scores
     covariance = inverse @ (meat + prior) @ inverse
     outer = np.outer(problem.scales, problem.scales)
     return Fit(
@@ -277,6 +292,21 @@ def _finished(
         rounds=rounds,
         step=step,
     )
+
+
+def _jackknifed(final: _Normal, inverse: FloatArray) -> FloatArray:
+    """Block scores enlarged by what each block pulls the estimate to itself, shape (b, p).
+
+    Source: cluster-robust covariance CR3 (Bell and McCaffrey 2002), the jackknife over blocks.
+    """
+    root = np.linalg.cholesky(inverse)
+    enlarged = []
+    for hessian, score in zip(final.block_hessians, final.scores, strict=True):
+        share, turn = np.linalg.eigh(root.T @ hessian @ root)
+        factor = 1.0 / (1.0 - np.clip(share, 0.0, _MAX_LEVERAGE))
+        weights = solve_triangular(root, turn * factor, lower=True, trans="T")
+        enlarged.append(weights @ (turn.T @ (root.T @ score)))
+    return np.stack(enlarged)
 
 
 def _white_filters(problem: _Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
@@ -308,8 +338,7 @@ def _jacobian(
     problem: _Problem, theta: FloatArray
 ) -> tuple[list[FloatArray], list[list[FloatArray]]]:
     """Residuals at theta and their one-sided differences, per parameter and record."""
-    low = np.array([spec.lower for spec in problem.specs]) / problem.scales
-    high = np.array([spec.upper for spec in problem.specs]) / problem.scales
+    low, high = problem.bounds
     steps = np.where(theta + _STEP_FRAC <= high, _STEP_FRAC, -_STEP_FRAC)
     steps = np.where(theta + steps < low, _STEP_FRAC, steps)
     points = [theta] + [
@@ -355,14 +384,23 @@ def _assembled(problem: _Problem, parts: list[tuple[int, int, FloatArray]], p: i
     gram = _gram([part for _, _, part in parts])
     inner = slice(1, 1 + p)
     rest = slice(1 + p, None)
-    solve = np.linalg.pinv(gram[rest, rest], hermitian=True)
+    known = problem.nuisance_information
+    solve = np.linalg.pinv(gram[rest, rest] + np.diag(known), hermitian=True)
     on_slopes = solve @ gram[rest, inner]
     on_residual = solve @ gram[rest, 0]
     hessian = gram[inner, inner] - gram[inner, rest] @ on_slopes
     gradient = gram[inner, 0] - gram[inner, rest] @ on_residual
     cost = float(gram[0, 0] - gram[0, rest] @ on_residual)
-    scores = _block_scores(problem, parts, on_slopes, on_residual, p)
-    return _Normal(hessian, gradient, cost, scores, np.asarray(on_residual))
+    scores, hessians = _block_scores(problem, parts, on_slopes, on_residual, p)
+    return _Normal(
+        hessian=hessian,
+        gradient=gradient,
+        cost=cost,
+        scores=scores,
+        block_hessians=hessians,
+        prior_scores=on_slopes.T @ (known[:, None] * on_slopes),
+        nuisance=np.asarray(on_residual),
+    )
 
 
 def _gram(parts: Sequence[FloatArray]) -> FloatArray:
@@ -378,16 +416,19 @@ def _block_scores(
     on_slopes: FloatArray,
     on_residual: FloatArray,
     p: int,
-) -> FloatArray:
-    """Sums of the scores over blocks of time, all channels of a block together."""
-    by_record: dict[int, FloatArray] = {}
+) -> tuple[FloatArray, FloatArray]:
+    """Score and Gauss-Newton matrix of each block of time, all channels of a block together."""
+    scores: dict[tuple[int, int], FloatArray] = {}
+    hessians: dict[tuple[int, int], FloatArray] = {}
     for i, _, part in parts:
         slopes = part[:, 1 : 1 + p] - part[:, 1 + p :] @ on_slopes
         left = part[:, 0] - part[:, 1 + p :] @ on_residual
         block = max(round(_BLOCK_s / problem.records[i].period_s), 1)
-        sums = block_sums(slopes * left[:, None], block)
-        by_record[i] = by_record[i] + sums if i in by_record else sums
-    return np.concatenate(list(by_record.values()))
+        for b, start in enumerate(range(0, left.size, block)):
+            rows = slice(start, start + block)
+            scores[i, b] = scores.get((i, b), 0.0) + slopes[rows].T @ left[rows]
+            hessians[i, b] = hessians.get((i, b), 0.0) + slopes[rows].T @ slopes[rows]
+    return np.stack(list(scores.values())), np.stack(list(hessians.values()))
 
 
 def _damped_step(
@@ -401,7 +442,7 @@ def _damped_step(
     damping = 0.0
     for _ in range(_DAMPING_TRIES):
         damped = matrix + damping * np.diag(np.diag(matrix))
-        new = problem.bounded(theta + _active_step(problem, theta, damped, gradient))
+        new = problem.bounded(theta + _bounded_step(problem, theta, damped, gradient))
         cost = _cost(problem, new, filters)
         if cost <= here * (1.0 + 1e-9):
             move = new - theta
@@ -414,26 +455,23 @@ def _plain_step(problem: _Problem, theta: FloatArray, at: _Normal) -> tuple[Floa
     """Undamped step: the misfit to rounded simulations is too rough for a line search."""
     matrix = at.hessian + np.diag(problem.weight)
     gradient = at.gradient - problem.weight * (theta - problem.centre)
-    new = problem.bounded(theta + _active_step(problem, theta, matrix, gradient))
+    new = problem.bounded(theta + _bounded_step(problem, theta, matrix, gradient))
     move = new - theta
     return new, float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
 
 
-def _active_step(
+def _bounded_step(
     problem: _Problem, theta: FloatArray, matrix: FloatArray, gradient: FloatArray
 ) -> FloatArray:
-    """Gauss-Newton step of the parameters that are not held by a bound."""
-    low = np.array([spec.lower for spec in problem.specs]) / problem.scales
-    held = (theta <= low) & (gradient < 0.0)
-    for _ in range(3):
-        free = np.flatnonzero(~held)
-        step = np.zeros(theta.size)
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], gradient[free])
-        crossing = (theta <= low) & (step < 0.0) & ~held
-        if not crossing.any():
-            break
-        held |= crossing
-    return step
+    """Gauss-Newton step within the bounds: clipping a free step would break tied sums."""
+    low, high = problem.bounds
+    lower = np.linalg.cholesky(matrix)
+    target = solve_triangular(lower, gradient, lower=True)
+    margin = 1e-12
+    found = lsq_linear(
+        lower.T, target, bounds=(low - theta - margin, high - theta + margin), method="bvls"
+    )
+    return np.asarray(found.x)
 
 
 def _prior_cost(problem: _Problem, theta: FloatArray) -> float:
@@ -447,7 +485,7 @@ def _cost(problem: _Problem, theta: FloatArray, filters: list[list[Whitener]]) -
         return np.inf
     parts = _whitened_residuals(problem, residuals, filters)
     gram = _gram(parts)
-    rest = np.linalg.pinv(gram[1:, 1:], hermitian=True) @ gram[1:, 0]
+    rest = _nuisance_solution(problem, gram)
     return float(gram[0, 0] - gram[0, 1:] @ rest) + _prior_cost(problem, theta)
 
 
@@ -456,7 +494,12 @@ def _linear_part(
 ) -> FloatArray:
     parts = _whitened_residuals(problem, residuals, filters)
     gram = _gram(parts)
-    return np.asarray(np.linalg.pinv(gram[1:, 1:], hermitian=True) @ gram[1:, 0])
+    return _nuisance_solution(problem, gram)
+
+
+def _nuisance_solution(problem: _Problem, gram: FloatArray) -> FloatArray:
+    matrix = gram[1:, 1:] + np.diag(problem.nuisance_information)
+    return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ gram[1:, 0])
 
 
 def _whitened_residuals(
@@ -486,8 +529,8 @@ def _without(
 
 
 def require_converged(fit: Fit) -> None:
-    """Raise DidNotConverge where the last step was still larger than one standard deviation."""
-    if fit.step > 1.0:
+    """Raise DidNotConverge where the last step was still large."""
+    if fit.step > _LARGEST_LAST_STEP:
         raise DidNotConverge(
             f"The refinement still moved by {fit.step:.1f} standard deviations after "
             f"{fit.rounds} rounds.",
