@@ -23,7 +23,7 @@ from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.variables import read_many, write_many
-from pmac_comp.workflow.motions import PROGRAM_NUMBER, Motion, check_motion, pvt_program
+from pmac_comp.workflow.motions import PROGRAM_NUMBER, Motion, check_motion, pvt_program, relaxing
 from pmac_comp.workflow.scales import Scales
 
 Progress = Callable[[str, float], None]
@@ -112,8 +112,20 @@ class Axis:
         """Switch the amplifier off."""
         motors.kill(self.link, self.motor)
 
-    def run(self, motion: Motion, *, progress: Progress | None = None) -> Capture:
+    def run(
+        self, motion: Motion, *, relaxed: bool = False, progress: Progress | None = None
+    ) -> Capture:
         """Run a motion from its start and gather it at the servo rate.
+
+        Parameters
+        ----------
+        motion : Motion
+            What to run.
+        relaxed : bool
+            Wiggle before the motion, so that it starts as a simulation does; the wiggle is not
+            part of the capture.
+        progress : callable, optional
+            Called with a step and a fraction.
 
         Raises
         ------
@@ -125,12 +137,13 @@ class Axis:
             The motor tripped on the way.
         """
         check_motion(motion, self.bench)
-        self.prepare(motion)
+        whole, first = relaxing(motion) if relaxed else (motion, 0)
+        self.prepare(whole)
         for attempt in range(_ATTEMPTS):
-            self._go_to_start(motion)
-            result = self._gather(motion, progress)
+            self._go_to_start(whole)
+            result = self._gather(whole, progress)
             if not result.gaps:
-                return self.capture_of(result, motion)
+                return self.capture_of(result, whole, first)
             if progress is not None:
                 progress(f"{motion.name}: samples lost, run {attempt + 2} of {_ATTEMPTS}", -1.0)
         result.require_whole()
@@ -237,8 +250,11 @@ class Axis:
             dpram=self.bench.controller.dpram if ring else "large",
         )
 
-    def capture_of(self, result: GatherResult, motion: Motion) -> Capture:
-        """Capture in SI of raw samples, cut to the motion with a little rest at both ends."""
+    def capture_of(self, result: GatherResult, motion: Motion, skipped: int = 0) -> Capture:
+        """Capture in SI of raw samples, cut to the motion with a little rest at both ends.
+
+        The first ``skipped`` samples of the motion only prepared it.
+        """
         raw, scales = result.raw, self.scales
         commanded = scales.motor_m(raw["commanded"])
         actual = scales.motor_m(raw["actual"])
@@ -247,7 +263,7 @@ class Axis:
         desired = actual + scales.motor_m(raw["following_error"])
         table = scales.table_m(raw["scale"]) if "scale" in raw else None
         torque = scales.torque_Nm(raw["output"])
-        first, last = _moving_range(commanded, scales.period_s)
+        first, last = _moving_range(commanded, scales.period_s, motion.position_m, skipped)
         part = slice(first, last)
         if table is not None:
             self._check_sensors(actual[part], table[part])
@@ -292,7 +308,9 @@ class Axis:
         }
 
 
-def _moving_range(commanded: FloatArray, period_s: float) -> tuple[int, int]:
+def _moving_range(
+    commanded: FloatArray, period_s: float, planned: FloatArray, skipped: int
+) -> tuple[int, int]:
     """First and one past the last sample of the motion, with rest kept at both ends."""
     moving = np.flatnonzero(np.abs(commanded - commanded[0]) > 1e-9)
     if moving.size == 0:
@@ -301,14 +319,22 @@ def _moving_range(commanded: FloatArray, period_s: float) -> tuple[int, int]:
             code="PC-AXI-004",
             hint="Check that the motion program runs (`pmac-comp status`).",
         )
-    first = max(0, int(moving[0]) - int(_LEAD_IN_s / period_s))
+    # The first sample that moves stands for the first one planned to: all others follow from it.
+    begins = int(np.flatnonzero(np.abs(planned - planned[0]) > 1e-9)[0])
+    start = int(moving[0]) + max(0, skipped - begins)
+    first = max(0, start - int(_LEAD_IN_s / period_s))
     steps = np.flatnonzero(np.diff(commanded) != 0.0)
     last = min(commanded.size, int(steps[-1]) + 2 + int(_TAIL_s / period_s))
     return first, last
 
 
 def run_all(
-    axis: Axis, motions: Sequence[Motion], *, progress: Progress | None = None, what: str = ""
+    axis: Axis,
+    motions: Sequence[Motion],
+    *,
+    relaxed: bool = True,
+    progress: Progress | None = None,
+    what: str = "",
 ) -> list[Capture]:
     """Captures of motions, one after another, with progress over all."""
     total_s = sum(m.duration_s for m in motions)
@@ -321,6 +347,6 @@ def run_all(
             if progress is not None:
                 progress(f"{what}: {text}", done / total_s + part * max(0.0, fraction))
 
-        captures.append(axis.run(motion, progress=step))
+        captures.append(axis.run(motion, relaxed=relaxed, progress=step))
         done_s += motion.duration_s
     return captures

@@ -25,6 +25,11 @@ PROGRAM_NUMBER = 703
 _SHORTEST_CYCLES = 11  # 4.9 ms at 442 us: well above the card's calculation time of a block
 _LONGEST_DOUBLINGS = 6
 _PVT_ERROR_m = 0.02e-6
+_WIGGLE_m = 150e-6
+_WIGGLE_Hz = 6.0
+_WIGGLE_s = 1.5
+_WIGGLE_DECADES = 4.5  # natural ones: from 150 um to below 2 um
+_REST_s = 0.1
 
 
 @dataclass(frozen=True)
@@ -208,7 +213,7 @@ def calibration_motions(bench: Bench) -> list[Motion]:
 
     def sine(name: str, amplitude: float, frequency: float, place: float, n: float) -> Motion:
         omega = 2.0 * math.pi * frequency
-        amplitude = min(amplitude, 0.15 * span, 0.9 * speed / omega, 0.9 * acceleration / omega**2)
+        amplitude = min(amplitude, 0.15 * span, 0.9 * speed / omega, 0.85 * acceleration / omega**2)
         shape = tr.sinusoid(
             period_s=period,
             amplitude_m=amplitude,
@@ -420,6 +425,27 @@ def _tidy_number(text: str) -> str:
         return text
     short = number.rstrip("0").rstrip(".")
     return head + ("0" if short in {"", "-", "-0"} else short)
+
+
+def relaxing(motion: Motion) -> tuple[Motion, int]:
+    """The motion with a fading wiggle and a short rest before it, and the sample it starts at.
+
+    Friction remembers the approach: the drive stands wound up, and the integrator pushes against
+    it. A wiggle that fades through the presliding distance leaves it relaxed, which is how a
+    simulation starts.
+    """
+    period = motion.trajectory.sample_period_s
+    t = np.arange(1, round(_WIGGLE_s / period)) * period
+    rise = np.clip(t * _WIGGLE_Hz, 0.0, 1.0)
+    fade = np.exp(-_WIGGLE_DECADES * t / _WIGGLE_s) * (1.0 - (t / _WIGGLE_s) ** 8)
+    shape = _WIGGLE_m * rise**2 * (3.0 - 2.0 * rise) * fade * np.sin(2 * np.pi * _WIGGLE_Hz * t)
+    start = motion.position_m[0]
+    inward = 1.0 if np.mean(motion.position_m) >= start else -1.0
+    rest = np.full(round(_REST_s / period), start)
+    position = np.concatenate([[start], start + inward * shape, rest, motion.position_m])
+    first = 1 + shape.size + rest.size
+    grid = period * np.arange(position.size)
+    return Motion(motion.name, Trajectory(grid, position)), first
 
 
 def motion_rows(motions: Sequence[Motion]) -> list[tuple[Any, ...]]:

@@ -1,0 +1,74 @@
+"""Rendering: two forms of --json, plain values, escaped text, errors as classes and codes."""
+
+import json
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import (
+    AmplitudeExceeded,
+    ControllerState,
+    SafetyRefusal,
+    TableStateError,
+)
+from pmac_comp.cli import output
+
+
+@pytest.mark.parametrize(
+    ("words", "spelled"),
+    [
+        (["info", "u", "--json"], ["info", "u", "--json=-"]),
+        (["diagnose", "a.h5", "--json", "out.json"], ["diagnose", "a.h5", "--json=out.json"]),
+        (["diagnose", "--json", "a.h5"], ["diagnose", "--json=-", "a.h5"]),
+        (["x", "--json", "-"], ["x", "--json=-"]),
+        (["x", "--json=y.json"], ["x", "--json=y.json"]),
+        (["x", "--json", "--yes"], ["x", "--json=-", "--yes"]),
+    ],
+)
+def test_bare_json_goes_to_standard_output(words: list[str], spelled: list[str]) -> None:
+    assert output.spell_out_json(words) == spelled
+
+
+def test_values_become_plain_and_json_holds_no_nan() -> None:
+    class Colour(Enum):
+        RED = "red"
+
+    @dataclass
+    class Thing:
+        at: Path
+        colour: Colour
+
+    value = {"a": np.array([1.0, np.nan]), "b": Thing(Path("x"), Colour.RED), "c": (np.int64(3),)}
+    text = json.dumps(output.plain(value), allow_nan=False)
+    assert json.loads(text) == {"a": [1.0, None], "b": {"at": "x", "colour": "red"}, "c": [3]}
+
+
+def test_text_of_a_controller_cannot_drive_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    output.table("", ("a",), [("\x1b[2J[red]x\x07",)])
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown
+    assert "\x07" not in shown
+    assert "[red]" in shown
+
+
+def test_error_is_described_with_state_and_all_refusals() -> None:
+    error = SafetyRefusal(
+        "no", code="PC-X", hint="do", refusals=(AmplitudeExceeded("too large", code="PC-Y"),)
+    )
+    got = output.describe_error(error)
+    assert got["exit_code"] == 6
+    assert got["refusals"][0]["code"] == "PC-Y"
+    left = output.describe_error(TableStateError("x", left=ControllerState.DISABLED))
+    assert left["left"] == "DISABLED"
+
+
+def test_json_file_is_written_whole_into_a_new_folder(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "r.json"
+    output.write_json(str(target), {"a": 1})
+    assert json.loads(target.read_text()) == {"a": 1}
+    assert [p.name for p in target.parent.iterdir()] == ["r.json"]

@@ -1,0 +1,63 @@
+"""The law from a model: start by closed forms, refinement through the loop, the promise."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.design import (
+    design_law,
+    design_motions,
+    model_loop,
+    promise,
+)
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.trajectory import sinusoid
+
+BENCH = load_bench("paper")
+
+
+@pytest.fixture(scope="module")
+def law() -> CompensationLaw:
+    return design_law(BENCH, model_loop(DriveModel.base(BENCH)))
+
+
+def test_design_motions_stay_within_travel_and_limits() -> None:
+    for motion in design_motions(BENCH):
+        assert motion.position_m.min() >= BENCH.travel.min_mm / 1e3
+        assert motion.position_m.max() <= BENCH.travel.max_mm / 1e3
+        assert np.max(np.abs(motion.velocity_m_per_s)) <= 0.5
+        assert np.max(np.abs(motion.acceleration_m_per_s2)) <= 12.0
+
+
+def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> None:
+    # Facts 2.8: 2.20 um per m/s2, 3.83 um per m/s and 0.93 um at mid travel (K at 0.45 m).
+    assert law.inertia_s2 == pytest.approx(2.20e-6, rel=0.03)
+    assert law.viscous_s == pytest.approx(3.83e-6, rel=0.10)
+    assert law.coulomb_m == pytest.approx(0.93e-6, rel=0.15)
+    # Slope of the inertial coefficient along the screw: 1.82 um per m/s2 and m.
+    assert law.inertia_per_m_s2_per_m == pytest.approx(1.82e-6, rel=0.10)
+
+
+def test_law_removes_both_errors_of_its_model_on_another_motion(law: CompensationLaw) -> None:
+    motion = sinusoid(
+        period_s=BENCH.servo_period_s,
+        amplitude_m=0.017,
+        frequency_Hz=2.6,
+        cycles=4.0,
+        centre_m=-0.12,
+    )
+    got = promise(law, model_loop(DriveModel.base(BENCH)), motion)
+    assert got.e_r_after_um < 0.1 * got.e_before_um
+    assert got.total_after_um < 0.1 * got.total_before_um
+    assert got.e_before_um > 3.0
+
+
+def test_route_without_torque_sends_none() -> None:
+    motions = design_motions(BENCH)[:2]
+    plain = design_law(
+        BENCH, model_loop(DriveModel.base(BENCH)), with_torque=False, motions=motions
+    )
+    assert plain.torque_limit_Nm == 0.0
+    assert plain.torque_coulomb_Nm == 0.0
+    assert plain.inertia_s2 > 1e-6

@@ -1,0 +1,130 @@
+"""The law as arithmetic: limits, symmetry, states, and agreement with its form in counts."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ModelError, NonFinite
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller.law_bank import evaluate
+from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law
+from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
+from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.scales import Scales
+
+BENCH = load_bench("paper")
+PERIOD = BENCH.servo_period_s
+LAW = CompensationLaw(
+    inertia_s2=2.2e-6,
+    inertia_per_m_s2_per_m=1.8e-6,
+    viscous_s=3.8e-6,
+    viscous_per_m_s_per_m=3.4e-6,
+    coulomb_m=0.9e-6,
+    coulomb_per_m=0.8e-6,
+    jerk_s3=1e-9,
+    breakaway_m=5e-6,
+    lead_s=6e-4,
+    lead2_s2=1e-7,
+    torque_inertia_Nm_s2_per_m=0.01,
+    torque_jerk_Nm_s3_per_m=9e-4,
+    torque_viscous_Nm_s_per_m=0.1,
+    torque_coulomb_Nm=0.5,
+    torque_load_Nm_s2_per_m=0.005,
+    torque_excess_Nm=0.1,
+    torque_constant_Nm=0.01,
+    torque_lead_s=1.5e-3,
+    origin_m=0.02,
+    torque_limit_Nm=17.0,
+)
+SINE = sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=2.0, cycles=3.0, centre_m=0.1)
+
+
+def test_correction_is_minus_the_quasi_static_error_where_friction_is_settled() -> None:
+    law = CompensationLaw(inertia_s2=2.2e-6, viscous_s=3.8e-6, coulomb_m=0.9e-6, breakaway_m=1e-6)
+    got = evaluate_law(law, SINE.position_m, PERIOD).correction_m
+    v = np.gradient(SINE.position_m, PERIOD)
+    a = np.gradient(v, PERIOD)
+    settled = np.abs(v) > 0.05
+    want = 2.2e-6 * a + 3.8e-6 * v + 0.9e-6 * np.sign(v)
+    # One sample of backward differences is all that may differ.
+    assert np.max(np.abs(got - want)[settled]) < 0.1e-6
+
+
+def test_law_in_counts_gives_the_same_correction_and_torque() -> None:
+    scales = Scales.of(BENCH)
+    here = evaluate_law(LAW, SINE.position_m, PERIOD)
+    there = evaluate(
+        law_parameters(LAW, scales), SINE.position_m / scales.motor_m_per_ct, clamp_ct=60.0
+    )
+    back_m = there.correction_ct * scales.motor_m_per_ct
+    # The bank holds nine digits.
+    assert np.max(np.abs(back_m - here.correction_m)) < 1e-10
+    assert np.max(np.abs(there.torque_dac * scales.torque_Nm_per_dac - here.torque_Nm)) < 1e-6
+
+
+def test_amplitude_is_clamped_and_marked() -> None:
+    law = LAW.with_values(amplitude_limit_m=1e-6)
+    got = evaluate_law(law, SINE.position_m, PERIOD)
+    assert np.max(np.abs(got.correction_m)) == pytest.approx(1e-6)
+    assert 0 < np.count_nonzero(got.clamped) < got.clamped.size
+
+
+def test_offset_state_holds_at_rest_and_torque_state_fades() -> None:
+    move = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.01,
+        speed_m_per_s=0.05,
+        acceleration_m_per_s2=1.0,
+        dwell_s=1.5,
+        both_ways=False,
+    )
+    law = CompensationLaw(coulomb_m=1e-6, torque_coulomb_Nm=0.5, torque_limit_Nm=10.0)
+    got = evaluate_law(law, move.position_m, PERIOD)
+    assert got.correction_m[-1] == pytest.approx(1e-6, rel=1e-3)
+    assert abs(got.torque_Nm[-1]) < 0.02
+
+
+def test_motion_the_other_way_gives_the_opposite() -> None:
+    law = LAW.with_values(origin_m=0.0, torque_constant_Nm=0.0)
+    up = evaluate_law(law, SINE.position_m - 0.1, PERIOD)
+    down = evaluate_law(
+        law.with_values(
+            inertia_per_m_s2_per_m=-law.inertia_per_m_s2_per_m,
+            viscous_per_m_s_per_m=-law.viscous_per_m_s_per_m,
+            coulomb_per_m=-law.coulomb_per_m,
+        ),
+        -(SINE.position_m - 0.1),
+        PERIOD,
+    )
+    assert np.allclose(up.correction_m, -down.correction_m, atol=1e-15)
+    assert np.allclose(up.torque_Nm, -down.torque_Nm, atol=1e-12)
+
+
+def test_latency_shifts_what_the_servo_receives() -> None:
+    at_once = evaluate_law(LAW, SINE.position_m, PERIOD)
+    late = evaluate_law(LAW, SINE.position_m, PERIOD, latency_cycles=2)
+    assert np.array_equal(late.correction_m[2:], at_once.correction_m[:-2])
+    assert delayed(np.arange(3.0), 7).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_without_torque_keeps_the_offset() -> None:
+    plain = evaluate_law(LAW.without_torque(), SINE.position_m, PERIOD)
+    assert np.all(plain.torque_Nm == 0.0)
+    assert np.array_equal(
+        plain.correction_m, evaluate_law(LAW, SINE.position_m, PERIOD).correction_m
+    )
+
+
+@pytest.mark.parametrize("name", ["breakaway_m", "torque_breakaway_m", "excess_speed_m_per_s"])
+def test_distances_and_speeds_must_be_positive(name: str) -> None:
+    with pytest.raises(ModelError):
+        LAW.with_values(**{name: 0.0})
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_f34_values_that_are_not_finite_are_refused(bad: float) -> None:
+    with pytest.raises(NonFinite):
+        LAW.with_values(inertia_s2=bad)
+    position = SINE.position_m.copy()
+    position[7] = bad
+    with pytest.raises(NonFinite, match="index 7"):
+        evaluate_law(LAW, position, PERIOD)

@@ -1,0 +1,69 @@
+"""Lead map: the mean of both directions, the friction step left out, the table that carries it."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import lead_map
+from pmac_comp.workflow.motions import lead_motions
+from pmac_comp.workflow.rendering import lead_table
+
+BENCH = load_bench("paper")
+
+
+def lead_error_m(x: np.ndarray) -> np.ndarray:
+    wobble = 2e-6 * (np.cos(2 * np.pi * x / 0.01 + 0.4) - np.cos(0.4))
+    return np.asarray(35e-6 * x + wobble)
+
+
+def slow_run(step_m: float = 0.9e-6, *, quantised: bool = True) -> Capture:
+    r = lead_motions(BENCH)[0].position_m
+    direction = np.sign(np.gradient(r))
+    table = r + lead_error_m(r) - step_m * direction
+    motor = r
+    if quantised:
+        motor = np.round(r / 1e-6) * 1e-6
+        table = np.round(table / 0.125e-6) * 0.125e-6
+    time_s = np.arange(r.size) * BENCH.servo_period_s
+    return Capture(time_s, r, motor, table_position_m=table)
+
+
+def test_map_is_the_lead_error_without_the_friction_step() -> None:
+    found = lead_map([slow_run()], None)
+    want = lead_error_m(found.position_m)
+    assert np.max(np.abs(found.error_m - want)) < 0.15e-6
+    assert np.mean(found.reversal_m) == pytest.approx(-1.8e-6, abs=0.05e-6)
+
+
+def test_dynamic_law_takes_the_step_out_of_the_reversal() -> None:
+    found = lead_map([slow_run()], CompensationLaw(coulomb_m=0.9e-6))
+    assert abs(np.mean(found.reversal_m)) < 0.05e-6
+
+
+def test_table_takes_the_map_away_within_its_rounding() -> None:
+    found = lead_map([slow_run()], None)
+    rendered = lead_table(found, BENCH)
+    assert rendered.table.entries[-1] == 0
+    count_m = BENCH.motor_resolution_m
+    x = np.linspace(-0.29, 0.29, 3001)
+    correction = rendered.table.correction_ct(x / count_m) * count_m
+    left = found.at(x) + correction
+    assert np.max(np.abs(left - left.mean())) < 0.1e-6
+    assert rendered.quantisation_um <= 0.5 / 16.0 + 1e-9
+
+
+def test_one_direction_is_not_enough() -> None:
+    run = slow_run()
+    half = run.slice(0, run.n // 2)
+    with pytest.raises(NotIdentifiable, match="both directions"):
+        lead_map([half], None)
+
+
+def test_motor_only_bench_has_no_lead_map() -> None:
+    run = slow_run()
+    bare = Capture(run.time_s, run.commanded_position_m, run.motor_position_m)
+    with pytest.raises(NotIdentifiable, match="no table position"):
+        lead_map([bare], None)

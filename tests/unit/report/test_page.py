@@ -1,0 +1,56 @@
+"""Pages: escaped, self-contained, and says what is simulated."""
+
+import re
+
+import numpy as np
+
+from pmac_comp.report import figures
+from pmac_comp.report.page import Page, Section, Table, cell, render
+
+
+def page(text: str) -> str:
+    return render(
+        Page(
+            title=text,
+            subtitle=text,
+            notice=text,
+            headline=[(text, text)],
+            sections=[Section(text, text=[text], tables=[Table((text,), [(text,)], text)])],
+            facts={text: text},
+        )
+    )
+
+
+def test_every_place_escapes_html() -> None:
+    html = page('<script>alert("x")</script>')
+    assert "<script" not in html
+    assert html.count("&lt;script&gt;") >= 9
+
+
+def test_page_fetches_nothing() -> None:
+    image = figures.svg(lambda f: f.subplots().plot([0, 1], [1, 2]) and None, 3.0, 2.0)
+    html = render(Page("t", "s", "n", sections=[Section("f", figures=[(image, "caption")])]))
+    assert "<svg" in html
+    loaded = re.findall(r"(?:src|href)\s*=\s*[\"'](?!#)([^\"']*)", html)
+    assert [x for x in loaded if not x.startswith("data:")] == []
+    assert "@import" not in html.replace("@media", "")
+
+
+def test_figure_text_is_escaped_by_the_figure() -> None:
+    image = figures.summary_bars([("<b>&name", 1.0, 0.1, None)])
+    assert "<b>" not in image
+    assert "&lt;b&gt;&amp;name" in image
+
+
+def test_thinning_keeps_every_peak() -> None:
+    x = np.arange(100_000.0)
+    y = np.zeros(x.size)
+    y[[123, 77_777]] = 5.0, -7.0
+    thin_x, thin_y = figures.thin_pair(x, y)
+    assert thin_x.size <= 3000
+    assert (thin_y.max(), thin_y.min()) == (5.0, -7.0)
+    assert np.all(np.diff(thin_x) >= 0)
+
+
+def test_cells() -> None:
+    assert [cell(v) for v in (None, True, 1.23456789, 7, "x")] == ["–", "yes", "1.235", "7", "x"]

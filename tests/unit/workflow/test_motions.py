@@ -1,0 +1,111 @@
+"""Motions: specifications, limits, and PVT programs that draw what was meant."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, SafetyRefusal
+from pmac_comp.files.bench import load_bench
+from pmac_comp.workflow.motions import (
+    Motion,
+    calibration_motions,
+    check_motion,
+    lead_motions,
+    parse_motion,
+    pvt_program,
+    relaxing,
+    verification_motions,
+)
+
+BENCH = load_bench("paper")
+
+
+def drawn(lines: tuple[str, ...], start_ct: float, period_s: float) -> tuple[np.ndarray, float]:
+    """Position at each servo cycle that a card draws from PVT lines, and the total time."""
+    time_s, here, speed = 0.0, start_ct, 0.0
+    points: list[np.ndarray] = []
+    done = 0
+    step_s = 0.0
+    for line in lines:
+        if line.startswith("PVT"):
+            step_s = float(line[3:]) / 1e3
+        elif line.startswith("X"):
+            target, end = (float(part) for part in line[1:].split(":"))
+            n = round((time_s + step_s) / period_s) - done
+            u = (np.arange(n) * period_s + done * period_s - time_s) / step_s
+            points.append(
+                (2 * u**3 - 3 * u**2 + 1) * here
+                + (u**3 - 2 * u**2 + u) * speed * step_s
+                + (3 * u**2 - 2 * u**3) * target
+                + (u**3 - u**2) * end * step_s
+            )
+            done += n
+            time_s += step_s
+            here, speed = target, end
+    return np.concatenate(points), time_s
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [*calibration_motions(BENCH)[:4], *verification_motions(BENCH, 5)],
+    ids=lambda m: m.name,
+)
+def test_program_draws_the_trajectory(motion: Motion) -> None:
+    program = pvt_program(motion, BENCH)
+    got, total_s = drawn(program.lines, program.start_ct, BENCH.servo_period_s)
+    want = motion.position_m / BENCH.motor_resolution_m
+    assert total_s == pytest.approx(motion.duration_s, abs=1e-6)
+    n = min(got.size, want.size)
+    # Counts of 1 um: the stated departure, the decimals, and times rounded to a nanosecond.
+    assert np.max(np.abs(got[:n] - want[:n])) < program.shape_error_m / 1e-6 + 0.06
+    assert program.shape_error_m < 0.3e-6
+
+
+def test_no_line_is_longer_than_the_card_takes() -> None:
+    for motion in verification_motions(BENCH, 2):
+        assert max(map(len, pvt_program(motion, BENCH).lines)) < 80
+
+
+def test_verification_motions_follow_the_seed_and_stay_within_limits() -> None:
+    for seed in range(20):
+        for motion in verification_motions(BENCH, seed):
+            check_motion(motion, BENCH)
+    first = [m.name for m in verification_motions(BENCH, 1)]
+    assert first == [m.name for m in verification_motions(BENCH, 1)]
+    assert first != [m.name for m in verification_motions(BENCH, 2)]
+
+
+def test_campaigns_fit_every_bundled_bench() -> None:
+    for name in ("paper", "paper_x4", "emps"):
+        bench = load_bench(name)
+        for motion in [*calibration_motions(bench), *lead_motions(bench)]:
+            check_motion(motion, bench)
+
+
+def test_motion_outside_travel_and_limits_is_refused_with_all_reasons() -> None:
+    with pytest.raises(SafetyRefusal) as caught:
+        parse_motion("sine:amplitude_mm=280,frequency_Hz=2,centre_mm=100", BENCH)
+    assert len(caught.value.refusals) == 3
+    assert "travel" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("wiggle:amplitude_mm=1", "not a kind"),
+        ("sine:amplitude=1", "unknown key"),
+        ("sine:amplitude_mm=much", "key=number"),
+    ],
+)
+def test_bad_specification_is_told(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        parse_motion(text, BENCH)
+
+
+def test_relaxing_wiggle_fades_and_ends_where_the_motion_starts() -> None:
+    motion = calibration_motions(BENCH)[1]
+    whole, first = relaxing(motion)
+    assert np.array_equal(whole.position_m[first:], motion.position_m)
+    before = whole.position_m[:first] - motion.position_m[0]
+    assert 50e-6 < np.max(np.abs(before)) < 150e-6
+    assert np.max(np.abs(before[-400:])) < 5e-6
+    check_motion(whole, BENCH)

@@ -1,0 +1,102 @@
+"""Before and after: error terms of the contract, intervals, verdict on the promise."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import CaptureError, ConfigError
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.workflow.verify import (
+    Spread,
+    error_signals,
+    outcome_of,
+    sensor_floor_um,
+    verify_files,
+)
+
+BENCH = load_bench("paper")
+PERIOD = BENCH.servo_period_s
+N = 6000
+
+
+def run(*, correction_um: float, e_um: float, control_um: float, motion: str = "a") -> Capture:
+    """A run with known errors: sines of given rms."""
+    t = np.arange(N) * PERIOD
+    unit = np.sqrt(2.0) * np.sin(2 * np.pi * 3.0 * t) * 1e-6
+    other = np.sqrt(2.0) * np.cos(2 * np.pi * 3.0 * t) * 1e-6
+    r = 0.01 * np.sin(2 * np.pi * 1.5 * t)
+    desired = r + correction_um * unit
+    motor = desired + control_um * other
+    table = motor + e_um * unit + 5e-6
+    return Capture(
+        t, r, motor, desired_position_m=desired, table_position_m=table,
+        attributes={"motion": motion},
+    )  # fmt: skip
+
+
+def test_error_terms_are_those_of_the_contract() -> None:
+    signals = error_signals(run(correction_um=-3.0, e_um=3.2, control_um=1.5))
+    rms = [np.sqrt(np.mean(np.square(v))) * 1e6 for v in (
+        signals.mechanical_m, signals.control_m, signals.total_m)]  # fmt: skip
+    # e_r = e + c; total = e_c + e_r; the scale offset of 5 um is in none of them.
+    assert rms[0] == pytest.approx(0.2, rel=0.01)
+    assert rms[1] == pytest.approx(1.5, rel=0.01)
+    assert rms[2] == pytest.approx(np.hypot(0.2, 1.5), rel=0.01)
+
+
+def test_interval_covers_the_value_and_shrinks_with_runs() -> None:
+    rng = np.random.default_rng(3)
+    one = Spread.of([rng.normal(0.0, 1e-6, N)], PERIOD)
+    many = Spread.of([rng.normal(0.0, 1e-6, N) for _ in range(9)], PERIOD)
+    for spread in (one, many):
+        assert spread.lower95 < spread.value < spread.upper95
+        assert spread.value == pytest.approx(1.0, rel=0.03)
+    assert many.upper95 - many.lower95 < 0.6 * (one.upper95 - one.lower95)
+
+
+def test_promise_is_kept_or_missed() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-3.0, e_um=3.3, control_um=1.0)]
+    promised = {"e_r_after_um": 0.3}
+    kept = outcome_of("a", before, after, promise=promised)
+    assert kept.mechanical_ratio == pytest.approx(0.1, rel=0.02)
+    assert kept.promise_kept(0.05) is True
+    missed = outcome_of("a", before, after, promise={"e_r_after_um": 0.02})
+    assert missed.promise_kept(0.02) is False
+    assert outcome_of("a", before, after).promise_kept(0.05) is None
+
+
+def test_floor_is_the_quantisation_of_both_sensors() -> None:
+    # 1 um and 0.125 um steps: hypot/sqrt(12).
+    assert sensor_floor_um(BENCH) == pytest.approx(0.2909, rel=1e-3)
+
+
+def test_stored_captures_are_paired_by_motion(tmp_path: object) -> None:
+    from pathlib import Path
+
+    folder = Path(str(tmp_path))
+    for name, capture in (
+        ("b1", run(correction_um=0.0, e_um=3.0, control_um=9.0, motion="x")),
+        ("b2", run(correction_um=0.0, e_um=1.0, control_um=9.0, motion="y")),
+        ("a1", run(correction_um=-1.0, e_um=1.1, control_um=1.0, motion="y")),
+        ("a2", run(correction_um=-3.0, e_um=3.3, control_um=1.0, motion="x")),
+    ):
+        write_capture(folder / f"{name}.h5", capture)
+    found = verify_files(
+        "paper", [folder / "b1.h5", folder / "b2.h5"], [folder / "a1.h5", folder / "a2.h5"]
+    )
+    values = {m.name: (m.e_before.value, m.e_r_after.value) for m in found.motions}
+    assert values["x"] == pytest.approx((3.0, 0.3), rel=0.05)
+    assert values["y"] == pytest.approx((1.0, 0.1), rel=0.05)
+
+
+def test_unpaired_captures_and_missing_tables_are_refused(tmp_path: object) -> None:
+    from pathlib import Path
+
+    folder = Path(str(tmp_path))
+    write_capture(folder / "b.h5", run(correction_um=0.0, e_um=1.0, control_um=1.0, motion=""))
+    with pytest.raises(ConfigError, match="paired"):
+        verify_files("paper", [folder / "b.h5"], [])
+    bare = run(correction_um=0.0, e_um=1.0, control_um=1.0)
+    with pytest.raises(CaptureError, match="no table position"):
+        error_signals(Capture(bare.time_s, bare.commanded_position_m, bare.motor_position_m))
