@@ -141,7 +141,7 @@ def _assembled(
         torque_gap_after_Nm=after.torque_Nm,
         noise_floor_um=left.noise_floor_um,
         gap_channel="table" if grown.bench.channels > 1 else "motor",
-        residual=left.regions if verdict == "unknown" else (),
+        residual=left.regions if left.visible else (),
         separating_experiment=experiment,
         findings=findings,
         statements=statements_of(verdict, named, tied, estimates, where, before, after, left),

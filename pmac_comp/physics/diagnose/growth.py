@@ -27,6 +27,8 @@ from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import Effect
 
 Progress = Callable[[str], None]
+_ELEMENTARY = frozenset({"coulomb", "viscous"})
+_CLOSE = 0.9
 
 
 @dataclass(frozen=True)
@@ -292,7 +294,7 @@ def _contend(
         whole,
         gain,
         float(judged.sum()),
-        corrected_p(sign_flip_p(judged, seed=len(start.key)), len(library)),
+        corrected_p(sign_flip_p(drop, seed=len(start.key)), len(library)),
         bic_gain(gain * size, parameters, rows * size),
     )
 
@@ -317,7 +319,11 @@ def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
     best: dict[str, Contender] = {}
     for contender in sorted(contenders, key=lambda c: -c.gain):
         best.setdefault(contender.effect, contender)
-    return list(best.values())
+    ranked = list(best.values())
+    # Flexible forms can imitate elementary friction to a few per cent: the elementary one goes
+    # first and the other may still earn its place beside it.
+    plain = [c for c in ranked if c.effect in _ELEMENTARY and c.gain > _CLOSE * ranked[0].gain]
+    return [*plain, *(c for c in ranked if c not in plain)]
 
 
 def _earned(winner: Contender, rows_fit: float, rows_judge: float, rules: Rules) -> bool:

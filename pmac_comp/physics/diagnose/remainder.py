@@ -13,7 +13,7 @@ from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
-from pmac_comp.physics.diagnose.records import Record
+from pmac_comp.physics.diagnose.records import Record, gap
 from pmac_comp.physics.diagnose.statistics import corrected_p, sign_flip_p
 from pmac_comp.physics.model.drive import DriveModel, simulate
 
@@ -51,6 +51,11 @@ class Remainder:
     excess_um: float
     regions: tuple[Region, ...]
 
+    @property
+    def visible(self) -> bool:
+        """Whether the remainder is worth describing."""
+        return self.unexplained or self.excess_um > 0.5 * self.noise_floor_um
+
 
 def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     """Judge what the last round left against flexible rivals and against the noise floor."""
@@ -59,7 +64,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     fit_gain, _ = rivals.flexible_gains()
     fit_share = fit_gain / max(last.rows_fit, 1.0)
     floor_um = noise_floor_um(grown)
-    gap_um = _gap_um(grown)
+    gap_um = _rms_um(grown, grown.final.model)
     excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
     drop = rivals.gram.block_chi2(rivals.base) - rivals.gram.block_chi2(rivals.flexible)
     p_value = corrected_p(sign_flip_p(drop, seed=1), 1)
@@ -68,7 +73,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     )
     material = max(_UNEXPLAINED, _TOLD * removed)
     by_rivals = fit_share > material and p_value < 0.01
-    _, base_um = floor_um, _base_gap_um(grown)
+    base_um = _rms_um(grown, grown.base.model)
     worth = max(_EXCESS * floor_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2))))
     return Remainder(
         unexplained=bool(by_rivals or excess_um > worth),
@@ -90,10 +95,13 @@ def noise_floor_um(grown: Grown) -> float:
     judging = grown.bench.judging_records
     model = grown.final.model
     simulated = list(grown.bench.executor.map(lambda r: _sensor_noise_m(r, model), judging))
+    whole = [
+        r for r, m in zip(grown.bench.records, grown.bench.fitting, strict=True) if not m.all()
+    ]
     total, count = 0.0, 0
-    for record, sensor in zip(judging, simulated, strict=True):
+    for record, complete, sensor in zip(judging, whole, simulated, strict=True):
         n = int(np.count_nonzero(record.valid))
-        repeat = repeatability_m(record)
+        repeat = repeatability_m(complete)
         total += n * max(sensor, repeat) ** 2
         count += n
     return 1e6 * float(np.sqrt(total / max(count, 1)))
@@ -121,36 +129,33 @@ def repeatability_m(record: Record) -> float:
 
 
 def period_samples(command_m: FloatArray) -> int:
-    """Samples after which a command repeats to 10 nm, 0 if it does not."""
+    """Samples after which a command repeats to 10 nm over half its motion, 0 if it does not.
+
+    Source
+    ------
+    Difference function of de Cheveigne and Kawahara (2002), by FFT; each minimum is verified.
+    """
     n = command_m.size
     centred = command_m - command_m.mean()
     length = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(centred, length)
-    likeness = np.fft.irfft(spectrum * spectrum.conj(), length)[:n] / np.arange(n, 0, -1)
-    candidates: IntArray = np.flatnonzero(
-        (likeness[1:-1] > likeness[:-2]) & (likeness[1:-1] >= likeness[2:])
-    )
-    for lag in (candidates + 1).tolist():
-        if lag > _LARGEST_PERIOD_FRAC * n:
-            break
+    product = np.fft.irfft(spectrum * spectrum.conj(), length)[:n]
+    energy = np.concatenate(([0.0], np.cumsum(centred**2)))
+    lags = np.arange(n)
+    squares = energy[n - lags] + energy[n] - energy[lags] - 2.0 * product
+    difference = squares / np.arange(n, 0, -1)
+    inner = difference[1:-1]
+    minima: IntArray = 1 + np.flatnonzero((inner < difference[:-2]) & (inner <= difference[2:]))
+    small = minima[difference[minima] < 0.2 * float(centred.var())]
+    for lag in small[small <= _LARGEST_PERIOD_FRAC * n].tolist():
         moving = np.abs(np.diff(command_m))[: n - lag] > 0.0
         same = np.abs(command_m[lag:] - command_m[:-lag])[: moving.size] < 1e-8
-        if np.count_nonzero(same & moving[: same.size]) > 0.5 * np.count_nonzero(moving):
+        if np.count_nonzero(same & moving) > 0.5 * np.count_nonzero(moving):
             return int(lag)
     return 0
 
 
-def _gap_um(grown: Grown) -> float:
-    return _rms_um(grown, grown.final.model)
-
-
-def _base_gap_um(grown: Grown) -> float:
-    return _rms_um(grown, grown.base.model)
-
-
 def _rms_um(grown: Grown, model: DriveModel) -> float:
-    from pmac_comp.physics.diagnose.records import gap
-
     return gap(grown.bench.judging_records, model, grown.bench.executor).position_um
 
 

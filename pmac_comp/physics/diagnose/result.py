@@ -47,7 +47,9 @@ class Evidence:
         Drop of the Bayesian information criterion with the effective number of samples; twice
         the log Bayes factor, near enough.
     p_value : float
-        Block sign-flip p-value of the held-out gain, corrected for the number of candidates.
+        Block sign-flip p-value of the gain, corrected for the number of candidates. The blocks of
+        fitting and judging samples count alike (a candidate has one to three parameters); the
+        held-out gain must be material besides.
     gap_um : float
         Gap on validation captures with this candidate added; NaN if only screened.
     status : str

@@ -211,6 +211,8 @@ def sign_flip_p(differences: FloatArray, *, seed: int, draws: int = 2000) -> flo
     n = differences.size
     if n < _MIN_BLOCKS:
         return 1.0
+    # Symmetry survives any odd function; the root keeps one impact from deciding alone.
+    differences = np.sign(differences) * np.sqrt(np.abs(differences))
     observed = float(differences.mean())
     if observed <= 0.0:
         return 1.0

@@ -33,7 +33,7 @@ def statements_of(
             f"The torque gap goes from {before.torque_Nm:.3g} to {after.torque_Nm:.3g} N m rms."
         )
     said += [f"Base model: {region.describe()}." for region in where[:2]]
-    if verdict == "unknown":
+    if left.visible:
         said += [f"Left: {region.describe()}." for region in left.regions[:3]]
     return tuple(said)
 
