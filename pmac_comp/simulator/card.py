@@ -21,6 +21,7 @@ from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator.answers import Answers
 from pmac_comp.simulator.axes import read_definition
+from pmac_comp.simulator.commanded_faults import LinkFaults
 from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
 from pmac_comp.simulator.errors import CardError
@@ -48,7 +49,7 @@ from pmac_comp.simulator.servo_tuning import pmac_gains
 from pmac_comp.simulator.variables import Variables
 
 # Commands register themselves when their modules are imported.
-for _name in ("buffers", "coordinate", "identity", "memory", "motor", "variables"):
+for _name in ("buffers", "coordinate", "faults", "identity", "memory", "motor", "variables"):
     importlib.import_module(f"pmac_comp.simulator.commands.{_name}")
 
 BACKGROUND_CYCLES = 10
@@ -84,6 +85,8 @@ class Card:
         ``small``, ``large`` or ``none``; None takes the bench's.
     flash : Path or None
         File of the flash image.
+    faults : bool
+        Take commanded faults (``FAULT"..."``), for tests.
     """
 
     def __init__(
@@ -94,8 +97,11 @@ class Card:
         servo_source: str | None = None,
         dpram: str | None = None,
         flash: Path | None = None,
+        faults: bool = False,
     ) -> None:
         self.bench = bench
+        self.faults = faults
+        self.link_faults = LinkFaults()
         self.dpram = dpram if dpram is not None else bench.controller.dpram
         self.memory = Memory()
         self.variables = Variables(self.memory)

@@ -131,3 +131,13 @@ class Flash:
         self._data = image.encode()
         if self.path is not None:
             atomic_write_bytes(self.path, self._data)
+
+    def spoil(self) -> None:
+        """Turn one bit of the image over (commanded fault)."""
+        if self._data is None:
+            return
+        data = bytearray(self._data)
+        data[-1] ^= 1
+        self._data = bytes(data)
+        if self.path is not None:
+            atomic_write_bytes(self.path, self._data)

@@ -447,7 +447,8 @@ def serve(
             loop.add_signal_handler(number, stop.set)
 
         def announce(endpoints: dict[str, str]) -> None:
-            ready(json.dumps({"ready": True, "speed": options.speed, **endpoints}))
+            told = {"ready": True, "speed": options.speed, "faults": card.faults, **endpoints}
+            ready(json.dumps(told))
 
         await SimulatorServer(card, options).run(announce, stop)
 

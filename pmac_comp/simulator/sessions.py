@@ -23,6 +23,7 @@ from pmac_comp.machine.wire.ethernet import (
     RequestReader,
     read_datagram,
 )
+from pmac_comp.simulator.commanded_faults import ConnectionDropped
 from pmac_comp.simulator.ports import Port
 
 if TYPE_CHECKING:
@@ -126,7 +127,10 @@ class EthernetSession:
         handler = self._handlers.get(request.code)
         if handler is None:
             raise Refused(f"{request.name} is not supported")
-        return handler(request)
+        try:
+            return self.card.link_faults.spoil(handler(request))
+        except ConnectionDropped as dropped:
+            raise Refused(str(dropped)) from dropped
 
     def _announced(self, port: str, text: str) -> None:
         if port == "P":
@@ -266,7 +270,11 @@ class AsciiSession:
     def receive(self, data: bytes) -> bytes:
         """Bytes the card sends in answer, after what programs have said meanwhile."""
         said = self.pending()
-        return said + self.port.receive(data)
+        try:
+            return said + self.card.link_faults.spoil(self.port.receive(data))
+        except ConnectionDropped:
+            self.close()
+            return said
 
     def pending(self) -> bytes:
         """Take what programs have sent."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import firmware_path
@@ -81,6 +80,7 @@ def make_card(
     servo: Path | None = None,
     dpram: str | None = None,
     flash: Path | None = None,
+    faults: bool = False,
 ) -> "Card":
     """Card with the drive of a plant file, or the bench's own."""
     from pmac_comp.simulator.card import Card
@@ -92,6 +92,7 @@ def make_card(
         servo_source=None if servo is None else servo.read_text(encoding="utf-8"),
         dpram=dpram,
         flash=flash,
+        faults=faults,
     )
 
 
@@ -149,16 +150,12 @@ def serve_forever(
 
     if tcp is None and udp is None and ascii_port is None and not pty:
         tcp = 1025
-    card = make_card(load_bench(bench), plant=plant, servo=servo, dpram=dpram, flash=flash)
+    card = make_card(
+        load_bench(bench), plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults
+    )
     options = ServeOptions(
         tcp=tcp, udp=udp, ascii_port=ascii_port, pty=pty, host=host, speed=speed, force=force
     )
-    if faults:
-        raise ConfigError(
-            "This installation's card takes no commanded faults over its ports.",
-            code="PC-SIM-010",
-            hint="Fault tests run in process; leave --faults out.",
-        )
     serve(card, options)
 
 

@@ -1,0 +1,14 @@
+"""``FAULT"..."``: only on a card that was made to take commanded faults."""
+
+from __future__ import annotations
+
+from pmac_comp.simulator.commanded_faults import command_fault
+from pmac_comp.simulator.commands.line import LineContext, command
+from pmac_comp.simulator.errors import CardError
+
+
+@command("FAULT")
+def _fault(context: LineContext) -> None:
+    if not context.card.faults:
+        raise CardError(3)
+    command_fault(context.card, context.scanner.quoted())
