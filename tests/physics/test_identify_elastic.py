@@ -16,7 +16,13 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ModelError, NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify import Identification, identify, model_from_file, to_model_file
+from pmac_comp.physics.identify import (
+    Identification,
+    compare,
+    identify,
+    model_from_file,
+    to_model_file,
+)
 from pmac_comp.physics.identify.linear_start import six_coefficients
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -231,3 +237,29 @@ def test_small_coverage_run(tmp_path: Path) -> None:
     # 32 intervals, not independent of each other: at 95 % fewer than 25 would be a broken method.
     assert sum(inside) >= 25
     assert "pooled" in TOOL.summary(path)
+
+
+def test_rivals_are_judged_on_the_same_unseen_motions(
+    found: Identification,
+    captures: tuple[list[Capture], dict[str, float]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(compare, "identify", lambda *_args, **_kwargs: found)
+    plant = make_plant(BENCH, effects={}, seed=11)
+    unseen = [
+        sinusoid(
+            period_s=PERIOD_S, amplitude_m=0.02, frequency_Hz=2.0, cycles=4, centre_m=0.1
+        ),
+        trapezoid(
+            period_s=PERIOD_S, distance_m=0.3, speed_m_per_s=0.2, acceleration_m_per_s2=4.0,
+            s_curve_s=0.02, start_m=-0.1,
+        ),
+    ]  # fmt: skip
+    judge = [closed_loop_capture(BENCH, plant, run.position_m) for run in unseen]
+    result = compare.compare_models(captures[0], judge, BENCH)
+    left = {row.name: row.left_rms_um for row in result.rows}
+    assert result.judged_on == "unquantised"
+    assert len(left) == 7
+    assert left[compare.FULL_NAME] == min(left.values())
+    assert left[compare.FULL_NAME] < 0.2  # issue: 0.2 um rms on the plant's unquantised positions
+    assert left["two inertias, torsion (Lim)"] > 1.0

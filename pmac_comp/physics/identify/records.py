@@ -32,7 +32,6 @@ _KNOT_SPACING_m = 0.05
 _MAX_KNOTS = 12
 _HARMONICS = (1.0, 2.0)
 _SKEW_STD_s = 0.05e-6
-_STEP_STD_m = 1e-8
 _RATE_Hz = 320.0  # of the compared rows
 _HALF_TAPS = 4  # half length of the low pass in thinned rows
 _REST_m_per_s = 2e-4
@@ -174,7 +173,7 @@ def nuisances(
 ) -> tuple[list[FloatArray], StaticMap | None]:
     """Regressors of the table channel that carry no drive parameter, full rate, (n, q) each.
 
-    The first columns are the scale offsets of the captures, then channel skew and reversal step
+    The first columns are the scale offsets of the captures, then the channel skew
     (see ``nuisance_prior``); then, with ``static_map``, the lead error as hat functions of the
     table position (the first knot is fixed by the offsets) and screw harmonics. The returned map
     holds the knots and zero values.
@@ -186,7 +185,7 @@ def nuisances(
         offset = np.zeros((record.capture.n, n_records))
         if "difference" in record.channels:
             offset[:, i] = 1.0
-        parts = [offset, _kinematic_columns(record)]
+        parts = [offset, _speed_column(record)]
         if shape is not None:
             parts.append(_map_columns(record, shape))
         columns.append(np.concatenate(parts, axis=1))
@@ -195,18 +194,17 @@ def nuisances(
 
 def n_leading(n_records: int) -> int:
     """Nuisance columns before those of the static map."""
-    return n_records + 2
+    return n_records + 1
 
 
 def nuisance_prior(n_records: int, n_columns: int) -> FloatArray:
     """Prior information of the nuisances, 1/SI^2, shape (q,): zero where nothing is known.
 
-    Encoder and scale are latched together only to some 0.05 us, and a stiction detail or a rounding
-    of the joint may leave some nm at a reversal: effects this small are not told from friction.
+    Encoder and scale are latched together only to some 0.05 us: a skew this small is not told from
+    viscous friction, so the intervals of viscous friction must allow for it.
     """
     prior = np.zeros(n_columns)
     prior[n_records] = _SKEW_STD_s**-2
-    prior[n_records + 1] = _STEP_STD_m**-2
     return prior
 
 
@@ -225,15 +223,13 @@ def map_from(shape: StaticMap, coefficients: FloatArray) -> StaticMap:
     )
 
 
-def _kinematic_columns(record: Record) -> FloatArray:
-    """Speed (times a channel skew) and its sign (times a reversal step), shape (n, 2)."""
+def _speed_column(record: Record) -> FloatArray:
+    """Speed in m/s, the regressor of a channel skew, shape (n, 1)."""
     capture = record.capture
     if "difference" not in record.channels:
-        return np.zeros((capture.n, 2))
+        return np.zeros((capture.n, 1))
     speed = np.gradient(bridged(capture.commanded_position_m, capture.mask))
-    speed = speed / capture.sample_period_s
-    direction = np.where(np.abs(speed) > _REST_m_per_s, np.sign(speed), 0.0)
-    return np.column_stack([speed, direction])
+    return np.asarray(speed / capture.sample_period_s)[:, np.newaxis]
 
 
 def _stride(capture: Capture, bench: Bench) -> int:
