@@ -157,6 +157,15 @@ def test_command_lines_of_a_port():
     ]
 
 
+def test_blanks_and_eight_bit_characters_belong_to_the_line():
+    assert LineReader().receive(b" #1 J+ ~\x7f\xff\r") == [CommandLine(b" #1 J+ ~\x7f\xff")]
+    assert LineReader().receive(b"\x1f\x01\r") == [
+        ControlCharacter(0x1F),
+        ControlCharacter(1),
+        CommandLine(b""),
+    ]
+
+
 def test_a_line_longer_than_the_queue_is_reported_once():
     events = LineReader().receive(b"x" * 300 + b"\rver\r")
     assert events == [LineTooLong(300), CommandLine(b"ver")]
