@@ -711,6 +711,8 @@ def servo_cycles(
                 error = net - position
                 moving = cursor[m, traj.C_VELOCITY] != 0.0
                 if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
+                    # The algorithm may put the error it really acts on in place of this one.
+                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
                     out = _user_servo(
                         x,
                         y,
@@ -734,7 +736,6 @@ def servo_cycles(
                         out = 0.0
                         _event(head, events, EV_SERVO_FAULT, m, 0)
                     servo_time += SERVO_INSTRUCTION_TIME * srv_state[vm.S_STEPS]
-                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
                     k[: law.N_LAW] = 0.0
                 else:
                     # Ixx68 may be rewritten every cycle by a law.

@@ -158,6 +158,9 @@ def test_shipped_law_offsets_the_command_by_its_terms(make_servo):
         one.run(1500)
         one.memory.touch()
         difference.append(one.position(1) - one.commanded(1))
+    # What a capture takes for the desired position carries the correction.
+    seen = servo._long(1, reg.M_FOLLOWING_ERROR) / 3072 + servo.position(1) - servo.commanded(1)
+    assert seen == pytest.approx(p(servo, 7139), abs=0.01)
     # 44.2 counts per cycle times 0.2.
     assert p(servo, 7139) == pytest.approx(8.85, abs=0.05)
     assert difference[0] - difference[1] == pytest.approx(8.85, abs=2.0)
