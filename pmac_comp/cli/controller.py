@@ -120,7 +120,7 @@ def terminal(
             output.finish(
                 answers,
                 json_target,
-                lambda: [output.echo(x) for item in answers for x in item["answer"]] and None,
+                lambda: output.echo_all(x for item in answers for x in item["answer"]),
             )
             return
         output.say("one command per line; end with Ctrl-D")
@@ -157,7 +157,7 @@ def restore(
 
     plan = plan_restore(url, bench, source)
     if dry_run:
-        output.finish(plan, json_target, lambda: [output.echo(x) for x in plan["lines"]] and None)
+        output.finish(plan, json_target, lambda: output.echo_all(plan["lines"]))
         return
     confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes)
     progress = ProgressLines()
@@ -215,6 +215,4 @@ def capture(
     progress = ProgressLines()
     result = capture_to_folder(url, bench, plan, out, progress=progress)
     progress.close()
-    output.finish(
-        result, json_target, lambda: [output.echo(str(p)) for p in result["files"]] and None
-    )
+    output.finish(result, json_target, lambda: output.echo_all(str(p) for p in result["files"]))

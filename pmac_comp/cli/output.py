@@ -55,23 +55,26 @@ def spell_out_json(words: list[str]) -> list[str]:
 
 def plain(value: Any) -> Any:
     """Value as what JSON can hold; NaN and infinity become null, arrays become lists."""
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if hasattr(value, "model_dump"):
-        return plain(value.model_dump(mode="json"))
-    if isinstance(value, Mapping):
-        return {str(plain(key)): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    return value if isinstance(value, (str, int, bool, type(None))) else str(value)
+    if isinstance(value, (str, int, bool, type(None))) and not isinstance(value, Enum):
+        return value
+    return _plain_object(value)
+
+
+def _plain_object(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(plain(key)): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, Enum):
+        return value.value
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    for method, arguments in (("model_dump", {"mode": "json"}), ("tolist", {})):
+        if hasattr(value, method):
+            return plain(getattr(value, method)(**arguments))
+    return str(value)
 
 
 def write_json(target: str, result: Any) -> None:
@@ -133,6 +136,12 @@ def safe(text: str) -> str:
 def echo(text: str = "") -> None:
     """One line of the result on standard output."""
     sys.stdout.write(safe(text) + "\n")
+
+
+def echo_all(lines: Iterable[str]) -> None:
+    """Lines of the result on standard output."""
+    for line in lines:
+        echo(line)
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

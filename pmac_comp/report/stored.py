@@ -56,7 +56,7 @@ def _tables(value: Any, depth: int) -> list[Table]:
             rows = [[_flat(item.get(key)) for key in columns] for item in value]
             return [Table(columns, rows)]
         return [Table(("value",), [(_flat(item),) for item in value])]
-    rows_of: dict[str, Any] = {k: v for k, v in value.items()}
+    rows_of: dict[str, Any] = dict(value)
     if rows_of and all(isinstance(v, dict) for v in rows_of.values()):
         columns = list(dict.fromkeys(key for item in rows_of.values() for key in item))
         body = [[name, *(_flat(v.get(key)) for key in columns)] for name, v in rows_of.items()]

@@ -201,11 +201,12 @@ class Axis:
         for _ in range(_START_ATTEMPTS):
             try:
                 self.link.command(f"&1B{PROGRAM_NUMBER}R")
-                return
             except CommandRefused as error:
                 if error.context.get("error") != _ERR_MOVE_NOT_COMPLETED:
                     raise
                 self.link.clock.sleep_s(0.02)
+            else:
+                return
         self.link.command(f"&1B{PROGRAM_NUMBER}R")
 
     def _gather_ram(
@@ -269,7 +270,7 @@ class Axis:
             self._check_sensors(actual[part], table[part])
         count = commanded[part].size
         return Capture(
-            time_s=np.arange(count) * scales.period_s,
+            time_s=np.arange(count, dtype=np.float64) * scales.period_s,
             commanded_position_m=commanded[part],
             desired_position_m=desired[part],
             motor_position_m=actual[part],

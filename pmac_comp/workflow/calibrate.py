@@ -133,7 +133,7 @@ def recover_to_folder(log: Path, bench: str, out: Path) -> dict[str, Any]:
     raw = found.columns
     n = raw["commanded"].size
     capture = Capture(
-        time_s=np.arange(n) * scales.period_s,
+        time_s=np.arange(n, dtype=np.float64) * scales.period_s,
         commanded_position_m=scales.motor_m(raw["commanded"]),
         motor_position_m=scales.motor_m(raw["actual"]),
         table_position_m=scales.table_m(raw["scale"]) if "scale" in raw else None,

@@ -135,7 +135,7 @@ class Stopwatch:
         """Time a step; gives a callback for progress within it."""
         start = time.monotonic()
         self.tell(name, 0.0)
-        yield lambda text, fraction: self.tell(text, fraction)
+        yield self.tell
         self.steps.append(Step(name, time.monotonic() - start))
 
     def tell(self, text: str, fraction: float) -> None:

@@ -24,6 +24,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.machine.controller import law_upload, motors, recovery
+from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.machine.controller.table_set import read_tables
@@ -138,7 +139,8 @@ def _compensate_motion(
             hint="Give it with --command FILE (CSV with time_s,commanded_position_mm).",
         )
     time_s, position = read_command(command)
-    exact = exact_correction(model_loop(drive), position)
+    limit = bench.safety.max_correction_um / UM_PER_M
+    exact = exact_correction(model_loop(drive), position, bench.servo_period_s, limit_m=limit)
     law = design_law(bench, model_loop(drive), latency_cycles=0, with_torque=False)
     compensation = Compensation(
         route,
@@ -502,7 +504,7 @@ def difference(url: str, bench: str, new: Path) -> dict[str, Any]:
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
         context = context_of(axis, Path("pmac-comp-journal"))
-        tables = read_tables(axis.link, [axis.motor])
+        tables = read_tables(axis.link, [(TableKind.COMP, axis.motor)])
         head = law_upload.read_law_head(axis.link, context.block)
         bank = law_upload.read_bank(axis.link, context.block, head.bank)
         position, old_um, new_um = _table_curves(axis, compensation, list(tables))

@@ -444,7 +444,7 @@ def relaxing(motion: Motion) -> tuple[Motion, int]:
     rest = np.full(round(_REST_s / period), start)
     position = np.concatenate([[start], start + inward * shape, rest, motion.position_m])
     first = 1 + shape.size + rest.size
-    grid = period * np.arange(position.size)
+    grid = period * np.arange(position.size, dtype=np.float64)
     return Motion(motion.name, Trajectory(grid, position)), first
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench, load_bench
@@ -199,7 +199,7 @@ class TruthRecorder:
         """What was recorded; None if the plant does not record."""
         if not callable(self._record):
             return None
-        found = self._plant.recorded()
+        found: Any = cast(Any, self._plant).recorded()
         if found["cycle"].size == 0:
             return None
         return Truth(

@@ -207,7 +207,7 @@ def design_law(
             float(np.max(np.abs(m.acceleration_m_per_s2))) for m in chosen
         ),
     )
-    return _refined(start, loop, chosen, latency_cycles, with_torque, progress)
+    return _refined(start, loop, chosen, latency_cycles, progress)
 
 
 def _start(
@@ -273,10 +273,9 @@ def _refined(
     loop: LoopRunner,
     motions: Sequence[Trajectory],
     latency: int,
-    with_torque: bool,
     progress: Progress | None,
 ) -> CompensationLaw:
-    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if with_torque else {})}
+    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if start.torque_limit_Nm > 0.0 else {})}
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size
@@ -295,7 +294,7 @@ def _refined(
         residual,
         np.maximum(first, lowest + 0.05),
         bounds=(lowest, np.inf),
-        diff_step=1e-3,
+        diff_step=[1e-3],
         max_nfev=7,
         xtol=1e-4,
         ftol=1e-3,
