@@ -188,8 +188,7 @@ class TruthRecorder:
     """
 
     def __init__(self, card: "Card", longest_s: float = 600.0) -> None:
-        self._plant = card.servo.plant
-        self._lead = card.bench.lead_m_per_rad
+        self._plant: Any = card.servo.plant
         cycles = int(longest_s / card.bench.servo_period_s)
         self._record = getattr(self._plant, "record", None)
         if callable(self._record):
