@@ -272,3 +272,23 @@ def test_a_terminal_shows_refusals_and_goes_on():
     assert ask("^K") == []
     assert ask("  ") == []
     assert card.controls == [11]
+
+
+def test_limits_are_reached_and_not_passed():
+    commander = conversation()
+    longest = "P1" * 127 + " "
+    assert len(longest) == 255
+    assert len(commander.query(longest)) == 127
+    lines = [b"x" * 255] * 8
+    assert [len(batch) for batch in buffer_batches(lines, single=False)] == [4, 4]
+    assert [len(batch) for batch in buffer_batches([*lines[:4], b""], single=False)] == [4, 1]
+
+
+def test_a_quiet_session_counts_no_trouble():
+    commander = conversation()
+    assert commander.query("ver") == ["1.947  "]
+    counts = commander.statistics
+    assert (counts.retries, counts.resynchronisations, counts.stray_bytes) == (0, 0, 0)
+    assert counts.requests == 3  # FLUSH, the modes, the question
+    assert counts.bytes_sent == 8 + (8 + 8) + (8 + 3)
+    assert counts.bytes_received == 1 + 9 + 9
