@@ -48,10 +48,15 @@ def fine_bench():
 
 def model_of(plant, bench):
     truth = plant.truth
-    same = (
-        "motor_inertia_kgm2 screw_inertia_kgm2 table_mass_kg torsional_stiffness_Nm_per_rad "
-        "screw_rigidity_N efficiency current_bandwidth_Hz"
-    ).split()
+    same = [
+        "motor_inertia_kgm2",
+        "screw_inertia_kgm2",
+        "table_mass_kg",
+        "torsional_stiffness_Nm_per_rad",
+        "screw_rigidity_N",
+        "efficiency",
+        "current_bandwidth_Hz",
+    ]
     values = {f"chain.{name}": getattr(truth, name) for name in same}
     values |= {
         "chain.axial_stiffness_N_per_m": truth.axial_stiffness_N_per_um * 1e6,

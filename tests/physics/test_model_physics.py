@@ -107,7 +107,8 @@ def test_regression_of_a_simulated_run_gives_the_stated_coefficients():
 
 
 def test_constant_load_at_rest_gives_the_static_deflection():
-    model = MODEL.without_effect("coulomb")
+    # Without any friction at the nut: it would hold part of the wind-up.
+    model = MODEL.without_effect("coulomb").with_parameters({"chain.efficiency": 1.0})
     n = 6000
     force = np.where(np.arange(n) > 200, 500.0, 0.0)
     still = np.full(n, 0.1)
@@ -165,7 +166,7 @@ def test_friction_only_takes_energy():
 
 @pytest.mark.parametrize(
     ("effects", "order"),
-    [((), 1.5), (("presliding",), 1.5), (("stribeck@nut",), 1.0), (("backlash",), 1.4)],
+    [((), 1.5), (("presliding",), 1.3), (("stribeck@nut",), 1.0), (("backlash",), 1.4)],
 )
 def test_halving_the_step_converges(effects, order):
     model = MODEL

@@ -27,7 +27,7 @@ _GAUSS_X = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.960289
 _GAUSS_W = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _solve_inverse(matrix: FloatArray, size: int) -> FloatArray:
     """Inverse by Gauss-Jordan with pivoting; small matrices only."""
     work = np.zeros((size, 2 * size))
@@ -54,7 +54,7 @@ def _solve_inverse(matrix: FloatArray, size: int) -> FloatArray:
     return work[:, size:].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def chain_matrices(par: FloatArray, x_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mass, damping and stiffness of [motor angle, screw angle, screw axial, table] at x."""
     mass = np.zeros((4, 4))
@@ -97,7 +97,7 @@ def chain_matrices(par: FloatArray, x_m: float) -> tuple[FloatArray, FloatArray,
     return mass, damping, stiffness
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _chain_system(par: FloatArray, x_m: float) -> tuple[FloatArray, float]:
     """Continuous matrices [A | B] (8 x 13) at x and a bound of their rates in 1/s."""
     rho = par[s.LEAD]
@@ -149,7 +149,7 @@ def _chain_system(par: FloatArray, x_m: float) -> tuple[FloatArray, float]:
     return system, max(math.sqrt(trace), drag)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_matrices(par: FloatArray, x_m: float, step_s: float) -> FloatArray:
     """Exact step of the chain at x over ``step_s``: [A | B], shape (8, 13).
 
@@ -201,16 +201,16 @@ def step_matrices(par: FloatArray, x_m: float, step_s: float) -> FloatArray:
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_bank(par: FloatArray, first_m: float, spacing_m: float, n_nodes: int, step_s: float):  # type: ignore[no-untyped-def] # noqa: ANN201
-    """Step matrices at equidistant nodes along the screw, shape (n_nodes, 8, 13)."""
-    bank = np.zeros((n_nodes, N_STATES, N_COLUMNS))
+    """Transposed step matrices at equidistant nodes along the screw, shape (n_nodes, 13, 8)."""
+    bank = np.zeros((n_nodes, N_COLUMNS, N_STATES))
     for node in range(n_nodes):
-        bank[node] = step_matrices(par, first_m + node * spacing_m, step_s)
+        bank[node] = step_matrices(par, first_m + node * spacing_m, step_s).T
     return bank
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mean_decay(y: float, start: float, end: float) -> float:
     """Time mean of exp(-y p) along a leg with linear speed from ``start`` to ``end``, same sign.
 
@@ -234,7 +234,7 @@ def _mean_decay(y: float, start: float, end: float) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _dahl(
     force: float,
     moved: float,
@@ -293,13 +293,15 @@ def _dahl(
     return mean, end
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _coulomb(change: float, speed: float, level: float, push: float) -> tuple[float, float]:
     """Mean force and end force of ideal Coulomb friction over a substep.
 
     ``change`` is what the speed would change by without the force and ``push`` the change per unit
     of force. Speed is linear in time: a reversal ends in stick if the level can hold the drive.
     """
+    if level <= 0.0:
+        return 0.0, 0.0
     hold = change / push
     sign = 1.0 if speed > 0.0 else -1.0
     if speed == 0.0:
@@ -313,7 +315,46 @@ def _coulomb(change: float, speed: float, level: float, push: float) -> tuple[fl
     return share * sign * level + (1.0 - share) * end, end
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _three_coulomb(
+    speeds: FloatArray,
+    d0: float,
+    d1: float,
+    d2: float,
+    v0: float,
+    v1: float,
+    v2: float,
+    l0: float,
+    l1: float,
+    l2: float,
+    m0: float,
+    m1: float,
+    m2: float,
+) -> tuple[float, float, float, float, float, float]:
+    """Mean and end forces of ideal Coulomb friction at motor, nut and guide, which act together.
+
+    ``d`` is the change of speed without friction, ``v`` the speed before, ``l`` the level and
+    ``m`` the mean force of the last substep, from which the sweeps start.
+    """
+    s00, s01, s02 = speeds[0, 0], speeds[0, 1], speeds[0, 2]
+    s10, s11, s12 = speeds[1, 0], speeds[1, 1], speeds[1, 2]
+    s20, s21, s22 = speeds[2, 0], speeds[2, 1], speeds[2, 2]
+    e0, e1, e2 = m0, m1, m2
+    for _ in range(4):
+        old0, old1, old2 = m0, m1, m2
+        m0, e0 = _coulomb(d0 - s01 * m1 - s02 * m2, v0, l0, s00)
+        m1, e1 = _coulomb(d1 - s10 * m0 - s12 * m2, v1, l1, s11)
+        m2, e2 = _coulomb(d2 - s20 * m0 - s21 * m1, v2, l2, s22)
+        if (
+            abs(m0 - old0) <= 1e-6 * l0
+            and abs(m1 - old1) <= 1e-6 * l1
+            and abs(m2 - old2) <= 1e-6 * l2
+        ):
+            break
+    return m0, m1, m2, e0, e1, e2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _slip_elements(
     forces: FloatArray,
     ends: FloatArray,
@@ -354,7 +395,7 @@ def _slip_elements(
     return mean
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
     """Elastic force of the nut joint beyond k_n delta, its derivative, and the share of damping.
 
@@ -393,7 +434,31 @@ def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
     return force, slope, share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean_joint(par: FloatArray, first: float, last: float) -> tuple[float, float, float]:
+    """Means of ``joint_force`` along a straight path between two deflections.
+
+    At the middle where the path stays on one branch, by Gauss points where it crosses a kink.
+    """
+    _, slope_0, share_0 = joint_force(par, first)
+    _, slope_1, share_1 = joint_force(par, last)
+    force, slope, share = joint_force(par, 0.5 * (first + last))
+    if share_0 == share_1 and abs(slope_0 - slope_1) < 0.05 * par[s.K_NUT]:
+        return force, slope, share
+    force = 0.0
+    slope = 0.0
+    share = 0.0
+    for i in range(4):
+        for side in range(2):
+            u = 0.5 + (0.5 - side) * _GAUSS_X[i]
+            f, g, d = joint_force(par, first + u * (last - first))
+            force += 0.5 * _GAUSS_W[i] * f
+            slope += 0.5 * _GAUSS_W[i] * g
+            share += 0.5 * _GAUSS_W[i] * d
+    return force, slope, share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _lead(par: FloatArray, theta: float, grown: float) -> tuple[float, float]:
     """Lead error of the screw at a nut angle, m, and its derivative, m/rad.
 
@@ -408,7 +473,7 @@ def _lead(par: FloatArray, theta: float, grown: float) -> tuple[float, float]:
     return error, slope
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _strain(par: FloatArray, t: float) -> float:
     """Thermal strain of the screw at a time."""
     if par[s.GROWTH] == 0.0:
@@ -416,7 +481,7 @@ def _strain(par: FloatArray, t: float) -> float:
     return float(par[s.GROWTH] * (1.0 - math.exp(-max(t, 0.0) / par[s.GROWTH_TIME])))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
     """Table term at a coordinate: linear between knots, held at the ends or periodic."""
     if term[s.TERM_PERIOD] > 0.0:
@@ -431,7 +496,7 @@ def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
     return float(values[i] + (place - i) * (values[i + 1] - values[i]))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(
     par: FloatArray,
     bank: FloatArray,
@@ -460,12 +525,16 @@ def run(
     rigid = par[s.RIGID] > 0.5
     fade = 0.0 if par[s.CURRENT_RATE] <= 0.0 else math.exp(-par[s.CURRENT_RATE] * h)
     ideal_current = par[s.CURRENT_RATE] <= 0.0
-    W = np.zeros((N_STATES, N_COLUMNS))
+    # Transposed, so that a step is a sum of columns (vector instructions).
+    W = np.zeros((N_COLUMNS, N_STATES))
+    moves = np.zeros((3, 3))
+    speeds = np.zeros((3, 3))
     z = np.zeros(N_STATES)
     zf = np.zeros(N_STATES)
     history = np.zeros(_HISTORY)
     slip = np.zeros(8)
     delay_steps = par[s.DELAY] / h
+    rate_h = 1.0 / h
 
     use_stribeck = (
         par[s.STRIBECK_GUIDE] != 0.0 or par[s.STRIBECK_NUT] != 0.0 or par[s.STRIBECK_MOTOR] != 0.0
@@ -487,6 +556,12 @@ def run(
     use_load = par[s.NUT_LOAD] != 0.0 and not rigid
     n_terms = terms.shape[0]
     n_gms = int(par[s.GMS_N])
+    all_sharp = (
+        n_gms == 0
+        and par[s.GUIDE + s.BREAK] <= 0.0
+        and par[s.NUT + s.BREAK] <= 0.0
+        and par[s.MOTOR + s.BREAK] <= 0.0
+    )
 
     # At rest and relaxed on the first desired position.
     theta0 = desired_m[0] / rho
@@ -613,7 +688,9 @@ def run(
         old_read = motor_read
         old_desired = desired
         old_vc = vc
-        history[k % _HISTORY] = min(max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT])
+        history[k & (_HISTORY - 1)] = min(
+            max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT]
+        )
 
         delta = z[3] - rho * z[1] - z[2] - lead
         out[0, k] = motor_read
@@ -633,10 +710,20 @@ def run(
         node = min(int(place), max(n_nodes - 2, 0))
         w1 = place - node
         after = min(node + 1, n_nodes - 1)
-        for i in range(N_STATES):
-            for j in range(N_COLUMNS):
-                W[i, j] = bank[node, i, j] + w1 * (bank[after, i, j] - bank[node, i, j])
-        mobility_joint = -(W[3, 12] - rho * W[1, 12] - W[2, 12])
+        for j in range(N_COLUMNS):
+            for i in range(N_STATES):
+                W[j, i] = bank[node, j, i] + w1 * (bank[after, j, i] - bank[node, j, i])
+        # How motor, nut and table move (and speed up) per friction force at each of the three.
+        for i in range(3):
+            row = 3 if i == 2 else i
+            for j in range(3):
+                column = 11 if j == 2 else (10 if j == 1 else 8)
+                moves[i, j] = W[column, row]
+                speeds[i, j] = W[column, 4 + row]
+        bends_0 = W[8, 3] - rho * W[8, 1] - W[8, 2]
+        bends_1 = W[10, 3] - rho * W[10, 1] - W[10, 2]
+        bends_2 = W[11, 3] - rho * W[11, 1] - W[11, 2]
+        mobility_joint = -(W[12, 3] - rho * W[12, 1] - W[12, 2])
 
         warm = 1.0
         if use_warmup:
@@ -649,11 +736,11 @@ def run(
             to_next = (cell + 1.0) * n_sub - late
             held = 0.0
             if cell >= 0:
-                held = history[int(cell) % _HISTORY]
+                held = history[int(cell) & (_HISTORY - 1)]
             if to_next < 1.0:
                 following = 0.0
                 if cell + 1 >= 0:
-                    following = history[int(cell + 1) % _HISTORY]
+                    following = history[int(cell + 1) & (_HISTORY - 1)]
                 held = to_next * held + (1.0 - to_next) * following
             fading = motor_torque - held
             if ideal_current:
@@ -759,11 +846,23 @@ def run(
             level_motor *= warm
             # ---- chain without friction
             drive = held + push_motor
+            # (scalars first: one loop over the states that the compiler can vectorise)
+            z0, z1, z2, z3, z4, z5, z6, z7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
             for i in range(N_STATES):
-                total = W[i, 8] * drive + W[i, 9] * fading
-                for j in range(N_STATES):
-                    total += W[i, j] * z[j]
-                zf[i] = total + W[i, 10] * push_nut + W[i, 11] * push_table
+                zf[i] = (
+                    W[8, i] * drive
+                    + W[9, i] * fading
+                    + W[10, i] * push_nut
+                    + W[11, i] * push_table
+                    + W[0, i] * z0
+                    + W[1, i] * z1
+                    + W[2, i] * z2
+                    + W[3, i] * z3
+                    + W[4, i] * z4
+                    + W[5, i] * z5
+                    + W[6, i] * z6
+                    + W[7, i] * z7
+                )
 
             # ---- joint beyond its linear spring
             middle_lead = 0.0
@@ -774,6 +873,8 @@ def run(
                     lead, lead_slope = _lead(par, zf[1], grown)
                     middle_lead = 0.5 * (old_lead + lead)
                 new_delta = zf[3] - rho * zf[1] - zf[2] - lead
+                # Friction of this substep is not known yet: that of the last one bends the joint.
+                new_delta -= bends_0 * mean[0] + bends_1 * mean[1] + bends_2 * mean[2]
                 mean_delta = 0.5 * (old_delta + new_delta)
                 # The bank's spring and damper follow x - rho theta - u: take the lead out of it.
                 damper = par[s.K_NUT] * par[s.BETA]
@@ -783,7 +884,7 @@ def run(
                 guess = mean_delta
                 extra = 0.0
                 for _ in range(6):
-                    pull, slope, share = joint_force(par, guess)
+                    pull, slope, share = _mean_joint(par, old_delta, 2.0 * guess - old_delta)
                     missing = (1.0 - share) * damper * 2.0 / h
                     extra = base_force + pull - missing * (guess - old_delta)
                     rate = 1.0 + gain * (slope - missing)
@@ -792,10 +893,11 @@ def run(
                     if abs(change) < 1e-13:
                         break
                 for i in range(N_STATES):
-                    zf[i] += W[i, 12] * extra
+                    zf[i] += W[12, i] * extra
 
             if use_load:
                 pull = 0.5 * (z[3] + zf[3] - rho * (z[1] + zf[1]) - z[2] - zf[2]) - middle_lead
+                pull -= 0.5 * (bends_0 * mean[0] + bends_1 * mean[1] + bends_2 * mean[2])
                 total = par[s.K_NUT] * pull
                 if use_joint:
                     total += joint_force(par, pull)[0]
@@ -803,51 +905,65 @@ def run(
 
             # ---- friction, solved with the motion that it lets through: from the forces of the
             # last substep, site by site, until they agree
-            for i in range(3):
-                row = 3 if i == 2 else i
-                moved[i] = zf[row] - z[row]
-                gained[i] = zf[4 + row] - z[4 + row]
-                start[i] = z[4 + row]
-                for j in range(3):
-                    column = 11 if j == 2 else (10 if j == 1 else 8)
-                    moved[i] -= W[row, column] * mean[j]
-                    gained[i] -= W[4 + row, column] * mean[j]
-            for _ in range(4):
-                largest = 0.0
+            if all_sharp:
+                (mean[0], mean[1], mean[2], force[0], force[1], force[2]) = _three_coulomb(
+                    speeds,
+                    zf[4] - z4,
+                    zf[5] - z5,
+                    zf[7] - z7,
+                    z4,
+                    z5,
+                    z7,
+                    level_motor,
+                    level_nut,
+                    level_guide,
+                    mean[0],
+                    mean[1],
+                    mean[2],
+                )
+            else:
                 for i in range(3):
-                    level = level_motor if i == 0 else (level_nut if i == 1 else level_guide)
                     row = 3 if i == 2 else i
-                    column = 11 if i == 2 else (10 if i == 1 else 8)
-                    old = mean[i]
-                    free = moved[i] + W[row, column] * old
-                    if level <= 0.0:
-                        new = 0.0
-                        end_force[i] = 0.0
-                    elif i == 2 and n_gms > 0:
-                        new = _slip_elements(slip, slip_end, par, free, level, W[row, column])
-                    else:
-                        site = s.GUIDE if i == 2 else (s.NUT if i == 1 else s.MOTOR)
-                        push = W[4 + row, column]
-                        if par[site + s.BREAK] <= 0.0:
-                            new, end_force[i] = _coulomb(
-                                gained[i] + push * old, start[i], level, push
-                            )
+                    start[i] = z[4 + row]
+                    moved[i] = zf[row] - z[row]
+                    gained[i] = zf[4 + row] - start[i]
+                    for j in range(3):
+                        moved[i] -= moves[i, j] * mean[j]
+                        gained[i] -= speeds[i, j] * mean[j]
+                for _ in range(4):
+                    largest = 0.0
+                    for i in range(3):
+                        level = level_motor if i == 0 else (level_nut if i == 1 else level_guide)
+                        old = mean[i]
+                        if level <= 0.0:
+                            new = 0.0
+                            end_force[i] = 0.0
+                        elif i == 2 and n_gms > 0:
+                            free = moved[i] + moves[i, i] * old
+                            new = _slip_elements(slip, slip_end, par, free, level, moves[i, i])
                         else:
-                            new, end_force[i] = _bristle(
-                                force[i], free, level, par, site, W[row, column], h, start[i]
-                            )
-                    step = new - old
-                    if step != 0.0:
-                        mean[i] = new
-                        largest = max(largest, abs(step) - 1e-6 * level)
-                        for j in range(3):
-                            other = 3 if j == 2 else j
-                            moved[j] -= W[other, column] * step
-                            gained[j] -= W[4 + other, column] * step
-                if largest <= 0.0:
-                    break
-            for i in range(3):
-                force[i] = end_force[i]
+                            site = s.GUIDE if i == 2 else (s.NUT if i == 1 else s.MOTOR)
+                            if par[site + s.BREAK] <= 0.0:
+                                push = speeds[i, i]
+                                new, end_force[i] = _coulomb(
+                                    gained[i] + push * old, start[i], level, push
+                                )
+                            else:
+                                free = moved[i] + moves[i, i] * old
+                                new, end_force[i] = _bristle(
+                                    force[i], free, level, par, site, moves[i, i], h, start[i]
+                                )
+                        step = new - old
+                        if step != 0.0:
+                            mean[i] = new
+                            largest = max(largest, abs(step) - 1e-6 * level)
+                            for j in range(3):
+                                moved[j] -= moves[j, i] * step
+                                gained[j] -= speeds[j, i] * step
+                    if largest <= 0.0:
+                        break
+                for i in range(3):
+                    force[i] = end_force[i]
             if n_gms > 0:
                 force[2] = 0.0
                 for i in range(n_gms):
@@ -856,20 +972,22 @@ def run(
             table_a = z[7]
             nut_a = z[5]
             motor_a = z[4]
+            mean_0, mean_1, mean_2 = mean[0], mean[1], mean[2]
             for i in range(N_STATES):
-                z[i] = zf[i] - W[i, 8] * mean[0] - W[i, 10] * mean[1] - W[i, 11] * mean[2]
-            table_a = (z[7] - table_a) / h
-            nut_a = (z[5] - nut_a) / h
-            motor_a = (z[4] - motor_a) / h
+                z[i] = zf[i] - W[8, i] * mean_0 - W[10, i] * mean_1 - W[11, i] * mean_2
+            table_a = (z[7] - table_a) * rate_h
+            nut_a = (z[5] - nut_a) * rate_h
+            motor_a = (z[4] - motor_a) * rate_h
             motor_torque = held + fade * fading
             if use_lead and not rigid:
                 lead, lead_slope = _lead(par, z[1], grown)
-            if level_guide > 0.0:
-                guide_state = force[2] / level_guide
-            if level_nut > 0.0:
-                nut_state = force[1] / level_nut
+            if n_terms > 0:
+                guide_state = force[2] / level_guide if level_guide > 0.0 else 0.0
+                nut_state = force[1] / level_nut if level_nut > 0.0 else 0.0
 
             # ---- distance since reversal of the nut; a reversal is a return by 0.05 mrad
+            if not (use_dip or n_terms > 0):
+                continue
             if (z[1] - extreme) * heading >= 0.0:
                 since += abs(z[1] - extreme)
                 extreme = z[1]
@@ -880,7 +998,7 @@ def run(
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _bristle(
     force: float,
     moved: float,
@@ -903,7 +1021,7 @@ def _bristle(
     return mean, end
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _term(
     term: FloatArray,
     values: FloatArray,

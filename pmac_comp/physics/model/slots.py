@@ -134,9 +134,6 @@ def neutral_vector() -> FloatArray:
         GROWTH_TIME: 1.0,
         SOFT_RATIO: 1.0,
         FILTER: 1.0,
-        GUIDE + BREAK: 1.0,
-        NUT + BREAK: 1.0,
-        MOTOR + BREAK: 1.0,
     }.items():
         vector[index] = value
     return vector

@@ -36,6 +36,6 @@ EFFECT = Effect(
     look_alikes=("preload_loss", "presliding", "coulomb"),
     starts=({"gap_m": 2e-6}, {"gap_m": 6e-6}),
     hides_behind=("coulomb.guide_N", "chain.axial_stiffness_N_per_m"),
-    min_substeps=8,
+    min_substeps=4,
     rigid=False,
 )

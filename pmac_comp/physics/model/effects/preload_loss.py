@@ -41,6 +41,6 @@ EFFECT = Effect(
     look_alikes=("backlash", "axial_stiffness_nonlinear"),
     starts=({"half_width_m": 1e-6}, {"half_width_m": 4e-6}),
     hides_behind=("coulomb.guide_N", "chain.axial_stiffness_N_per_m"),
-    min_substeps=8,
+    min_substeps=4,
     rigid=False,
 )
