@@ -1,7 +1,8 @@
 """The drive model as a value: names, bounds, effects, refusals."""
 
+import multiprocessing
 import pickle
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -322,3 +323,25 @@ def test_gain_variables_of_a_closed_loop_slower_than_the_servo_are_refused():
     )
     with pytest.raises(ConfigError, match="I160"):
         DriveModel.base(BENCH.model_copy(update={"controller": control})).kernel_vector()
+
+
+def test_any_executor_can_be_handed_in():
+    # A process pool needs models that travel; a Dask cluster asks for the same.
+    models = [MODEL.with_effect("backlash", {"gap_m": gap}) for gap in (1e-6, 4e-6)]
+    alone = [simulate(model, MOTION).table_position_m for model in models]
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        there = simulate_many(models, [MOTION], executor=pool)
+    for one, two in zip(alone, there, strict=True):
+        assert np.array_equal(one, two.table_position_m)
+
+
+def test_a_dask_cluster_runs_many_simulations():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        there = simulate_many([MODEL, MODEL], [MOTION], executor=client.get_executor())
+    assert np.array_equal(there[0].table_position_m, simulate(MODEL, MOTION).table_position_m)
