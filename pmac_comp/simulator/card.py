@@ -161,6 +161,7 @@ class Card:
                 self._background()
                 late = self._elapsed - self._next_background
                 self._next_background += BACKGROUND_CYCLES * (late // BACKGROUND_CYCLES + 1)
+        self.refresh_status()
 
     def _has_background(self) -> bool:
         return (

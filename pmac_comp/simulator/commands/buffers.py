@@ -53,7 +53,7 @@ def _clear_all(context: LineContext) -> None:
     context.card.programs_changed()
 
 
-@command("CLEAR", "CLR")
+@command("CLEAR")
 def _clear(context: LineContext) -> None:
     if context.card.rotary.is_open_on(context.owner):
         context.card.rotary.clear(context.modal.cs)
@@ -66,7 +66,7 @@ def _close_all(context: LineContext) -> None:
     context.card.close(context.owner, force=True)
 
 
-@command("CLOSE", "CLS")
+@command("CLOSE")
 def _close(context: LineContext) -> None:
     context.card.close(context.owner)
 

@@ -75,10 +75,15 @@ def _hold(context: LineContext) -> None:
     context.card.feed_hold(context.modal.cs)
 
 
-@command("\\")
+@command("\\", "<")
 def _quick_stop(context: LineContext) -> None:
-    # Outside lookahead the quick stop acts as feed hold (p. 278).
+    # Outside lookahead the quick stop and the reversal act as feed hold (p. 278).
     context.card.feed_hold(context.modal.cs)
+
+
+@command(">")
+def _resume_forward(context: LineContext) -> None:
+    context.card.run(context.modal.cs)
 
 
 @command("/")

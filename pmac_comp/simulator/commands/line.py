@@ -7,6 +7,7 @@ open on the port, text that is legal program text goes into the buffer instead.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -23,6 +24,36 @@ Handler = Callable[["LineContext"], None]
 KEYWORDS: dict[str, Handler] = {}
 _BY_FIRST: dict[str, list[str]] = {}
 MAX_ANSWER_LINES = 100_000
+# Words of the real card that are not supported here. Without this list their first letters would
+# be taken for short commands: SETPHASE for a step, ROT for a run, AROT for an abort.
+REFUSED_WORDS = (
+    "ADIS",
+    "AROT",
+    "CCBUF",
+    "CIRCLE",
+    "DISPLAY",
+    "IDIS",
+    "IROT",
+    "LEARN",
+    "LOOKAHEAD",
+    "MACRO",
+    "NORMAL",
+    "PRELUDE",
+    "RD:",
+    "RDP",
+    "RF:",
+    "RF$",
+    "RHD",
+    "RHF",
+    "READ",
+    "ROT",
+    "SETPHASE",
+    "SPLINE2",
+    "TINIT",
+    "TRACE",
+    "TSEL",
+)
+_WORD = re.compile(r"[A-Z]+")
 
 
 def command(*keywords: str) -> Callable[[Handler], Handler]:
@@ -122,12 +153,34 @@ def execute_command(context: LineContext) -> None:
             if word is not None and len(word) > len(keyword):
                 # STOP is a program statement, not S followed by nonsense.
                 raise CardError(5)
+            if keyword.isalpha() and scanner.text[end : end + 1].isalpha():
+                _refuse_other_words(scanner, start)
             KEYWORDS[keyword](context)
             return
     if character.isdigit() or character in ".-":
         _bare_constant(context)
         return
     raise CardError(3, f"unknown command at '{scanner.rest}'")
+
+
+def _refuse_other_words(scanner: Scanner, start: int) -> None:
+    """Refuse the word at `start` if a shorter command was only seen in its beginning."""
+    text = scanner.text[start:]
+    match = _WORD.match(text)
+    if text.startswith(REFUSED_WORDS) or (match and not _splits_into_commands(match.group())):
+        raise CardError(3, f"unknown word at '{text}'")
+
+
+def _splits_into_commands(word: str) -> bool:
+    """Whether a run of letters is a sequence of keywords (``PVF``); the last may go on."""
+    while word:
+        group = _BY_FIRST.get(word[0], ())
+        keyword = next((k for k in group if word.startswith(k)), None)
+        if keyword is None:
+            # A keyword whose end lies beyond the letters, such as PASSWORD=.
+            return any(k.startswith(word) and not k.isalpha() for k in group)
+        word = word[len(keyword) :]
+    return True
 
 
 def _bare_constant(context: LineContext) -> None:

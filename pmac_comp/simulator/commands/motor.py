@@ -38,6 +38,7 @@ def _status(context: LineContext) -> None:
     if context.scanner.take("??"):
         context.answer(context.card.status.global_words())
     elif context.scanner.take("?"):
+        context.card.refresh_status()
         context.answer(context.card.status.cs_words(context.modal.cs))
     else:
         context.answer(context.card.status.motor_words(context.modal.motor))

@@ -69,8 +69,19 @@ class StatementParser(ExpressionParser):
         start = self.scanner.position
         found = self._keyword() or self._assignment() or self._move()
         if found is None:
+            self._refuse_codes(start)
             self.scanner.position = start
         return found
+
+    def _refuse_codes(self, start: int) -> None:
+        """Refuse G, M, T and D codes and arc vectors, which are program text on a real card."""
+        self.scanner.position = start
+        if self.buffer != MOTION:
+            return
+        letter = self.scanner.take("G", "M", "T", "D", "I", "J", "K", "R")
+        if letter is not None and self.scanner.peek()[:1].isdigit():
+            raise CardError(3, f"{letter} codes are not supported")
+        self.scanner.position = start
 
     # --- assignments ----------------------------------------------------------------------------
 
@@ -416,3 +427,9 @@ def program_word(scanner: Scanner) -> str | None:
                 scanner.position = start
                 break
     return max(found, key=len, default=None)
+
+
+def words_of(buffer: str) -> list[str]:
+    """Words that may start a statement of a motion (``PROG``) or PLC program."""
+    table = _MOTION_NAMES if buffer == MOTION else _PLC_NAMES
+    return sorted(name for names in table.values() for name in names)
