@@ -155,6 +155,24 @@ def test_f06_text_of_programs_is_kept():
 
 
 @pytest.mark.parametrize("framing", FRAMINGS)
+def test_f06_text_of_programs_glued_behind_an_answer_is_no_fault(framing):
+    size = answer_size(framing, lambda c: c.query("P5"))
+    bench = LinkBench(framing, card=tagged_card())
+    speech = format_unsolicited("MOVE DONE")
+    peer = bench.tap.receive
+
+    def glued(deadline):
+        data = peer(deadline)
+        return data + speech if len(data) == size else data
+
+    bench.tap.receive = glued
+    assert bench.commander.query("P5") == ["55"]
+    assert bench.commander.take_unsolicited() == ["MOVE DONE"]
+    assert bench.commander.statistics.retries == 0
+    assert bench.commander.statistics.resynchronisations == 0
+
+
+@pytest.mark.parametrize("framing", FRAMINGS)
 def test_f08_a_slow_peer_meets_the_total_deadline(framing):
     bench = LinkBench(framing, card=tagged_card())
     bench.break_link([Fault(FaultKind.SLOW, Way.RECEIVE, argument=1.0)])

@@ -133,6 +133,20 @@ def test_a_refused_line_of_a_download_is_named(framing):
     assert len(card.executed) == len(set(card.executed) - {"I3I4I6I9"}) + 1  # no line went twice
 
 
+@pytest.mark.parametrize("framing", PORTS)
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_the_first_and_the_last_refused_line_are_candidates(framing, place):
+    lines = ["P1=1", "P2=2", "P3=3"]
+    lines[place] = "NONSENSE"
+    with pytest.raises(CommandRefused, match="NONSENSE") as caught:
+        conversation(framing).write_buffer(lines)
+    candidates = caught.value.context["candidates"]
+    assert place in candidates
+    assert len(candidates) <= 2
+    if place == 2:  # only one line can be meant, whatever the count starts from
+        assert caught.value.context["line_index"] in {2, None}
+
+
 def test_downloads_report_progress():
     seen = []
     conversation().write_buffer(
@@ -279,8 +293,8 @@ def test_limits_are_reached_and_not_passed():
     longest = "P1" * 127 + " "
     assert len(longest) == 255
     assert len(commander.query(longest)) == 127
-    lines = [b"x" * 255] * 8
-    assert [len(batch) for batch in buffer_batches(lines, single=False)] == [4, 4]
+    lines = [b"x" * 255] * 12
+    assert [len(batch) for batch in buffer_batches(lines, single=False)] == [4, 4, 4]
     assert [len(batch) for batch in buffer_batches([*lines[:4], b""], single=False)] == [4, 1]
 
 
