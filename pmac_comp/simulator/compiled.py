@@ -5,6 +5,7 @@ calls into does. What lives here: the check that closes this gap. What may not: 
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -29,4 +30,6 @@ def keep_fresh(function: Callable[..., Any], *modules: ModuleType) -> None:
     sources = [Path(file) for module in modules if (file := module.__file__) is not None]
     newest = max((source.stat().st_mtime for source in sources if source.exists()), default=0.0)
     if any(index.stat().st_mtime < newest for index in indexes):
-        cache.flush()
+        # Another process may be renewing it just now, or the cache may be read-only.
+        with suppress(OSError):
+            cache.flush()
