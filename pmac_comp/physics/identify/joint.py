@@ -34,7 +34,7 @@ from pmac_comp.physics.identify.result import (
     correlation_of,
     estimate,
 )
-from pmac_comp.physics.identify.rigid import rigid_regression
+from pmac_comp.physics.identify.rigid import force_of, rigid_regression
 from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
@@ -125,12 +125,21 @@ def _identify_elastic(
     if has_scale:
         tell("linear start from the two regressions", 0.0)
         start = starting_model(captures, bench, start)
-    plain = set(start.effects) <= _NO_DETAIL_AT_REST
+    plain = has_scale and set(start.effects) <= _NO_DETAIL_AT_REST
     records = [rec.prepare(capture, bench, skip_reversals=plain) for capture in captures]
     own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
     free_map = static_map == "free" or (static_map == "auto" and not own)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
-    fit = refine(records, columns, start, bench, names=names, progress=tell, executor=executor)
+    fit = refine(
+        records,
+        columns,
+        start,
+        bench,
+        names=names,
+        weights="white" if start.is_rigid else "coloured",
+        progress=tell,
+        executor=executor,
+    )
     require_converged(fit)
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
@@ -263,7 +272,7 @@ def _rigid_residuals(
         cut = slice(None, None, record.stride)
         n = record.capture.n
         motor = record.capture.motor_position_m - response.motor_position_m[cut][:n]
-        measured = record.full[:, 0]
+        measured = force_of(record.capture, bench) * bench.lead_m_per_rad
         torque = measured - response.torque_command_Nm[cut][:n]
         ok = record.capture.mask
         found.append(

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -32,7 +33,7 @@ _FREE_PRIOR_SCALES = 2.0
 _STEP_FRAC = 2e-3
 _BLOCK_s = 0.2
 _WHITE_ROUNDS = 3
-_COLOURED_ROUNDS = 6
+_COLOURED_ROUNDS = 12
 _DONE_STEP = 0.3  # of a standard deviation
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
@@ -156,6 +157,7 @@ def refine(
     bench: Bench,
     *,
     names: Iterable[str] | None = None,
+    weights: Literal["coloured", "white"] = "coloured",
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Fit:
@@ -171,6 +173,10 @@ def refine(
         Resolutions of the sensors.
     names : iterable of str or None
         Parameters to estimate; None means all but orders of harmonics.
+    weights : "coloured" or "white"
+        Whether residuals are whitened by an autoregressive model. What a rigid model leaves of a
+        real drive is mostly its own error, not sensor noise: ``white`` then keeps the simulated
+        position near the measured one at all frequencies alike.
     progress : callable or None
         Called with a text and the fraction done.
     executor : Executor or None
@@ -184,9 +190,11 @@ def refine(
         The model is unstable at the start.
     """
     if executor is not None:
-        return _refine(_problem(records, nuisance, model, bench, names, executor), bench, progress)
+        problem = _problem(records, nuisance, model, bench, names, executor)
+        return _refine(problem, weights, progress)
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
-        return _refine(_problem(records, nuisance, model, bench, names, own), bench, progress)
+        problem = _problem(records, nuisance, model, bench, names, own)
+        return _refine(problem, weights, progress)
 
 
 def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:
@@ -244,7 +252,7 @@ def _prior_information(spec: ParameterSpec) -> float:
     return float((_FREE_PRIOR_SCALES * abs(spec.scale)) ** -2)
 
 
-def _refine(problem: _Problem, bench: Bench, progress: Progress | None) -> Fit:
+def _refine(problem: _Problem, weights: str, progress: Progress | None) -> Fit:
     tell = progress or (lambda _text, _fraction: None)
     theta = problem.bounded(
         np.array([problem.model.parameters[spec.name] for spec in problem.specs]) / problem.scales
@@ -262,14 +270,18 @@ def _refine(problem: _Problem, bench: Bench, progress: Progress | None) -> Fit:
                 break
         residuals = problem.residuals(theta)
         eta = _linear_part(problem, residuals, filters)
-        filters = _coloured_filters(problem, _without(problem, residuals, eta))
-    for _ in range(_QUANTISED_ROUNDS):
+        left = _without(problem, residuals, eta)
+        reweigh = _coloured_filters if weights == "coloured" else _white_filters
+        filters = reweigh(problem, left)
+    final = None
+    for _ in range(_QUANTISED_ROUNDS if weights == "coloured" else 0):
         tell("accounting for what the encoder rounds", rounds / total)
         final = _normal(problem, theta, filters, quantised=True)
         theta, step = _plain_step(problem, theta, final)
         rounds += 1
     tell("refined", 1.0)
-    return _finished(problem, theta, final, rounds, step)
+    last = _normal(problem, theta, filters) if final is None else final
+    return _finished(problem, theta, last, rounds, step)
 
 
 def _finished(

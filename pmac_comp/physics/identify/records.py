@@ -7,7 +7,8 @@ Imports ``physics.model``, ``files`` and ``base``.
 Comparison is made below about 150 Hz: above it encoder rounding and the stick zone speak.
 The channels are torque and table minus motor: a disturbance that the model does not know moves
 motor and table together by tens of um and leaves their difference alone, while motor position and
-torque are one signal seen through the control law. Without torque, the motor position is used.
+torque are one signal seen through the control law. Without torque or without a scale, the motor
+position is used.
 """
 
 from collections.abc import Sequence
@@ -272,7 +273,7 @@ def _channels(capture: Capture) -> dict[str, FloatArray]:
     if _is_load_step(capture) and capture.table_position_m is not None:
         # A stuck motor holds any torque: at standstill only the table answers to the load.
         return {"difference": capture.table_position_m - capture.motor_position_m}
-    if capture.torque_command_Nm is not None:
+    if capture.torque_command_Nm is not None and capture.table_position_m is not None:
         named["torque"] = capture.torque_command_Nm
     else:
         named["motor"] = capture.motor_position_m
