@@ -21,6 +21,10 @@ from pmac_comp.physics.model.parameters import ParameterSpec
 _STEP_FRAC = 0.02
 # A tolerance is one half-width; a value anywhere inside is as likely: sigma = half-width/sqrt 3.
 _UNIFORM = 1.0 / math.sqrt(3.0)
+# The likelihood is over-confident: what model and drive differ by in the last tenth of a
+# micrometre is not noise. Priors are given this many times their weight so that such differences
+# do not drag known parameters to the ends of their tolerance.
+TEMPER = 20.0
 _EDGE = 1.02
 
 
@@ -70,7 +74,7 @@ def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
             return None
         lower = max(lower, spec.nominal - _EDGE * width)
         upper = min(upper, spec.nominal + _EDGE * width)
-        centre, sigma = spec.nominal, width * _UNIFORM
+        centre, sigma = spec.nominal, width * _UNIFORM / math.sqrt(TEMPER)
     step = _step(spec, value, lower, upper)
     if step == 0.0:
         return None

@@ -197,7 +197,6 @@ def _evidence(grown: Grown, library: Mapping[str, Effect]) -> tuple[Evidence, ..
             status = "chosen" if chosen else "lost"
             if contender.effect in done.tied:
                 status = "tied"
-            fitted = gap(grown.bench.judging_records, contender.fitted.model, grown.bench.executor)
             found.append(
                 Evidence(
                     contender.effect,
@@ -206,7 +205,7 @@ def _evidence(grown: Grown, library: Mapping[str, Effect]) -> tuple[Evidence, ..
                     contender.screened.fit_gain,
                     contender.bic_gain,
                     contender.p_value,
-                    fitted.position_um,
+                    contender.gap_um,
                     status,
                 )
             )

@@ -6,7 +6,8 @@ What lives here: covariances that count the correlation of what is left. May imp
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.diagnose.gram import Gram, Solution
+from pmac_comp.physics.diagnose.candidates import TEMPER
+from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.refit import linearised
 from pmac_comp.physics.diagnose.result import Estimate, Finding
@@ -22,6 +23,7 @@ def estimates_of(grown: Grown) -> tuple[Estimate, ...]:
     part = grown.bench.fitting_bench()
     model = grown.final.model
     gram, directions = linearised(part, grown.final_on(part), None)
+    gram = gram.with_bounds(untempered(gram.prior))
     solution = gram.solve(range(gram.n_columns))
     spread = np.sqrt(np.maximum(np.diag(robust_covariance(gram, solution)), 0.0))
     found = []
@@ -37,6 +39,12 @@ def estimates_of(grown: Grown) -> tuple[Estimate, ...]:
         unit = spec.file_unit or spec.unit
         found.append(Estimate(name, value, unit, width, value - Z95 * width, value + Z95 * width))
     return tuple(found)
+
+
+def untempered(prior: Prior) -> Prior:
+    """Priors as the bench file states them, free of bounds: what an interval must count."""
+    wide = np.full(prior.sigma.size, np.inf)
+    return Prior(-wide, wide, np.zeros(prior.sigma.size), prior.sigma * np.sqrt(TEMPER))
 
 
 def robust_covariance(gram: Gram, solution: Solution) -> FloatArray:

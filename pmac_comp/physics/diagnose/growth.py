@@ -13,6 +13,8 @@ from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import Start, started
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins
+from pmac_comp.physics.diagnose.noise import noise_floor_um
+from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
 from pmac_comp.physics.diagnose.screen import Screened, Screening, look, noise_like, screen
 from pmac_comp.physics.diagnose.statistics import (
@@ -41,6 +43,8 @@ class Rules:
         Least drop of chi-square per sample, on fitting and on judging samples alike: an effect
         that changes less than this share of the noise's variance is not worth a name, however
         significant it is (the model's own integration leaves about a quarter of it).
+    material_gap : float
+        Share of the noise floor that a slow effect must take out of the gap instead.
     p_value : float
         Largest corrected p-value.
     tie_z : float
@@ -54,6 +58,7 @@ class Rules:
     """
 
     material: float = 0.04
+    material_gap: float = 0.6
     p_value: float = 0.01
     tie_z: float = 3.0
     tie_material: float = 0.015
@@ -73,6 +78,7 @@ class Contender:
     judged_gain: float
     p_value: float
     bic_gain: float
+    gap_um: float
 
     @property
     def gain(self) -> float:
@@ -91,6 +97,8 @@ class Round:
     tied: tuple[str, ...]
     rows_fit: float
     rows_judge: float
+    gap_um: float
+    floor_um: float
 
 
 @dataclass(frozen=True)
@@ -239,17 +247,22 @@ def _round(
             contenders.append(contender)
     contenders = _best_of_each(contenders)
     winner = contenders[0] if contenders else None
-    if winner is not None and not _earned(winner, rows_fit, rows_judge, rules):
-        winner = None
-    tied = () if winner is None else _tied(winner, contenders, library, rows, rules)
-    return Round(before, screening, tuple(contenders), winner, tied, rows_fit, rows_judge)
+    gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
+    floor_um = noise_floor_um(bench, before.model)
+    bare = Round(
+        before, screening, tuple(contenders), None, (), rows_fit, rows_judge, gap_um, floor_um
+    )
+    if winner is None or not _earned(winner, bare, rules):
+        return bare
+    tied = _tied(winner, contenders, library, rows, rules)
+    return replace(bare, accepted=winner, tied=tied)
 
 
 def _leaders(
     screening: Screening, rows_fit: float, library: Mapping[str, Effect], rules: Rules
 ) -> list[Screened]:
     """Candidates worth a full refit: the best few, and the look-alikes of the very best."""
-    worth = [s for s in screening.ranked if s.fit_gain > 0.25 * rules.material * rows_fit]
+    worth = [s for s in screening.ranked if s.fit_gain > 0.1 * rules.material * rows_fit]
     if not worth:
         return []
     top = worth[0]
@@ -296,6 +309,7 @@ def _contend(
         float(judged.sum()),
         corrected_p(sign_flip_p(drop, seed=len(start.key)), len(library)),
         bic_gain(gain * size, parameters, rows * size),
+        gap(bench.judging_records, whole.model, bench.executor).position_um,
     )
 
 
@@ -326,14 +340,18 @@ def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
     return [*plain, *(c for c in ranked if c not in plain)]
 
 
-def _earned(winner: Contender, rows_fit: float, rows_judge: float, rules: Rules) -> bool:
+def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
     """Whether a candidate is worth a name: material, held out, and not by chance."""
+    if winner.p_value >= rules.p_value or winner.bic_gain <= 0.0 or not _seen(winner.fitted.model):
+        return False
+    fit, judged = winner.fit_gain / done.rows_fit, winner.judged_gain / done.rows_judge
+    if min(fit, judged) > rules.material:
+        return True
+    # Slow effects are large in um and small to a whitener that expects slow noise.
+    closed_um2 = done.gap_um**2 - winner.gap_um**2
     return (
-        _seen(winner.fitted.model)
-        and winner.fit_gain > rules.material * rows_fit
-        and winner.judged_gain > rules.material * rows_judge
-        and winner.p_value < rules.p_value
-        and winner.bic_gain > 0.0
+        min(fit, judged) > 0.1 * rules.material
+        and closed_um2 > (rules.material_gap * done.floor_um) ** 2
     )
 
 

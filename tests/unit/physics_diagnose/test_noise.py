@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pmac_comp.physics.diagnose.remainder import period_samples
+from pmac_comp.physics.diagnose.noise import period_samples
 
 TIME_s = 4e-4 * np.arange(20000)
 

@@ -1,0 +1,38 @@
+"""Growth on the EMPS record: from mass and viscous friction alone, judged on a held-back lap."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import read_capture
+from pmac_comp.physics.diagnose import Rules, diagnose
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import effect_library
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared" / "data" / "emps"))
+RECORD = FOLDER / "DATA_EMPS.mat"
+FRICTION = ("coulomb", "friction_asymmetry", "bias_force", "stribeck", "presliding", "payload")
+
+
+@pytest.mark.emps
+@pytest.mark.skipif(not RECORD.exists(), reason="the EMPS record is not here (PMAC_COMP_EMPS)")
+def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data():
+    bench = load_bench("emps")
+    found = diagnose(
+        [read_capture(RECORD)],
+        bench,
+        model=DriveModel(bench, ("viscous",), {}),
+        effects={name: effect_library()[name] for name in FRICTION},
+        rules=Rules(most_effects=2),
+    )
+    assert found.named[0] == "coulomb"
+    assert set(found.named[1:]) & {"friction_asymmetry", "bias_force"}
+    gaps = [step.gap_um for step in found.path]
+    assert gaps == sorted(gaps, reverse=True)
+    # The published loop without the delay reaches 1.6 um; the laps differ by 0.26 um.
+    assert found.gap_after_um < 1.6 < found.gap_before_um
+    assert found.noise_floor_um == pytest.approx(0.185, abs=0.02)
+    assert found.gap_channel == "motor"
