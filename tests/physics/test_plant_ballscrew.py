@@ -325,6 +325,29 @@ def test_presliding_distance_is_that_of_63_percent():
         assert np.interp(part, share, table_um) == pytest.approx(expected_um, rel=0.05)
 
 
+def closure_of_an_inner_loop_um(elements):
+    """Table shift after the guide force went up, back by half and up to the same value again."""
+    effect = {"distance_um": 20.0, "place": "guide", "elements": elements}
+    plant = nominal({"presliding": effect})
+    no_rotary_friction(plant.par)
+    share = np.interp(np.arange(16001), [0, 4000, 8000, 12000, 16000], [0, 0.7, 0.2, 0.7, 0.7])
+    table_um = 1e6 * plant.run(share * 45.0 * BENCH.lead_m_per_rad)[:, 1]
+    return table_um[12000] - table_um[4000]
+
+
+def test_parallel_elements_remember_where_an_inner_loop_began():
+    assert abs(closure_of_an_inner_loop_um(6.0)) < 0.3
+    assert closure_of_an_inner_loop_um(0.0) > 2.0  # a single bristle drifts (ballscrew facts 2.3)
+
+
+def test_parallel_elements_reach_63_percent_at_the_stated_distance():
+    plant = nominal({"presliding": {"distance_um": 20.0, "place": "guide", "elements": 6.0}})
+    no_rotary_friction(plant.par)
+    share = np.linspace(0.0, 0.8, 8000)
+    table_um = 1e6 * plant.run(share * 45.0 * BENCH.lead_m_per_rad)[:, 1]
+    assert np.interp(20.0, table_um, share) == pytest.approx(1.0 - math.exp(-1.0), abs=0.02)
+
+
 def test_reversal_dip_recovers_with_distance():
     t = np.arange(9000) * TS
     command = np.where(t < 2.0, 0.01 * t, 0.04 - 0.01 * t)

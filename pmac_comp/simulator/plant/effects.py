@@ -7,8 +7,10 @@ layout only; nothing here is shared with the model that is fitted.
 Sign conventions where the name alone leaves a choice: ``friction_asymmetry.fraction`` is
 (positive - negative direction) / sum; a positive ``channel_skew.time_us`` means that the scale
 sample is older than the encoder sample; ``torque_ripple.amplitude_Nm`` is reached at rated torque
-and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass; a positive
-``bias_force.force_N`` pushes along positive motion, unlike the force of ``set_external_force``.
+and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass;
+``presliding.elements`` above 0 makes the guide's presliding one of parallel elements with non-local
+memory (GMS) in place of a LuGre bristle; a positive ``bias_force.force_N`` pushes along positive
+motion, unlike the force of ``set_external_force``.
 """
 
 import math
@@ -51,6 +53,8 @@ def _presliding_at(place: str) -> Callable[[FloatArray, Values], None]:
         distance_m = values["distance_um"] / UM_PER_M
         if place == "guide":
             _bristle(par, k.P_GUIDE_LEVEL, distance_m)
+            if values["elements"] > 0.0:
+                par[k.P_GUIDE_BRISTLE] = 2.0
         if place in {"nut", "rotary"}:
             _bristle(par, k.P_NUT_LEVEL, distance_m / par[k.P_LEAD])
         if place in {"motor", "rotary"}:
@@ -165,7 +169,9 @@ _WAVE_UM = {"amplitude_um": 1.0, "order_per_rev": 1.0, "phase_rad": 0.0}
 PLANT_EFFECTS: Mapping[str, PlantEffect] = {
     "stribeck": PlantEffect({"excess_N": 0.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005}, _stribeck),
     "presliding": PlantEffect(
-        {"distance_um": 10.0}, _presliding_at("guide"), ("guide", "nut", "motor", "rotary")
+        {"distance_um": 10.0, "elements": 0.0},
+        _presliding_at("guide"),
+        ("guide", "nut", "motor", "rotary"),
     ),
     "viscous_nonlinear": PlantEffect(
         {"coefficient_N": 30.0, "exponent": 0.5},

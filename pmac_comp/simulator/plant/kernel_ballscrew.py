@@ -55,7 +55,7 @@ from pmac_comp.base.arrays import FloatArray
     P_GUIDE_VISCOUS,  # N s/m
     P_MOTOR_BRISTLE,  # 0 elastic-plastic (sharp stick), 1 LuGre
     P_NUT_BRISTLE,
-    P_GUIDE_BRISTLE,
+    P_GUIDE_BRISTLE,  # 0 sharp, 1 LuGre, 2 Maxwell-slip elements with non-local memory
     P_MOTOR_DAMPING,  # bristle damping, N m s/rad
     P_NUT_DAMPING,
     P_GUIDE_DAMPING,
@@ -111,6 +111,12 @@ from pmac_comp.base.arrays import FloatArray
     N_PARAMETERS,
 ) = range(86)
 
+# Maxwell-slip elements of the guide (GMS without the slip transient): break-away distances and
+# shares of the level; at the stated distance 63 % of the level are built up.
+_GMS_DISTANCE = (0.2, 0.5, 0.9, 1.4, 2.2, 3.5)
+_GMS_SHARE = (0.06, 0.10, 0.14, 0.20, 0.25, 0.25)
+_GMS = 6
+
 _HISTORY = 32
 (
     S_ANGLE_READ,  # rad, what the encoder sees
@@ -140,7 +146,8 @@ _HISTORY = 32
     S_NUT_FORCE,  # N, at the end of the last period
     S_HISTORY,
 ) = range(26)
-N_STATES = S_HISTORY + _HISTORY
+S_GMS = S_HISTORY + _HISTORY
+N_STATES = S_GMS + _GMS
 # Hysteresis of the reversal detector: well below any dip length, above round-off.
 _TURN_RAD = 1e-4
 
@@ -327,7 +334,9 @@ def ballscrew_step(
     sigma_g = par[P_GUIDE_LEVEL] / par[P_GUIDE_BREAK]
     lugre_m = par[P_MOTOR_BRISTLE] > 0.5
     lugre_n = par[P_NUT_BRISTLE] > 0.5
-    lugre_g = par[P_GUIDE_BRISTLE] > 0.5
+    lugre_g = par[P_GUIDE_BRISTLE] == 1.0
+    gms_g = par[P_GUIDE_BRISTLE] == 2.0
+    z_e = state[S_GMS : S_GMS + _GMS]
     half = 0.5 * dt
     elapsed = 0.0
     for _ in range(n_coarse):
@@ -424,12 +433,22 @@ def ballscrew_step(
                 z_new = min(max(z_n + w_s * dt, -end_n), end_n)
             t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
             z_n = z_new
-            if lugre_g:
-                z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
+            f_g = guide_viscous * v
+            if gms_g:
+                for e in range(_GMS):
+                    reach = _GMS_DISTANCE[e] * end_g
+                    z_new = min(max(z_e[e] + v * dt, -reach), reach)
+                    f_g += _GMS_SHARE[e] * (
+                        guide_level * z_new / reach + par[P_GUIDE_DAMPING] * (z_new - z_e[e]) / dt
+                    )
+                    z_e[e] = z_new
             else:
-                z_new = min(max(z_g + v * dt, -end_g), end_g)
-            f_g = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt + guide_viscous * v
-            z_g = z_new
+                if lugre_g:
+                    z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
+                else:
+                    z_new = min(max(z_g + v * dt, -end_g), end_g)
+                f_g += sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
+                z_g = z_new
 
             r1 = torque * ripple + cog - t_k - t_fm - motor_viscous * w_m
             r2 = t_k + arm * f_n - t_fn - nut_viscous * w_s
