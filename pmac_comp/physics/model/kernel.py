@@ -474,6 +474,15 @@ def _lead(par: FloatArray, theta: float, grown: float) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _stribeck(par: FloatArray, excess: float, speed: float) -> float:
+    """Friction above the sliding level at a table speed."""
+    ratio = speed / par[s.STRIBECK_SPEED]
+    if excess == 0.0 or abs(ratio) > 6.0:
+        return 0.0
+    return excess * math.exp(-ratio * ratio)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _strain(par: FloatArray, t: float) -> float:
     """Thermal strain of the screw at a time."""
     if par[s.GROWTH] == 0.0:
@@ -540,9 +549,8 @@ def run(
         par[s.STRIBECK_GUIDE] != 0.0 or par[s.STRIBECK_NUT] != 0.0 or par[s.STRIBECK_MOTOR] != 0.0
     )
     use_lead = par[s.WOBBLE] != 0.0 or par[s.LEAD_SLOPE] != 0.0 or par[s.GROWTH] != 0.0
-    use_joint = (
-        par[s.GAP_HALF] > 0.0 or par[s.SOFT_HALF] > 0.0 or par[s.HERTZ] > 0.0 or use_lead
-    ) and not rigid
+    use_kinks = par[s.GAP_HALF] > 0.0 or par[s.SOFT_HALF] > 0.0 or par[s.HERTZ] > 0.0
+    use_joint = (use_kinks or use_lead) and not rigid
     use_waves = par[s.COGGING] != 0.0 or par[s.RIPPLE] != 0.0
     use_base = par[s.BASE_MASS] > 0.0
     use_power = par[s.POWER_FORCE] != 0.0
@@ -800,12 +808,11 @@ def run(
             level_nut = par[s.NUT + s.LEVEL]
             level_motor = par[s.MOTOR + s.LEVEL]
             if use_stribeck:
-                ratio = mid_speed / par[s.STRIBECK_SPEED]
-                level_guide += par[s.STRIBECK_GUIDE] * math.exp(-ratio * ratio)
-                ratio = rho * (z[5] + 0.5 * h * nut_a) / par[s.STRIBECK_SPEED]
-                level_nut += par[s.STRIBECK_NUT] * math.exp(-ratio * ratio)
-                ratio = rho * (z[4] + 0.5 * h * motor_a) / par[s.STRIBECK_SPEED]
-                level_motor += par[s.STRIBECK_MOTOR] * math.exp(-ratio * ratio)
+                level_guide += _stribeck(par, par[s.STRIBECK_GUIDE], mid_speed)
+                level_nut += _stribeck(par, par[s.STRIBECK_NUT], rho * (z[5] + 0.5 * h * nut_a))
+                level_motor += _stribeck(
+                    par, par[s.STRIBECK_MOTOR], rho * (z[4] + 0.5 * h * motor_a)
+                )
             if par[s.PER_REV] != 0.0:
                 level_nut += par[s.PER_REV] * math.cos(
                     par[s.PER_REV + 1] * (z[1] + 0.5 * h * z[5]) + par[s.PER_REV + 2]
@@ -879,19 +886,20 @@ def run(
                 # The bank's spring and damper follow x - rho theta - u: take the lead out of it.
                 damper = par[s.K_NUT] * par[s.BETA]
                 base_force = -par[s.K_NUT] * middle_lead - damper * (lead - old_lead) / h
-                # Newton for the mean deflection; forces act back on it with half the mobility.
-                gain = 0.5 * mobility_joint
-                guess = mean_delta
-                extra = 0.0
-                for _ in range(6):
-                    pull, slope, share = _mean_joint(par, old_delta, 2.0 * guess - old_delta)
-                    missing = (1.0 - share) * damper * 2.0 / h
-                    extra = base_force + pull - missing * (guess - old_delta)
-                    rate = 1.0 + gain * (slope - missing)
-                    change = (guess - mean_delta + gain * extra) / max(rate, 0.2)
-                    guess -= change
-                    if abs(change) < 1e-13:
-                        break
+                extra = base_force
+                if use_kinks:
+                    # Newton for the mean deflection; forces act back on it with half the mobility.
+                    gain = 0.5 * mobility_joint
+                    guess = mean_delta
+                    for _ in range(6):
+                        pull, slope, share = _mean_joint(par, old_delta, 2.0 * guess - old_delta)
+                        missing = (1.0 - share) * damper * 2.0 / h
+                        extra = base_force + pull - missing * (guess - old_delta)
+                        rate = 1.0 + gain * (slope - missing)
+                        change = (guess - mean_delta + gain * extra) / max(rate, 0.2)
+                        guess -= change
+                        if abs(change) < 1e-13:
+                            break
                 for i in range(N_STATES):
                     zf[i] += W[12, i] * extra
 
