@@ -13,7 +13,7 @@ that undo them come out instead of being assumed.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -25,7 +25,20 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
 Progress = Callable[[str, float], None]
+STATIC_EFFECTS = frozenset(
+    {
+        "lead_linear",
+        "lead_cyclic",
+        "thermal_growth",
+        "encoder_eccentricity",
+        "scale_subdivision",
+        "scale_slope",
+    }
+)
 _MECHANICAL_WEIGHT = 4.0  # the mechanical error is several times smaller than the control error
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
@@ -88,15 +101,27 @@ class MotionPromise:
     total_after_um: float
 
 
-def model_loop(model: Any) -> LoopRunner:
-    """Closed loop of a drive model as a function of command, desired position and torque."""
+def without_static(model: "DriveModel") -> "DriveModel":
+    """The model without its static errors, which the lead table takes away, not the law."""
+    from pmac_comp.physics.model.effect import split_name
+
+    for name in model.effects:
+        if split_name(name)[0] in STATIC_EFFECTS:
+            model = model.without_effect(name)
+    return model
+
+
+def model_loop(model: "DriveModel") -> LoopRunner:
+    """Closed loop of a drive model's dynamics: of command, desired position and torque."""
     from pmac_comp.physics.model.drive import simulate
+
+    dynamic = without_static(model)
 
     def run(
         commanded: FloatArray, desired: FloatArray | None, torque: FloatArray | None
     ) -> LoopSignals:
         response = simulate(
-            model, commanded, desired_position_m=desired, torque_feedforward_Nm=torque
+            dynamic, commanded, desired_position_m=desired, torque_feedforward_Nm=torque
         )
         if response.table_position_m is None:
             raise ModelError(
