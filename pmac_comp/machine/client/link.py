@@ -28,6 +28,7 @@ _SETTLE_S = 0.06
 _FLUSH_S = 0.5
 _BUSY_POLL_S = 0.02
 _MARK_LENGTH = 16
+_TEXT = bytes([0x0D, *range(0x20, 0x7F)])
 _MARK_TRIES = 3
 _MARK_SYMBOLS = (("I3", "2"), ("I6", "1"))
 
@@ -235,18 +236,23 @@ class PacketLink(BaseLink):
         self._clear_way(deadline)
         self.unsettled = True
         self._send(ethernet.command_packet(command), deadline)
-        data = self._receive(deadline)
-        plain = not self.i4 and len(data) <= ethernet.MAX_REPLY
-        lines = plain_lines(data) if plain else None
+        data = last = self._receive(deadline)
+        # Long listings come in whole parts of plain text: no need to look at each byte of them.
+        while not self.i4 and len(last) == ethernet.MAX_REPLY and _is_text(last):
+            if len(data) > self._limit:
+                break
+            self._ask_more(deadline)
+            last = self._receive(deadline)
+            data += last
+        lines = None if self.i4 or len(last) > ethernet.MAX_REPLY else plain_lines(data)
         if lines is not None:
             self.unsettled = False
             return Reply(lines)
         reader = ReplyReader(limit=self._limit, checksum=bool(self.i4 & 1))
-        self._read_parts(reader, data, deadline)
+        self._read_parts(reader, data, len(last), deadline)
         return self._finish(reader)
 
-    def _read_parts(self, reader: ReplyReader, data: bytes, deadline: Deadline) -> None:
-        part = len(data)
+    def _read_parts(self, reader: ReplyReader, data: bytes, part: int, deadline: Deadline) -> None:
         asked_early = waiting = False
         while not reader.receive(data):
             busy = bool(data) and not data.strip(b"\x00")
@@ -375,3 +381,8 @@ class LineLink(BaseLink):
 
     def _ask(self, command: bytes, deadline: Deadline) -> None:
         self._send(command + b"\r", deadline)
+
+
+def _is_text(part: bytes) -> bool:
+    """Whether a part of an answer holds printable characters and CR only, so it goes on."""
+    return part.translate(None, _TEXT) == b""

@@ -252,7 +252,11 @@ def parse_header(kind: TableKind, motor: int, lines: Sequence[str]) -> TableHead
 
 def parse_entries(lines: Iterable[str]) -> tuple[int, ...]:
     """Entries from the answer to ``LIST <kind>``: white space separates, lines do not matter."""
-    return tuple(parse_integer(item) for line in lines for item in line.split())
+    items = " ".join(lines).split()
+    try:
+        return tuple(map(int, items))
+    except ValueError:
+        return tuple(map(parse_integer, items))  # names the item that is no integer
 
 
 def build_table(header: TableHeader, entries: tuple[int, ...]) -> Table:
@@ -294,6 +298,9 @@ def _check_entries(entries: tuple[int, ...]) -> None:
         raise ConfigError(
             f"A table has 1 to {ENTRIES_MAX} entries, not {len(entries)}.", code="PC-TBL-001"
         )
+    plain_integers = all(type(value) is int for value in entries)
+    if plain_integers and ENTRY_MIN <= min(entries) and max(entries) <= ENTRY_MAX:
+        return
     for k, value in enumerate(entries, start=1):
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise ConfigError(f"Entry {k} is {value!r}, not an integer.", code="PC-TBL-002")
