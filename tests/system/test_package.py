@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TOP_LEVEL = {"pyproject.toml", "README.md", "pmac_comp", "firmware_plc", "configs", "tests", "tools"}
+TOP_LEVEL = {
+    "pyproject.toml",
+    "README.md",
+    "pmac_comp",
+    "firmware_plc",
+    "configs",
+    "tests",
+    "tools",
+}
 
 
 def _tracked() -> list[str]:
