@@ -152,6 +152,34 @@ def test_client_role_refuses_what_cannot_be_said(make):
         make()
 
 
+def test_the_smallest_and_largest_that_can_be_said():
+    assert encode(ethernet.get_memory(0, 1))[-2:] == b"\x00\x01"
+    assert encode(ethernet.get_memory(0xFFFF, 1400))[2:4] == b"\xff\xff"
+    assert len(encode(ethernet.set_memory(0, b"x"))) == 9
+    assert len(encode(ethernet.set_memory(0, bytes(1400)))) == 1408
+    assert len(encode(ethernet.get_response(b"x" * 255))) == 263
+    assert len(encode(ethernet.write_buffer([b"x" * 255] * 4))) == 1032
+    assert encode(ethernet.send_control(1))[2:4] == b"\x00\x01"
+    assert encode(ethernet.send_control(0x1F))[2:4] == b"\x00\x1f"
+    assert ethernet.command_packet(b"ver") == encode(ethernet.get_response(b"ver"))
+
+
+def test_server_role_takes_the_largest_and_refuses_one_more():
+    for code, limit in ((0xBF, 1492), (0xC6, 1492), (0xB5, 1400)):
+        header = struct.pack(">BBHHH", 0x40, code, 0, 0, limit)
+        (event,) = RequestReader().receive(header + bytes(limit))
+        assert isinstance(event, Request)
+        header = struct.pack(">BBHHH", 0x40, code, 0, 0, limit + 1)
+        assert isinstance(RequestReader().receive(header)[0], Malformed)
+
+
+@pytest.mark.parametrize("code", sorted(ethernet.NAMED_ONLY))
+def test_requests_known_by_name_only_are_refused_by_name(code):
+    (event,) = RequestReader().receive(bytes([0xC0, code]))
+    assert isinstance(event, Malformed)
+    assert ethernet.NAMED_ONLY[code] in event.reason
+
+
 def test_replies_are_cut_at_exactly_1400():
     assert [len(part) for part in ethernet.cut_reply(bytes(3000))] == [1400, 1400, 200]
     assert ethernet.cut_reply(b"") == []
