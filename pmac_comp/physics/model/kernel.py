@@ -536,6 +536,8 @@ def run(
     ideal_current = par[s.CURRENT_RATE] <= 0.0
     # Transposed, so that a step is a sum of columns (vector instructions).
     W = np.zeros((N_COLUMNS, N_STATES))
+    flat = W.reshape(N_COLUMNS * N_STATES)
+    flat_bank = bank.reshape((n_nodes, N_COLUMNS * N_STATES))
     moves = np.zeros((3, 3))
     speeds = np.zeros((3, 3))
     z = np.zeros(N_STATES)
@@ -718,9 +720,9 @@ def run(
         node = min(int(place), max(n_nodes - 2, 0))
         w1 = place - node
         after = min(node + 1, n_nodes - 1)
-        for j in range(N_COLUMNS):
-            for i in range(N_STATES):
-                W[j, i] = bank[node, j, i] + w1 * (bank[after, j, i] - bank[node, j, i])
+        before, behind = flat_bank[node], flat_bank[after]
+        for i in range(N_COLUMNS * N_STATES):
+            flat[i] = before[i] + w1 * (behind[i] - before[i])
         # How motor, nut and table move (and speed up) per friction force at each of the three.
         for i in range(3):
             row = 3 if i == 2 else i
