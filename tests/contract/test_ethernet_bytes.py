@@ -173,6 +173,21 @@ def test_server_role_takes_the_largest_and_refuses_one_more():
         assert isinstance(RequestReader().receive(header)[0], Malformed)
 
 
+# The maker's header lists these requests without saying what they carry.
+NAMED_ONLY = "B7 B8 B9 BC BD C0 C1 C3 C7 C8 C9 CA D0 E1 E2 E3 E4"
+KNOWN = "B0 B1 B3 B4 B5 B6 BA BB BE BF C2 C4 C5 C6 CB E0"
+
+
+def test_every_code_is_supported_named_or_unknown():
+    assert bytes(sorted(ethernet.NAMED_ONLY)) == bytes.fromhex(NAMED_ONLY)
+    assert bytes(sorted(ethernet.RequestCode)) == bytes.fromhex(KNOWN)
+    others = set(range(256)) - set(bytes.fromhex(NAMED_ONLY + KNOWN))
+    for code in others:
+        (event,) = RequestReader().receive(bytes([0x40, code]))
+        assert isinstance(event, Malformed)
+        assert event.reason.endswith("is unknown")
+
+
 @pytest.mark.parametrize("code", sorted(ethernet.NAMED_ONLY))
 def test_requests_known_by_name_only_are_refused_by_name(code):
     (event,) = RequestReader().receive(bytes([0xC0, code]))

@@ -48,6 +48,12 @@ def test_listing_has_sixteen_long_words_a_line():
     assert words_from_listing(lines).tolist() == list(range(66))
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 31, 32, 33])
+def test_listings_of_any_length_come_back(count):
+    words = words_from_listing(listing_from_words(np.arange(1, count + 1)))
+    assert words.tolist() == list(range(1, count + 1)) + [0] * (count % 2)
+
+
 @pytest.mark.parametrize("lines", [["00000000001"], ["00000000000G"], ["0" * 13]])
 def test_damaged_listings_are_refused(lines):
     with pytest.raises(RemoteProtocolError):
