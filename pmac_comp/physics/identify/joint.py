@@ -9,6 +9,7 @@ from concurrent.futures import Executor
 from typing import Literal
 
 import numpy as np
+from scipy.stats import t as student
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
@@ -26,7 +27,6 @@ from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.identify.output_error import Fit, refine, require_converged
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
-    Z95,
     CaptureResiduals,
     Identification,
     NoiseLevels,
@@ -166,6 +166,7 @@ def _identify_elastic(
 
 def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     share = informed_frac(fit)
+    width = float(student.ppf(0.975, fit.freedom))
     found = {}
     for i, name in enumerate(fit.names):
         spec = fit.model.spec(name)
@@ -175,8 +176,8 @@ def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
             name=name,
             value=value,
             std=std,
-            lower95=max(value - Z95 * std, spec.lower),
-            upper95=min(value + Z95 * std, spec.upper),
+            lower95=max(value - width * std, spec.lower),
+            upper95=min(value + width * std, spec.upper),
             unit=spec.unit,
             nominal=spec.nominal if known else None,
             tolerance_frac=spec.tolerance_frac if known else None,

@@ -65,6 +65,8 @@ class Fit:
         Scale of each parameter.
     nuisance : ndarray, shape (q,)
         Scale offsets and map coefficients.
+    freedom : int
+        Blocks of time less parameters: degrees of freedom of the covariance.
     rounds : int
         Jacobians that were computed.
     step : float
@@ -78,6 +80,7 @@ class Fit:
     prior: FloatArray
     scales: FloatArray
     nuisance: FloatArray
+    freedom: int
     rounds: int
     step: float
 
@@ -301,6 +304,7 @@ def _finished(
         prior=problem.weight,
         scales=problem.scales,
         nuisance=final.nuisance,
+        freedom=max(final.scores.shape[0] - theta.size, 1),
         rounds=rounds,
         step=step,
     )
