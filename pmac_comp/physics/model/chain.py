@@ -103,7 +103,7 @@ def _known(
         kind="known",
         tolerance_frac=float(getattr(bench.tolerance, key)),
         file_name=key,
-        file_unit=key.rsplit("_", 1)[-1] if factor != 1.0 else unit,
+        file_unit={"axial_stiffness_N_per_um": "N/um", "actuator_delay_us": "us"}.get(key, unit),
         file_factor=factor,
     )
 
