@@ -45,6 +45,7 @@ from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
+DEFAULT_JOURNAL = "pmac-comp-journal"
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 _TORQUE_ROUTES = ("law", "servo")
 _CHEAP_SHARE = 0.25
@@ -228,9 +229,10 @@ def cost_remarks(bench: Bench, route: str) -> list[str]:
 # On the controller --------------------------------------------------------------------------------
 
 
-def context_of(axis: Axis, store: Path, progress: Progress | None = None) -> Context:
-    """Limits, folder and names for changes of an axis."""
-    store.mkdir(parents=True, exist_ok=True)
+def context_of(axis: Axis, store: Path | None = None, progress: Progress | None = None) -> Context:
+    """Limits, folder and names for changes of an axis; without a folder only for looking."""
+    if store is not None:
+        store.mkdir(parents=True, exist_ok=True)
 
     def told(step: str, done: int, total: int) -> None:
         if progress is not None:
@@ -239,7 +241,7 @@ def context_of(axis: Axis, store: Path, progress: Progress | None = None) -> Con
     return Context(
         block=LawBlock.from_p_block(axis.bench.controller.p_block),
         limits=axis.scales.limits(axis.bench),
-        store=store,
+        store=store or Path(DEFAULT_JOURNAL),
         servo_period_s=axis.scales.period_s,
         controller=axis.identity or "controller",
         progress=told,
@@ -391,7 +393,7 @@ def plan_upload(url: str, bench: str, new: Path) -> dict[str, Any]:
     """What an upload would do, for a person to look at; nothing is changed."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        context = context_of(axis, Path("pmac-comp-journal"))
+        context = context_of(axis)
         lines: list[str] = []
         text = [f"plan for {url}, route {compensation.route}:"]
         rendered = compensation.table(axis.bench)
@@ -503,7 +505,7 @@ def difference(url: str, bench: str, new: Path) -> dict[str, Any]:
     """Old against new on the controller, as rows and as curves over position."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        context = context_of(axis, Path("pmac-comp-journal"))
+        context = context_of(axis)
         tables = read_tables(axis.link, [(TableKind.COMP, axis.motor)])
         head = law_upload.read_law_head(axis.link, context.block)
         bank = law_upload.read_bank(axis.link, context.block, head.bank)

@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmac_comp import __version__
@@ -142,7 +141,7 @@ def _compensation(axis: "Axis") -> Iterator[Finding]:
     from pmac_comp.workflow.deploy import context_of
 
     try:
-        state = table_status(axis.link, context_of(axis, Path("pmac-comp-journal")))
+        state = table_status(axis.link, context_of(axis))
     except PmacCompError as error:
         yield Finding("bad", "compensation", error.message)
         return

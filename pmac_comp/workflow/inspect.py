@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from pmac_comp.files.bench import load_bench
@@ -43,7 +42,7 @@ def controller_status(url: str, bench: str) -> dict[str, Any]:
         if axis.bench.scale is not None:
             numbers.append(axis.bench.scale.motor_number)
         readings = motors.read_motors(axis.link, numbers)
-        context = context_of(axis, Path("pmac-comp-journal"))
+        context = context_of(axis)
         state = table_status(axis.link, context)
         head = law_upload.read_law_head(
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)

@@ -1,0 +1,145 @@
+"""The bridge on the embedded card: what was meant is what the servo receives, and can be undone."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, ControllerState
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import law_upload, recovery
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import (
+    Compensation,
+    read_compensation,
+    write_compensation,
+)
+from pmac_comp.workflow.deploy import check_law_on_card, context_of, cost_remarks, deploy, switch
+from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.repeated import run_with_offset
+from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
+
+BENCH = load_bench("paper")
+LAW = CompensationLaw(
+    inertia_s2=2.2e-6,
+    inertia_per_m_s2_per_m=1.8e-6,
+    viscous_s=3.7e-6,
+    coulomb_m=0.9e-6,
+    coulomb_per_m=0.8e-6,
+    breakaway_m=2e-6,
+    lead_s=8e-4,
+    torque_jerk_Nm_s3_per_m=9e-4,
+    torque_coulomb_Nm=0.45,
+    torque_breakaway_m=5e-6,
+    torque_lead_s=1e-3,
+    torque_limit_Nm=10.0,
+)
+X = np.arange(-0.3, 0.3005, 1e-3)
+LEAD = LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0)
+MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
+
+
+@pytest.fixture
+def axis() -> Iterator[Axis]:
+    card = make_card(BENCH)
+    axis_truth = TruthRecorder(card, 120.0)
+    with embedded(card) as link:
+        found = Axis(link, BENCH, "test")
+        found.set_up()
+        found.enable()
+        found.truth = axis_truth.truth  # type: ignore[attr-defined]
+        yield found
+
+
+def test_capture_is_the_motion_in_si(axis: Axis) -> None:
+    capture = axis.run(MOTION)
+    assert capture.sample_period_s == pytest.approx(BENCH.servo_period_s)
+    span = np.ptp(capture.commanded_position_m)
+    assert span == pytest.approx(np.ptp(MOTION.position_m), abs=0.1e-6)
+    # Compensation is off: desired is the command, the sensors lie on their lattices.
+    assert np.max(np.abs(capture.desired_m - capture.commanded_position_m)) < 1e-9
+    counts = capture.motor_position_m / 1e-6
+    assert np.max(np.abs(counts - np.round(counts))) < 1e-6
+    assert capture.table_position_m is not None
+    steps = capture.table_position_m / 0.125e-6
+    assert np.max(np.abs(steps - np.round(steps))) < 1e-6
+    true = axis.truth().of(capture)  # type: ignore[attr-defined]
+    assert np.max(np.abs(true[0] - capture.motor_position_m)) < 0.51e-6
+
+
+def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
+    axis: Axis, tmp_path: Path
+) -> None:
+    compensation = Compensation("law", LAW, LEAD)
+    context = context_of(axis, tmp_path)
+    deployment = deploy(axis, compensation, context)
+    assert deployment.verdict is ControllerState.NEW
+    assert check_law_on_card(axis, context, compensation, MOTION.position_m) < 1e-3
+    capture = axis.run(MOTION)
+    got = capture.desired_m - capture.commanded_position_m
+    command = capture.commanded_position_m
+    law = evaluate_law(LAW, command, BENCH.servo_period_s, latency_cycles=1).correction_m
+    correction = compensation.table_correction(BENCH)
+    assert correction is not None
+    want = law + correction(command)
+    moving = np.abs(np.gradient(command, BENCH.servo_period_s)) > 5e-3
+    # Half a table step (1/32 count) and the master word (1/1024 count).
+    assert np.max(np.abs(got - want)[moving]) < 0.06e-6
+    switch(axis, context, compensation, on=False)
+    off = axis.run(MOTION)
+    assert np.max(np.abs(off.desired_m - off.commanded_position_m)) < 1e-9
+    tables = sorted(tmp_path.glob("*.tables.json"))
+    recovery.rollback(axis.link, context, tables[0])
+    law_upload.rollback_law(axis.link, context, next(iter(tmp_path.glob("*.law.json"))))
+    assert len(read_tables(axis.link)) == 0
+
+
+def test_offset_in_the_program_reaches_the_motor(axis: Axis) -> None:
+    n = MOTION.position_m.size
+    bump = 20e-6 * np.sin(np.pi * np.arange(n) / n) ** 2
+    capture = run_with_offset(axis, MOTION, bump)
+    correction = capture.desired_m - capture.commanded_position_m
+    assert np.max(correction) == pytest.approx(20e-6, rel=0.02)
+    plain = axis.run(MOTION)
+    m = min(capture.n, plain.n)
+    k = np.argmax(capture.commanded_position_m[:m])
+    assert capture.commanded_position_m[k] == pytest.approx(
+        np.max(plain.commanded_position_m), abs=0.3e-6
+    )
+
+
+def test_compensation_file_comes_back_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    write_compensation(path, Compensation("law", LAW, LEAD))
+    found = read_compensation(path)
+    assert found.law == LAW
+    assert found.lead is not None
+    assert np.array_equal(found.lead.error_m, LEAD.error_m)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{}", "[]", "nonsense", '{"compensation_version": 1, "route": "law", "law": {"x": 1}}',
+     '{"compensation_version": 1, "route": "magic", "law": {}}',
+     '{"compensation_version": 1, "route": "law", "law": {"inertia_s2": NaN}}'],
+)  # fmt: skip
+def test_bad_compensation_files_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError):
+        read_compensation(path)
+
+
+def test_cost_is_stated_and_a_cheaper_way_offered() -> None:
+    (text,) = cost_remarks(BENCH, "law")
+    assert "more than a quarter" in text
+    assert "every second cycle" in text
+    assert cost_remarks(BENCH, "table") == []
+
+
+def test_motion_is_a_value() -> None:
+    assert Motion("a", MOTION.trajectory).duration_s == MOTION.duration_s
