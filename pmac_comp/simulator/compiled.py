@@ -29,7 +29,8 @@ def keep_fresh(function: Callable[..., Any], *modules: ModuleType) -> None:
     indexes = list(Path(folder).glob(f"*.{name}-*.nbi"))
     sources = [Path(file) for module in modules if (file := module.__file__) is not None]
     newest = max((source.stat().st_mtime for source in sources if source.exists()), default=0.0)
-    if any(index.stat().st_mtime < newest for index in indexes):
+    # Indexes of the function at its earlier lines stay behind and count for nothing.
+    if indexes and max(index.stat().st_mtime for index in indexes) < newest:
         # Another process may be renewing it just now, or the cache may be read-only.
         with suppress(OSError):
             cache.flush()
