@@ -43,8 +43,7 @@ int run(const double *p, const double *bank, int n_nodes, double first, double s
         double vc = (desired[k] - old_desired) / Ts, ac = (vc - old_vc) / Ts;
         double v = (read - old_read) / Ts;
         double u = p[KP] * error + integral + p[KVFF] * vc + p[KAFF] * ac - p[KD] * v;
-        if (vc > 0.0) u += p[FRICTION_FF];
-        else if (vc < 0.0) u -= p[FRICTION_FF];
+        if (fabs(desired[k] - old_desired) > 1e-11) u += copysign(p[FRICTION_FF], vc);
         u += p[OFFSET] + ff[k];
         double command = clamp(u, p[LIMIT]);
         if (u == command) integral = clamp(integral + p[KI] * Ts * error, p[I_LIMIT]);

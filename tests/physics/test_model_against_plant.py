@@ -168,3 +168,24 @@ def test_each_effect_means_the_same_in_both_codes(name, hidden, ours):
         same = same - same[0]
         size = max(float(np.std(change)), 0.05e-6)
         assert np.std(change - same) < 0.15 * size + 0.03e-6
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"I168": 800.0},  # friction feedforward by the sign of the commanded velocity
+        {"I129": 100.0},
+        {"I136": -0.5, "I137": 0.1, "I138": -0.4},  # notch
+        {"I134": 1.0},  # integration at standstill only
+        {"I133": 400000.0},
+    ],
+)
+def test_every_term_of_the_pmac_law_is_read_alike(variables):
+    control = PAPER.controller
+    update = {"ivariables": {**control.ivariables, **variables}}
+    bench = PAPER.model_copy(update={"controller": control.model_copy(update=update)})
+    plant = make_plant(bench, effects={}, spread=0.0)
+    motion = MOTIONS["trapezoid, jerk unlimited"]
+    _, table = mechanical_miss_m(bench, plant, model_of(plant, bench), motion)
+    # The plant's loop closes over counts of 1 um.
+    assert np.std(table) < 0.6e-6

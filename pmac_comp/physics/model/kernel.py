@@ -22,6 +22,7 @@ N_STATES = 8
 N_COLUMNS = 13
 _TAYLOR = 9
 _HISTORY = 256
+_COMMAND_RESOLUTION_m = 1e-11  # a thirtieth of the finest unit of a Turbo PMAC register
 # Gauss-Legendre, 8 points: distances from the middle and weights.
 _GAUSS_X = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
 _GAUSS_W = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
@@ -661,6 +662,8 @@ def run(
         desired = desired_m[k]
         error = min(max(desired - motor_read, -par[s.FE_LIMIT]), par[s.FE_LIMIT])
         vc = (desired - old_desired) / Ts
+        # Round-off of a standing command is no motion.
+        command_moves = abs(desired - old_desired) > _COMMAND_RESOLUTION_m
         if par[s.LAW] < 0.5:
             ac = (vc - old_vc) / Ts
             vf += par[s.FILTER] * ((motor_read - old_read) / Ts - vf)
@@ -677,10 +680,8 @@ def run(
             n_y2 = n_y1
             n_y1 = filtered
             u = filtered
-            if vc > 0.0:
-                u += par[s.FRICTION_FF]
-            elif vc < 0.0:
-                u -= par[s.FRICTION_FF]
+            if command_moves:
+                u += math.copysign(par[s.FRICTION_FF], vc)
         else:
             u = par[s.CASCADE_GAIN] * (
                 par[s.CASCADE_KP] * error - (motor_read - older_read) / (2.0 * Ts)
@@ -689,7 +690,7 @@ def run(
         command = min(max(u, -par[s.LIMIT]), par[s.LIMIT])
         clipped = u - command
         frozen = clipped != 0.0 and (par[s.FREEZE_ALWAYS] > 0.5 or clipped * error > 0.0)
-        if not frozen and (par[s.INTEGRATE_AT_REST] < 0.5 or vc == 0.0):
+        if not frozen and (par[s.INTEGRATE_AT_REST] < 0.5 or not command_moves):
             integral += par[s.KI] * Ts * error
             integral = min(max(integral, -par[s.INTEGRATOR_LIMIT]), par[s.INTEGRATOR_LIMIT])
         if par[s.TORQUE_STEP] > 0.0:
