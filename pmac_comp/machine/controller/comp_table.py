@@ -7,7 +7,7 @@ limits in um (``safety``), the wire. Source: Software Reference Manual p. 301-31
 
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -23,7 +23,7 @@ ENTRY_MIN: Final = -(1 << 23)
 ENTRY_MAX: Final = (1 << 23) - 1
 SPAN_MAX: Final = (1 << 31) - 1
 ENTRIES_MAX: Final = 65535
-LINE_CHARACTERS: Final = 120  # of entries per line; far below the 255 of a command line
+ENTRIES_PER_LINE: Final = 12  # at most 108 characters, far below the 255 of a command line
 _HEADER: Final = re.compile(r"^\s*(\d+)\s*,\s*#(\d+)(D?)\s*,\s*#(\d+)(D?)\s*,\s*(\d+)\s*$", re.I)
 _SHORT_HEADER: Final = re.compile(r"^\s*(\d+)\s*,\s*(\d+)\s*$")
 
@@ -217,7 +217,9 @@ class TableHeader:
 
 def entry_lines(entries: Sequence[int]) -> list[str]:
     """Entries as lines of blank-separated numbers, each well below the line limit."""
-    return list(_fill(map(str, entries), LINE_CHARACTERS))
+    texts = list(map(str, entries))
+    starts = range(0, len(texts), ENTRIES_PER_LINE)
+    return [" ".join(texts[k : k + ENTRIES_PER_LINE]) for k in starts]
 
 
 def parse_header(kind: TableKind, motor: int, lines: Sequence[str]) -> TableHeader:
@@ -298,8 +300,7 @@ def _check_entries(entries: tuple[int, ...]) -> None:
         raise ConfigError(
             f"A table has 1 to {ENTRIES_MAX} entries, not {len(entries)}.", code="PC-TBL-001"
         )
-    plain_integers = all(type(value) is int for value in entries)
-    if plain_integers and ENTRY_MIN <= min(entries) and max(entries) <= ENTRY_MAX:
+    if set(map(type, entries)) == {int} and min(entries) >= ENTRY_MIN and max(entries) <= ENTRY_MAX:
         return
     for k, value in enumerate(entries, start=1):
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
@@ -309,15 +310,3 @@ def _check_entries(entries: tuple[int, ...]) -> None:
                 f"Entry {k} is {value}; a table word holds {ENTRY_MIN} to {ENTRY_MAX}.",
                 code="PC-TBL-002",
             )
-
-
-def _fill(items: Iterable[str], width: int) -> Iterator[str]:
-    line = ""
-    for item in items:
-        if line and len(line) + 1 + len(item) > width:
-            yield line
-            line = item
-        else:
-            line = f"{line} {item}" if line else item
-    if line:
-        yield line

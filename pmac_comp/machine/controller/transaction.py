@@ -211,7 +211,7 @@ def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
     TableStateError
         What was read is not what was written; nothing was changed on the controller.
     """
-    body = json.dumps(dict(data), sort_keys=True, indent=1)
+    body = json.dumps(dict(data), sort_keys=True)
     digest = sha256(body.encode()).hexdigest()
     atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
     if read_sealed_json(path) != json.loads(body):

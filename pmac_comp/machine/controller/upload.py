@@ -482,7 +482,11 @@ class TableUpload:
             self.link.command("I51=0")
         found = head.manifest
         same = found is not None and found.transaction == manifest.transaction
-        if same and head.lease.owner == self.context.owner and head.i51 == i51:
+        # Our manifest says WRITING, so the guard PLC may have switched the tables off already.
+        guarded = bool(i51) and not head.i51
+        if same and head.lease.owner == self.context.owner and (head.i51 == i51 or guarded):
+            if guarded:
+                self._left = ControllerState.DISABLED
             return
         what = "enabled the tables" if live else "changed the manifest, the lease or I51"
         raise ForeignChange(
@@ -542,9 +546,8 @@ class TableUpload:
         )
 
     def _write(self, journal: Journal, the_plan: UploadPlan) -> None:
-        steps = plan(the_plan.old, the_plan.new)
-        journal.write("write", {"delete": steps.delete_lines, "n_lines": len(steps.define_lines)})
-        lines = ["DELETE GATHER", *steps.delete_lines, *steps.define_lines, f"I30={self._i30}"]
+        journal.write("write", {"n_lines": len(the_plan.lines)})
+        lines = ["DELETE GATHER", *the_plan.lines, f"I30={self._i30}"]
         packets = list(_packets(lines))
         for k, packet in enumerate(packets):
             if self.context.stop_requested():
