@@ -136,6 +136,18 @@ def test_the_manual_s_version_answer():
     assert reader.reply.lines == ("1.942  ",)
 
 
+def test_bell_without_a_readable_number_is_an_error_of_unknown_number():
+    reader = ReplyReader()
+    assert reader.receive(b"1\r\x07ERR0x3\r")
+    assert reader.reply == Reply(("1",), 0, faults=("'ERR0x3' is no error number",))
+    reader = ReplyReader()
+    assert reader.receive(b"\x07\x06")
+    assert reader.reply == Reply((), 0, faults=("ACK after BEL",))
+    reader = ReplyReader()
+    assert reader.receive(b"12\x06")
+    assert reader.reply == Reply(faults=("'12' ends without CR",))
+
+
 @pytest.mark.parametrize("noise", [b"\r\n", b"\n", b"\x18", b"\x00", b"\r", b"\x02LATE\r"])
 def test_noise_before_an_answer_does_not_shift_it(noise):
     reader = ReplyReader()
@@ -154,6 +166,13 @@ def test_command_lines_of_a_port():
         CommandLine(b"I5"),
         ControlCharacter(0x18, b"garb"),
         CommandLine(b"P2"),
+    ]
+
+
+def test_backspace_takes_one_character_back():
+    assert LineReader().receive(b"P12\x083\r\x08\x08I5\r") == [
+        CommandLine(b"P13"),
+        CommandLine(b"I5"),
     ]
 
 

@@ -36,6 +36,17 @@ def test_samples_in_dual_ported_ram_have_no_filler():
     assert (first.tolist(), second.tolist(), third.tolist()) == ([1, 4], [-1, 5], [3, 6])
 
 
+def test_odd_samples_are_filled_up_in_ram_only():
+    ram, dpram = SampleLayout((2, 1)), SampleLayout((2, 1), padded=False)
+    assert (ram.words, ram.long_words) == (4, 2)
+    assert (dpram.words, dpram.long_words) == (3, 2)
+    assert (SampleLayout((1, 1)).words, SampleLayout((1, 1)).long_words) == (2, 1)
+    position, output = ram.values(np.array([1, 0, 5, 0, 2, 0, 6, 0]))
+    assert (position.tolist(), output.tolist()) == ([1, 2], [5, 6])
+    position, output = dpram.values(np.array([1, 0, 5, 2, 0, 6]))
+    assert (position.tolist(), output.tolist()) == ([1, 2], [5, 6])
+
+
 def test_an_incomplete_sample_is_left_out():
     values = SampleLayout((1,), padded=False).values(np.array([1, 2, 3]))
     assert values[0].tolist() == [1, 2, 3]
