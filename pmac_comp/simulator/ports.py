@@ -5,6 +5,7 @@ Source: Turbo PMAC Software Reference Manual p. 35-42, 254-263, 276-277.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from pmac_comp.machine.wire.dialog import (
@@ -100,5 +101,8 @@ class Port:
         return format_unsolicited(text, i3=read(3), i4=read(4), i62=read(62), i64=read(64))
 
     def close(self) -> None:
-        """The other side is gone; a buffer it left open stays open, as on the card."""
+        """The other side is gone: a buffer it left open is closed, or nobody could use buffers."""
         self._reader = LineReader()
+        # What was entered so far may be no whole program; it then stays disabled.
+        with suppress(CardError):
+            self.card.close(self)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.client.commander import Commander
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.server import ServeOptions, running_server
 
@@ -87,11 +88,22 @@ def test_pmacanalyse_reads_the_whole_configuration(
     endpoints: dict[str, str], tmp_path: Path
 ) -> None:
     (tmp_path / "results").mkdir()
+    law = (ROOT / "firmware_plc" / "feedforward_law.plc0").read_text()
+    statements = [line.split(";")[0].strip() for line in law.splitlines()]
+    with Commander.open(endpoints["tcp"]) as link:
+        link.write_buffer([line for line in statements if line])
+        link.write_buffer(["&3#4->100X+7", "OPEN PROG 42 CLEAR", "LINEAR X10 DWELL5", "CLOSE"])
     run("analyse.py", "127.0.0.1", port_of(endpoints["tcp"]), str(tmp_path))
     text = (tmp_path / "bench.pmc").read_text()
     assert "i130=139449" in text
     assert "m162->D:$8b" in text
     assert len(text.splitlines()) > 25_000
+    squeezed = re.sub(r"\s", "", text).lower()
+    for line in statements:
+        if line and "plc0clear" not in line.replace(" ", "").lower():
+            assert re.sub(r"\s", "", line).lower() in squeezed, line
+    assert "&3#4->100x+7" in text.lower()
+    assert "openprogram42" in squeezed or "openprog42" in squeezed
     assert (tmp_path / "results" / "bench_compare.htm").exists()
 
 

@@ -20,7 +20,7 @@ _GATHER_RANGE = re.compile(r"\s*(\d*)\s*(?:,\s*(\d+))?")
 # --- program buffers -----------------------------------------------------------------------------
 
 
-@command("OPENPROG")
+@command("OPENPROGRAM", "OPENPROG")
 def _open_program(context: LineContext) -> None:
     number = context.scanner.need_integer(1, 32767)
     if context.card.any_program_runs():
@@ -74,7 +74,7 @@ def _close(context: LineContext) -> None:
 # --- listings ------------------------------------------------------------------------------------
 
 
-@command("LISTPROG")
+@command("LISTPROGRAM", "LISTPROG")
 def _list_program(context: LineContext) -> None:
     program = context.card.programs.find(MOTION, context.scanner.need_integer(1, 32767))
     start = length = None

@@ -144,6 +144,17 @@ def test_requests_of_the_packet_port(card: Card) -> None:
     assert not s.closed
 
 
+def test_client_that_vanishes_leaves_no_open_buffer(card: Card) -> None:
+    gone, stays = EthernetSession(card), EthernetSession(card)
+    ask(gone, wire.get_response(b"OPEN PLC 7 CLEAR"))
+    ask(gone, wire.get_response(b"IF(P1=1)"))
+    assert ask(stays, wire.get_response(b"OPEN PLC 8")) == b"\x07ERR007\r"
+    gone.close()
+    assert ask(stays, wire.get_response(b"OPEN PLC 8 CLOSE")) == b"\x06"
+    ask(stays, wire.get_response(b"ENABLE PLC 7"))
+    assert not card.plcs.enabled(7)
+
+
 def test_long_answers_come_in_packets_of_exactly_1400_bytes(card: Card) -> None:
     s = EthernetSession(card)
     whole = card.port().line("I0..999")
