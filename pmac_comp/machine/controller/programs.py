@@ -93,9 +93,10 @@ class Program:
     def download_lines(self) -> list[str]:
         """Lines that replace the program on the card.
 
-        CLOSE first: another buffer that was left open would take the text.
+        CLOSE first: another buffer that was left open would take the text. CLOSE twice at the
+        end: should one be lost, the buffer would swallow what is sent next.
         """
-        return ["CLOSE", f"OPEN {self.name}", "CLEAR", *self.lines, "CLOSE"]
+        return ["CLOSE", f"OPEN {self.name}", "CLEAR", *self.lines, "CLOSE", "CLOSE"]
 
 
 @dataclass(frozen=True)
@@ -280,7 +281,7 @@ def _first_difference(meant: Sequence[str], found: Sequence[str]) -> str:
 
 def delete(link: Link, kind: ProgramKind, number: int) -> None:
     """Empty a program buffer."""
-    link.write_buffer(["CLOSE", f"OPEN {kind.value} {number}", "CLEAR", "CLOSE"])
+    link.write_buffer(["CLOSE", f"OPEN {kind.value} {number}", "CLEAR", "CLOSE", "CLOSE"])
 
 
 def download_source(link: Link, source: Source) -> None:

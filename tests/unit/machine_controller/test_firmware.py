@@ -263,3 +263,15 @@ def test_cost_of_the_law_is_counted() -> None:
     assert 60 < operations < 140
     assert law_upload.law_cost_us(80.0) == pytest.approx(3.0 * operations)
     assert law_upload.law_cost_us(160.0) == pytest.approx(1.5 * operations)
+
+
+def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    programs.download_source(bench.link, source("bench_setup.pmc"))
+    programs.download_source(bench.link, source("homing.plc"))
+    bench.link.write_buffer(["I123=10", "I7012=2", "I7013=0", "P7191=700", "ENABLE PLC 2"])
+    bench.clock.sleep_s(0.9)
+    assert bench.p(7190) == 1
+    assert float(bench.link.query("#1P")[0]) > 100
+    bench.clock.sleep_s(1.5)
+    assert bench.p(7190) == 3
