@@ -18,9 +18,10 @@ from pathlib import Path
 from pmac_comp.machine.client.commander import Commander
 
 ROOT = Path(__file__).resolve().parent.parent
-SINGLE = 1500
-BULK = 4000
-LINES = 2000
+SINGLE = 200
+BULK = 1000
+LINES = 500
+CHUNKS = 12
 ROUNDS = 3
 CLIENTS = 16
 POLL = "i65???&1??%#1?PVF#2?PVF"
@@ -30,7 +31,7 @@ THEIRS = """
 import json, sys, time
 from dls_pmaclib.dls_pmacremote import PmacEthernetInterface
 
-port, single, bulk, lines = map(int, sys.argv[1:])
+port, single, bulk, lines, chunks = map(int, sys.argv[1:])
 link = PmacEthernetInterface(verbose=False)
 link.setConnectionParams("127.0.0.1", port)
 problem = link.connect()
@@ -39,9 +40,12 @@ if problem:
 out = {}
 
 def clock(name, count, act):
-    start = time.perf_counter()
-    act()
-    out[name] = count / (time.perf_counter() - start)
+    best = 0.0
+    for _ in range(chunks):
+        start = time.perf_counter()
+        act()
+        best = max(best, count / (time.perf_counter() - start))
+    out[name] = best
 
 def ask(count):
     for k in range(count):
@@ -71,10 +75,13 @@ def served_card() -> Iterator[int]:
 
 
 def rate(count: int, act: Callable[[], object]) -> float:
-    """Times a second."""
-    start_s = time.perf_counter()
-    act()
-    return count / (time.perf_counter() - start_s)
+    """Times a second, the best of short runs: a busy machine leaves a quiet moment to some."""
+    best_rate = 0.0
+    for _ in range(CHUNKS):
+        start_s = time.perf_counter()
+        act()
+        best_rate = max(best_rate, count / (time.perf_counter() - start_s))
+    return best_rate
 
 
 def ours(port: int) -> dict[str, float]:
@@ -91,7 +98,7 @@ def ours(port: int) -> dict[str, float]:
                 LINES, lambda: commander.write_buffer([f"P{k % 1000}={k}" for k in range(LINES)])
             ),
             "memory bytes": rate(
-                1_600_000, lambda: [commander.get_memory(0, 16_000) for _ in range(100)]
+                160_000, lambda: [commander.get_memory(0, 16_000) for _ in range(10)]
             ),
         }
 
@@ -103,7 +110,7 @@ def clients_python() -> str | None:
 
 
 def theirs(port: int, python: str) -> dict[str, float]:
-    arguments = [str(n) for n in (port, SINGLE, BULK, LINES)]
+    arguments = [str(n) for n in (port, SINGLE, BULK, LINES, CHUNKS)]
     done = subprocess.run(
         [python, "-c", THEIRS, *arguments], capture_output=True, text=True, check=False, timeout=300
     )

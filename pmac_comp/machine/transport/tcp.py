@@ -2,13 +2,16 @@
 
 import select
 import socket
+import sys
+from collections.abc import Callable
 from typing import Protocol
 
 from pmac_comp.base.clock import Deadline, VirtualClock
 from pmac_comp.base.errors import ConnectFailed, LinkLost, ReplyTimeout
+from pmac_comp.base.units import MS_PER_S
 from pmac_comp.machine.transport.base import Framing
 
-RECEIVE_SIZE = 65536
+RECEIVE_SIZE = 16384
 _SHORTEST_WAIT_S = 1e-3
 _AT_ONCE = Deadline(VirtualClock(), 0.0)
 
@@ -121,6 +124,16 @@ class SocketTransport:
         )
 
 
+def _readiness(link: socket.socket) -> Callable[[float], object]:
+    """A function that waits, at most some seconds, until there is something to receive."""
+    if sys.platform == "win32":
+        return lambda wait_s: select.select([link], [], [], wait_s)[0]
+    # Less than half the cost of select, and good for any number of open files.
+    poll = select.poll()
+    poll.register(link, select.POLLIN)
+    return lambda wait_s: poll.poll(wait_s * MS_PER_S)
+
+
 class TcpTransport(SocketTransport):
     """A TCP connection; the socket never blocks, waiting is done by polling it.
 
@@ -131,6 +144,7 @@ class TcpTransport(SocketTransport):
         super().__init__(link, name, framing)
         self._socket = link
         self._socket.settimeout(0.0)
+        self._readable = _readiness(link)
 
     def send(self, data: bytes, deadline: Deadline) -> None:
         """Send all bytes before the deadline."""
@@ -149,7 +163,7 @@ class TcpTransport(SocketTransport):
         """At least one byte before the deadline."""
         self._require_open()
         while True:
-            if not select.select([self._socket], [], [], deadline.remaining_s())[0]:
+            if not self._readable(deadline.remaining_s()):
                 raise ReplyTimeout(f"{self._name} did not answer in time")
             try:
                 data = self._socket.recv(RECEIVE_SIZE)
@@ -165,7 +179,7 @@ class TcpTransport(SocketTransport):
         """Take what has arrived."""
         self._require_open()
         taken = b""
-        while select.select([self._socket], [], [], 0.0)[0]:
+        while self._readable(0.0):
             taken += self.receive(_AT_ONCE)
         return taken
 
