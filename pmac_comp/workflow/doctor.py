@@ -137,7 +137,7 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
 
 
 def _compensation(axis: "Axis") -> Iterator[Finding]:
-    from pmac_comp.machine.controller.upload import table_status
+    from pmac_comp.machine.controller.table_status import table_status
     from pmac_comp.workflow.deploy import context_of
 
     try:

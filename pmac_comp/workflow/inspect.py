@@ -8,7 +8,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import law_upload, motors
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.upload import table_status
+from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.deploy import context_of

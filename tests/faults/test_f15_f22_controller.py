@@ -22,6 +22,7 @@ from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.controller import backup, law_upload, programs, recovery, upload
 from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, decide
+from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.transaction import host_lock
 from pmac_comp.simulator.card import Card
 from tests.faults.upload_bench import UploadBench, new_table, old_table, snapshot
@@ -130,7 +131,7 @@ def test_f17_another_client_acts_after_every_packet(
             assert whole or not truth.i51, (k, action, error)
         elif not (truth.i51 and truth.entries == rig.new.entries):
             wrong.append(k)
-            status = upload.table_status(rig.bench.link, rig.bench.context)
+            status = table_status(rig.bench.link, rig.bench.context)
             assert status.decision.state is not ControllerState.NEW, (k, action)
     # What is changed after the last look of the upload is found by the next status.
     assert all(k >= n_requests - 12 for k in wrong), wrong

@@ -17,6 +17,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, Manifest, clear_lines
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
 from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.table_status import TableStatus, read_head, table_status
 from pmac_comp.machine.controller.transaction import (
     Context,
     UploadResult,
@@ -26,13 +27,7 @@ from pmac_comp.machine.controller.transaction import (
     refuse_foreign_lease,
     release_lease,
 )
-from pmac_comp.machine.controller.upload import (
-    Origin,
-    TableStatus,
-    TableUpload,
-    read_head,
-    table_status,
-)
+from pmac_comp.machine.controller.upload import Origin, TableUpload
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import (
     CommandRefused,
@@ -27,26 +25,20 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.machine.controller.comp_table import (
-    CompTable,
     Table,
 )
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import (
-    MANIFEST_SIZE,
     Action,
-    Decision,
-    Lease,
     Manifest,
     ManifestState,
     clear_lines,
-    decide,
 )
 from pmac_comp.machine.controller.motors import (
     MotorReading,
     MotorStatus,
-    moving_motors,
     read_motors,
 )
 from pmac_comp.machine.controller.safety import check_step, check_table, raise_all
@@ -60,6 +52,11 @@ from pmac_comp.machine.controller.table_set import (
     read_tables,
     with_lookup,
 )
+from pmac_comp.machine.controller.table_status import (
+    Head,
+    read_head,
+    table_status,
+)
 from pmac_comp.machine.controller.transaction import (
     Context,
     UploadResult,
@@ -67,40 +64,25 @@ from pmac_comp.machine.controller.transaction import (
     mark_left,
     new_transaction_id,
     open_journal,
-    parse_lease,
     read_clock,
     refuse_foreign_lease,
     release_lease,
     take_lease,
 )
+from pmac_comp.machine.controller.upload_checks import (
+    buffer_refusals,
+    difference,
+    largest_change_ct,
+    memory_refusals,
+    motion_refusals,
+    packets,
+)
 from pmac_comp.machine.wire.numbers import read_number
 
-PACKET_BYTES: Final = 1024
 WATCH_CYCLES: Final = 100
 WATCH_POLLS: Final = 4
-HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
 FRESH_s: Final = 5.0
 SAVE_TIMEOUT_s: Final = 15.0
-_BUFFER_BITS: Final = {
-    1 << 20: "a binary rotary buffer",
-    1 << 19: "a motion program buffer",
-    1 << 18: "a rotary buffer",
-    1 << 17: "a PLC buffer",
-}
-_GATHERING: Final = 1 << 19
-
-
-@dataclass(frozen=True)
-class Head:
-    """What one question tells about tables, manifest and lease."""
-
-    i51: int
-    i30: int
-    free_long_words: int
-    manifest: Manifest | None
-    lease: Lease
-    global1: int
-    global2: int
 
 
 @dataclass(frozen=True)
@@ -130,51 +112,6 @@ class UploadPlan:
     largest_change_ct: float
     lines: tuple[str, ...]
     motors: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class TableStatus:
-    """State of the tables on a controller."""
-
-    decision: Decision
-    tables: TableSet
-    manifest: Manifest | None
-    i51: int
-
-
-def read_head(link: Link, context: Context) -> Head:
-    """I51, I30, SIZE, manifest, lease and global status in one question."""
-    first = context.block.p(Index.MANIFEST)
-    lines = link.query(f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???")
-    if len(lines) != 3 + MANIFEST_SIZE + 2 + 1 or len(lines[-1].strip()) != 12:
-        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
-    values = [float(read_number(v)) for v in lines[:-1]]
-    digits = lines[-1].strip()
-    return Head(
-        i51=int(values[0]),
-        i30=int(values[1]),
-        free_long_words=int(values[2]),
-        manifest=Manifest.from_values(values[3 : 3 + MANIFEST_SIZE]),
-        lease=parse_lease(values[3 + MANIFEST_SIZE :]),
-        global1=int(digits[:6], 16),
-        global2=int(digits[6:], 16),
-    )
-
-
-def table_status(
-    link: Link, context: Context, *, journal_manifest: Manifest | None = None
-) -> TableStatus:
-    """What stands on the controller, judged by ``decide``."""
-    head = read_head(link, context)
-    tables = read_tables(link)
-    manifest = head.manifest
-    ours = journal_manifest
-    # Cut before the manifest was written whole: what is there is an older upload's.
-    if ours is not None and (manifest is None or manifest.transaction != ours.transaction):
-        decision = decide(ours, head.i51, tables.crc)
-        if decision.action is not Action.DISABLE or manifest is None:
-            return TableStatus(decision, tables, ours, head.i51)
-    return TableStatus(decide(manifest, head.i51, tables.crc), tables, manifest, head.i51)
 
 
 @dataclass(frozen=True)
@@ -316,14 +253,14 @@ class TableUpload:
         lease = refuse_foreign_lease(head.lease, self.context.owner, now)
         if lease is not None:
             refusals.append(lease)
-        refusals += _buffer_refusals(head)
+        refusals += buffer_refusals(head)
         if self._check_limits:
             changed = [t for t in new if old.get(t.kind, t.motor) != t]
             refusals += [r for table in changed for r in check_table(table, limits)]
-        refusals += _memory_refusals(head, old, new)
+        refusals += memory_refusals(head, old, new)
         readings: dict[int, MotorReading] = {}
         if motors:
-            refusals += _motion_refusals(self.link, motors)
+            refusals += motion_refusals(self.link, motors)
             readings = read_motors(self.link, motors)
         refusals += self._step_refusals(readings, old if head.i51 else TableSet(), new)
         return refusals
@@ -548,8 +485,8 @@ class TableUpload:
     def _write(self, journal: Journal, the_plan: UploadPlan) -> None:
         journal.write("write", {"n_lines": len(the_plan.lines)})
         lines = ["DELETE GATHER", *the_plan.lines, f"I30={self._i30}"]
-        packets = list(_packets(lines))
-        for k, packet in enumerate(packets):
+        parts = list(packets(lines))
+        for k, packet in enumerate(parts):
             if self.context.stop_requested():
                 raise UploadIncomplete(
                     "Stopped on request while tables were being written.",
@@ -561,7 +498,7 @@ class TableUpload:
             except CommandRefused:
                 self._switch_back(the_plan)
                 raise
-            self.context.progress("write", k + 1, len(packets))
+            self.context.progress("write", k + 1, len(parts))
 
     def _switch_back(self, the_plan: UploadPlan) -> None:
         """After a refused line: if the old tables still stand whole, let them act again."""
@@ -595,7 +532,7 @@ class TableUpload:
     def _enable(self, journal: Journal, the_plan: UploadPlan) -> None:
         motors = the_plan.motors
         if motors:
-            refusals = _motion_refusals(self.link, motors)
+            refusals = motion_refusals(self.link, motors)
             readings = read_motors(self.link, motors)
             refusals += self._step_refusals(readings, TableSet(), the_plan.new)
             raise_all(refusals, "Enabling")
@@ -682,92 +619,3 @@ def save(link: Link) -> None:
             code="PC-UPL-010",
         )
     link.command("SAVE", timeout_s=SAVE_TIMEOUT_s)
-
-
-# Texts and checks ---------------------------------------------------------------------------------
-
-
-def difference(meant: TableSet, found: TableSet) -> str:
-    """First difference between two sets, in words."""
-    for table in meant:
-        twin = found.get(table.kind, table.motor)
-        name = f"{table.kind.value} of motor #{table.motor}"
-        if twin is None:
-            return f"{name} is missing"
-        if len(twin.entries) != len(table.entries):
-            return f"{name} has {len(twin.entries)} entries instead of {len(table.entries)}"
-        for k, (a, b) in enumerate(zip(table.entries, twin.entries, strict=True), start=1):
-            if a != b:
-                return f"{name}: entry {k} is {b} instead of {a}"
-        if table.canonical != twin.canonical:
-            return f"{name} has another source, target or span"
-    return f"{len(found)} tables instead of {len(meant)}"
-
-
-def largest_change_ct(old: TableSet, new: TableSet, context: Context) -> float:
-    """Largest change of any motor's position correction within the travel, in counts."""
-    low, high = context.limits.min_position_ct, context.limits.max_position_ct
-    grid = np.linspace(low, high, 2001)
-    largest = 0.0
-    keys = {(t.kind, t.motor) for t in (*old, *new) if isinstance(t, CompTable)}
-    for key in keys:
-        before, after = (s.get(*key) for s in (old, new))
-        values = [
-            t.correction_ct(grid) if isinstance(t, CompTable) else np.zeros(len(grid))
-            for t in (before, after)
-        ]
-        largest = max(largest, float(np.max(np.abs(values[1] - values[0]))))
-    return largest
-
-
-def _buffer_refusals(head: Head) -> list[SafetyRefusal]:
-    refusals = [
-        SafetyRefusal(
-            f"{name.capitalize()} is open on the controller.",
-            code="PC-UPL-020",
-            hint="Close it (CLOSE) where it was opened.",
-        )
-        for bit, name in _BUFFER_BITS.items()
-        if head.global2 & bit
-    ]
-    if head.global1 & _GATHERING:
-        refusals.append(
-            SafetyRefusal(
-                "Data gathering is running.", code="PC-UPL-021", hint="Stop it (ENDGATHER)."
-            )
-        )
-    return refusals
-
-
-def _memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefusal]:
-    freed = old.n_entries + HEADER_LONG_WORDS * len(old)
-    needed = new.n_entries + HEADER_LONG_WORDS * len(new)
-    if needed <= freed + head.free_long_words:
-        return []
-    return [
-        SafetyRefusal(
-            f"The tables need {needed} long words, {freed + head.free_long_words} are free.",
-            code="PC-UPL-022",
-            hint="Use fewer entries, or delete buffers.",
-        )
-    ]
-
-
-def _motion_refusals(link: Link, motors: Sequence[int]) -> list[SafetyRefusal]:
-    return [
-        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
-        for reason in moving_motors(link, motors)
-    ]
-
-
-def _packets(lines: Sequence[str]) -> Iterator[list[str]]:
-    packet: list[str] = []
-    size = 0
-    for line in lines:
-        if packet and size + len(line) + 1 > PACKET_BYTES:
-            yield packet
-            packet, size = [], 0
-        packet.append(line)
-        size += len(line) + 1
-    if packet:
-        yield packet

@@ -1,0 +1,84 @@
+"""What stands on a controller about its tables: manifest, switch and checksum, judged."""
+
+from dataclasses import dataclass
+
+from pmac_comp.base.errors import (
+    ProtocolError,
+)
+from pmac_comp.machine.controller.law_bank import Index
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import (
+    MANIFEST_SIZE,
+    Action,
+    Decision,
+    Lease,
+    Manifest,
+    decide,
+)
+from pmac_comp.machine.controller.table_set import (
+    TableSet,
+    read_tables,
+)
+from pmac_comp.machine.controller.transaction import (
+    Context,
+    parse_lease,
+)
+from pmac_comp.machine.wire.numbers import read_number
+
+
+@dataclass(frozen=True)
+class Head:
+    """What one question tells about tables, manifest and lease."""
+
+    i51: int
+    i30: int
+    free_long_words: int
+    manifest: Manifest | None
+    lease: Lease
+    global1: int
+    global2: int
+
+
+@dataclass(frozen=True)
+class TableStatus:
+    """State of the tables on a controller."""
+
+    decision: Decision
+    tables: TableSet
+    manifest: Manifest | None
+    i51: int
+
+
+def read_head(link: Link, context: Context) -> Head:
+    """I51, I30, SIZE, manifest, lease and global status in one question."""
+    first = context.block.p(Index.MANIFEST)
+    lines = link.query(f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???")
+    if len(lines) != 3 + MANIFEST_SIZE + 2 + 1 or len(lines[-1].strip()) != 12:
+        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
+    values = [float(read_number(v)) for v in lines[:-1]]
+    digits = lines[-1].strip()
+    return Head(
+        i51=int(values[0]),
+        i30=int(values[1]),
+        free_long_words=int(values[2]),
+        manifest=Manifest.from_values(values[3 : 3 + MANIFEST_SIZE]),
+        lease=parse_lease(values[3 + MANIFEST_SIZE :]),
+        global1=int(digits[:6], 16),
+        global2=int(digits[6:], 16),
+    )
+
+
+def table_status(
+    link: Link, context: Context, *, journal_manifest: Manifest | None = None
+) -> TableStatus:
+    """What stands on the controller, judged by ``decide``."""
+    head = read_head(link, context)
+    tables = read_tables(link)
+    manifest = head.manifest
+    ours = journal_manifest
+    # Cut before the manifest was written whole: what is there is an older upload's.
+    if ours is not None and (manifest is None or manifest.transaction != ours.transaction):
+        decision = decide(ours, head.i51, tables.crc)
+        if decision.action is not Action.DISABLE or manifest is None:
+            return TableStatus(decision, tables, ours, head.i51)
+    return TableStatus(decide(manifest, head.i51, tables.crc), tables, manifest, head.i51)

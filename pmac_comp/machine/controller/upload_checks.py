@@ -1,0 +1,125 @@
+"""What forbids an upload, what it would change, and how its lines are packed."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from pmac_comp.base.errors import (
+    MotorNotSafe,
+    SafetyRefusal,
+)
+from pmac_comp.machine.controller.comp_table import (
+    CompTable,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import (
+    moving_motors,
+)
+from pmac_comp.machine.controller.table_set import (
+    TableSet,
+)
+from pmac_comp.machine.controller.table_status import Head
+from pmac_comp.machine.controller.transaction import (
+    Context,
+)
+
+HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
+PACKET_BYTES: Final = 1024
+_BUFFER_BITS: Final = {
+    1 << 20: "a binary rotary buffer",
+    1 << 19: "a motion program buffer",
+    1 << 18: "a rotary buffer",
+    1 << 17: "a PLC buffer",
+}
+_GATHERING: Final = 1 << 19
+
+
+def difference(meant: TableSet, found: TableSet) -> str:
+    """First difference between two sets, in words."""
+    for table in meant:
+        twin = found.get(table.kind, table.motor)
+        name = f"{table.kind.value} of motor #{table.motor}"
+        if twin is None:
+            return f"{name} is missing"
+        if len(twin.entries) != len(table.entries):
+            return f"{name} has {len(twin.entries)} entries instead of {len(table.entries)}"
+        for k, (a, b) in enumerate(zip(table.entries, twin.entries, strict=True), start=1):
+            if a != b:
+                return f"{name}: entry {k} is {b} instead of {a}"
+        if table.canonical != twin.canonical:
+            return f"{name} has another source, target or span"
+    return f"{len(found)} tables instead of {len(meant)}"
+
+
+def largest_change_ct(old: TableSet, new: TableSet, context: Context) -> float:
+    """Largest change of any motor's position correction within the travel, in counts."""
+    low, high = context.limits.min_position_ct, context.limits.max_position_ct
+    grid = np.linspace(low, high, 2001)
+    largest = 0.0
+    keys = {(t.kind, t.motor) for t in (*old, *new) if isinstance(t, CompTable)}
+    for key in keys:
+        before, after = (s.get(*key) for s in (old, new))
+        values = [
+            t.correction_ct(grid) if isinstance(t, CompTable) else np.zeros(len(grid))
+            for t in (before, after)
+        ]
+        largest = max(largest, float(np.max(np.abs(values[1] - values[0]))))
+    return largest
+
+
+def buffer_refusals(head: Head) -> list[SafetyRefusal]:
+    """Refusals because of open buffers or running data gathering."""
+    refusals = [
+        SafetyRefusal(
+            f"{name.capitalize()} is open on the controller.",
+            code="PC-UPL-020",
+            hint="Close it (CLOSE) where it was opened.",
+        )
+        for bit, name in _BUFFER_BITS.items()
+        if head.global2 & bit
+    ]
+    if head.global1 & _GATHERING:
+        refusals.append(
+            SafetyRefusal(
+                "Data gathering is running.", code="PC-UPL-021", hint="Stop it (ENDGATHER)."
+            )
+        )
+    return refusals
+
+
+def memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefusal]:
+    """Refusal if the new tables do not fit the memory that is free or becomes free."""
+    freed = old.n_entries + HEADER_LONG_WORDS * len(old)
+    needed = new.n_entries + HEADER_LONG_WORDS * len(new)
+    if needed <= freed + head.free_long_words:
+        return []
+    return [
+        SafetyRefusal(
+            f"The tables need {needed} long words, {freed + head.free_long_words} are free.",
+            code="PC-UPL-022",
+            hint="Use fewer entries, or delete buffers.",
+        )
+    ]
+
+
+def motion_refusals(link: Link, motors: Sequence[int]) -> list[SafetyRefusal]:
+    """One refusal for every motor that moves."""
+    return [
+        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
+        for reason in moving_motors(link, motors)
+    ]
+
+
+def packets(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Lines in groups that fit one request each."""
+    packet: list[str] = []
+    size = 0
+    for line in lines:
+        if packet and size + len(line) + 1 > PACKET_BYTES:
+            yield packet
+            packet, size = [], 0
+        packet.append(line)
+        size += len(line) + 1
+    if packet:
+        yield packet
