@@ -25,6 +25,14 @@ def test_floating_point_registers(value, word):
     assert numbers.decode_float_48(int(word, 16)) == value
 
 
+@pytest.mark.parametrize("power", [-40, 0, 40])
+def test_rounding_up_to_a_power_of_two_moves_the_exponent(power):
+    below = (1.0 - 2.0**-40) * 2.0**power
+    assert numbers.register_value(below) == 2.0**power
+    assert numbers.encode_float_48(below) == numbers.encode_float_48(2.0**power)
+    assert numbers.register_value(-below) == -(2.0**power)
+
+
 def test_registers_that_are_not_normalised_are_read():
     # one driver writes -1.0 with the exponent of +1.0, one unit of the last place off
     assert numbers.decode_float_48(0xBFFFFFFFF800) == pytest.approx(-1.0, rel=1e-10)
