@@ -122,11 +122,13 @@ def _assembled(
     judging = grown.bench.judging_records
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
-    tied = _tied_groups(grown)
-    named = _named(grown, tied)
+    # Small change next to something large and unknown is no finding.
+    believed = left.explained or not left.unexplained
+    tied = _tied_groups(grown) if believed else ()
+    named = _named(grown, tied) if believed else ()
     verdict = _verdict(named, tied, left)
     where = _where(grown, bench)
-    estimates = estimates_of(grown)
+    estimates = estimates_of(grown) if believed else ()
     findings = findings_of(grown)
     experiment = _experiment(tied, left, grown, library)
     return Diagnosis(

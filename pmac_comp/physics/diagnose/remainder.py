@@ -20,6 +20,8 @@ from pmac_comp.physics.model.drive import DriveModel
 
 _UNEXPLAINED = 0.10  # of the noise variance per sample, earned by flexible rivals on both parts
 _TOLD = 0.05  # of the variance that the grown model removed: the form is right to this
+# What two careful integrations of the same drive differ by around reversals.
+_MODEL_um = 0.08
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 
 
@@ -31,8 +33,10 @@ class Remainder:
     ----------
     unexplained : bool
         Whether something material is left.
+    explained : bool
+        Whether the accepted effects closed more than half of the base model's excess.
     fit_share, judged_share : float
-        Drop of chi-square per sample that flexible rivals earn.
+        Drop of chi-square per sample that flexible rivals earn; excess over the noise floor.
     p_value : float
         That the judged share comes from chance.
     noise_floor_um : float
@@ -44,6 +48,7 @@ class Remainder:
     """
 
     unexplained: bool
+    explained: bool
     fit_share: float
     judged_share: float
     p_value: float
@@ -72,10 +77,15 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
         last.rows_fit + last.rows_judge
     )
     material = max(_UNEXPLAINED, _TOLD * removed)
-    by_rivals = fit_share > material and p_value < 0.01
+    noticeable = excess_um > max(0.3 * floor_um, _MODEL_um)
+    by_rivals = fit_share > material and p_value < 0.01 and noticeable
     base_um = _rms_um(grown, grown.base.model)
-    worth = max(_EXCESS * floor_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2))))
+    worth = max(
+        _EXCESS * floor_um, _MODEL_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2)))
+    )
+    explained = excess_um**2 < 0.5 * (base_um**2 - floor_um**2)
     return Remainder(
+        explained=bool(explained),
         unexplained=bool(by_rivals or excess_um > worth),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
