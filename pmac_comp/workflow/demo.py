@@ -219,6 +219,7 @@ def _whole_job(
             drive,
             route=route,
             slow=tuple(slow),
+            captures=tuple(captures),
             provenance={"model": "model.json", "bench_digest": axis.bench.digest},
             progress=told,
         )

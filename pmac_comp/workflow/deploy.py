@@ -6,7 +6,7 @@ people. What may not: the transactions themselves (``machine.controller``), the 
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,9 @@ from pmac_comp.machine.controller.transaction import Context, UploadResult
 from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.design import design_law, model_loop
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap, lead_map
+from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -62,10 +63,15 @@ def compute_compensation(
     *,
     route: str,
     slow: tuple[Any, ...] = (),
+    captures: tuple[Any, ...] = (),
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
-    """Law and lead map of a model and slow runs for a route."""
+    """Law and lead map of a model and slow runs for a route.
+
+    With ``captures`` (relaxed runs without compensation) the law's offset terms are corrected by
+    what the model leaves of them.
+    """
     check_route(route)
     law = design_law(
         bench,
@@ -77,6 +83,15 @@ def compute_compensation(
     )
     # The lead runs are read without torque and without lead time: only the static part counts.
     lead = lead_map(slow, law.with_values(lead_s=0.0, lead2_s2=0.0)) if slow else None
+    if captures:
+        trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
+        trim = {
+            name: getattr(trimmed, name) - getattr(law, name)
+            for name in coefficient_names()
+            if getattr(trimmed, name) != getattr(law, name)
+        }
+        provenance = {**law.provenance, "trim": trim, "trim_explained": explained}
+        law = replace(trimmed, provenance=provenance)
     return Compensation(route, law, lead)
 
 
@@ -179,6 +194,9 @@ def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
         "valid to m/s": law.valid_speed_m_per_s,
         "valid to m/s2": law.valid_acceleration_m_per_s2,
     }
+    explained = law.provenance.get("trim_explained", 0.0)
+    if explained:
+        out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
     if compensation.route in _TORQUE_ROUTES:
         out["friction torque Nm"] = law.torque_coulomb_Nm
         out["torque lead ms"] = law.torque_lead_s * 1e3

@@ -116,7 +116,7 @@ def improve_axis(
 
     def measured(drive: Any, name: str) -> Verification:
         compensation = compute_compensation(
-            axis.bench, drive, route=route, slow=slow, progress=progress
+            axis.bench, drive, route=route, slow=slow, captures=tuple(captures), progress=progress
         )
         write_compensation(out / f"compensation_{name}.json", compensation)
         deploy(axis, compensation, context)

@@ -527,7 +527,11 @@ def promised(
     from pmac_comp.physics.signals.trajectory import Trajectory
 
     motion = Trajectory(capture.time_s, capture.commanded_position_m)
-    return asdict(promise(compensation.law, loop, motion, latency_cycles=latency_cycles))
+    # The model promises for its own law: what captures corrected beside it is not its word.
+    law = compensation.law
+    trim = law.provenance.get("trim", {})
+    law = law.with_values(**{name: getattr(law, name) - change for name, change in trim.items()})
+    return asdict(promise(law, loop, motion, latency_cycles=latency_cycles))
 
 
 def true_errors(

@@ -1,0 +1,55 @@
+"""The law corrected by captures of a drive that its model does not fit."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.trim import trimmed_law
+from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid
+
+BENCH = load_bench("paper")
+MODEL = DriveModel.base(BENCH)
+LAW = CompensationLaw(inertia_s2=2.2e-6, viscous_s=3.8e-6, coulomb_m=0.9e-6)
+MOTIONS = [
+    sinusoid(
+        period_s=BENCH.servo_period_s, amplitude_m=0.01, frequency_Hz=f, cycles=4.0, centre_m=x
+    )
+    for f, x in ((3.0, -0.2), (4.0, 0.0), (3.0, 0.2), (1.0, 0.1))
+]
+
+
+def capture_of(model: DriveModel, motion: Trajectory, *, extra: float = 0.0) -> Capture:
+    """A run of a drive; ``extra`` is an elastic error per acceleration that the model lacks."""
+    run = simulate(model, motion)
+    a = np.gradient(np.gradient(run.motor_position_m, BENCH.servo_period_s), BENCH.servo_period_s)
+    return Capture(
+        run.time_s,
+        run.commanded_position_m,
+        run.motor_position_m,
+        table_position_m=run.table_position_m - extra * a + 3e-6,
+    )
+
+
+def test_missing_compliance_is_taken_over_by_the_law() -> None:
+    captures = [capture_of(MODEL, m, extra=0.5e-6) for m in MOTIONS]
+    law, explained = trimmed_law(LAW, model_loop(MODEL), captures)
+    assert law.inertia_s2 == pytest.approx(2.7e-6, rel=0.01)
+    assert law.viscous_s == pytest.approx(LAW.viscous_s, abs=0.2e-6)
+    assert explained > 0.9
+
+
+def test_law_of_a_model_that_fits_stays_as_it_is() -> None:
+    captures = [capture_of(MODEL, m) for m in MOTIONS]
+    law, explained = trimmed_law(LAW, model_loop(MODEL), captures)
+    assert law is LAW
+    assert explained == 0.0
+
+
+def test_captures_without_a_table_change_nothing() -> None:
+    full = capture_of(MODEL, MOTIONS[0])
+    bare = Capture(full.time_s, full.commanded_position_m, full.motor_position_m)
+    assert trimmed_law(LAW, model_loop(MODEL), [bare]) == (LAW, 0.0)
