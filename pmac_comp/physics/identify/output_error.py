@@ -31,7 +31,7 @@ TOLERANCE_IN_STD = 2.0
 # wide prior around the typical figure, so that the sum stays free.
 _FREE_PRIOR_SCALES = 2.0
 _STEP_FRAC = 2e-3
-_BLOCK_s = 0.2
+_BLOCK_s = 0.4
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 12
 _DONE_STEP = 0.3  # of a standard deviation
