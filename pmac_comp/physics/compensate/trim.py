@@ -70,7 +70,7 @@ def trimmed_law(
         name: getattr(law, name) - float(change)
         for name, change in zip(_TERMS, found / scale, strict=True)
     }
-    return replace(law, **values), explained  # type: ignore[arg-type]
+    return replace(law, **values), explained
 
 
 def _rest(
