@@ -302,7 +302,7 @@ def test_sensor_effects_show_in_readings_and_not_in_the_truth():
 @pytest.mark.parametrize(
     ("name", "parameters", "torque_Nm"),
     [
-        ("bias_force", {"force_N": 100.0}, -100.0 * 0.01 / (2 * math.pi)),
+        ("bias_force", {"force_N": 100.0}, 100.0 * 0.01 / (2 * math.pi)),
         ("cable_drag", {"stiffness_N_per_m": 5000.0, "centre_mm": -20.0}, 5000 * 0.02 * 1.5915e-3),
     ],
 )
@@ -311,7 +311,7 @@ def test_static_loads_show_in_the_mean_torque(name, parameters, torque_Nm):
     last = slice(round(1.0 / TS), round(3.0 / TS))
     plain = run_with({}, command)["torque_command_Nm"][last].mean()
     changed = run_with({name: parameters}, command)["torque_command_Nm"][last].mean()
-    # A positive bias force pushes along positive motion: the motor has less to do.
+    # A positive bias force resists positive motion: the motor has more to do.
     assert changed - plain == pytest.approx(torque_Nm, rel=0.1)
 
 

@@ -51,10 +51,10 @@ _NO_DETAIL_AT_REST = {
     "viscous_nonlinear",
 }
 _RIGID_NAMES = {
-    "mass_kg": ("chain.mass_kg", 1.0),
-    "viscous_N_s_per_m": ("viscous.guide_Ns_per_m", 1.0),
-    "coulomb_N": ("coulomb.guide_N", 1.0),
-    "bias_force_N": ("bias_force.force_N", -1.0),  # the drive must push against the bias
+    "mass_kg": "chain.mass_kg",
+    "viscous_N_s_per_m": "viscous.guide_Ns_per_m",
+    "coulomb_N": "coulomb.guide_N",
+    "bias_force_N": "bias_force.force_N",
 }
 
 
@@ -229,8 +229,8 @@ def _identify_rigid(
     fit = rigid_regression(captures, bench)
     model = start.with_effect("bias_force") if "bias_force" not in start.effects else start
     values = {
-        name: sign * fit.value(own)
-        for own, (name, sign) in _RIGID_NAMES.items()
+        name: fit.value(own)
+        for own, name in _RIGID_NAMES.items()
     }  # fmt: skip
     model = model.with_parameters({k: max(v, 0.0) if k != "bias_force.force_N" else v
                                    for k, v in values.items()})  # fmt: skip
@@ -238,12 +238,11 @@ def _identify_rigid(
     residuals, figures = _rigid_residuals(records, bench, model)
     if progress is not None:
         progress("done", 1.0)
-    signs = np.array([sign for _, sign in _RIGID_NAMES.values()])
     return Identification(
         model=model,
         parameters=_rigid_estimates(fit, model),
-        correlation_names=tuple(name for name, _ in _RIGID_NAMES.values()),
-        correlation=correlation_of(fit.covariance * np.outer(signs, signs)),
+        correlation_names=tuple(_RIGID_NAMES.values()),
+        correlation=correlation_of(fit.covariance),
         noise=_noise(residuals),
         residuals=residuals,
         statements=(
@@ -257,8 +256,8 @@ def _identify_rigid(
 
 def _rigid_estimates(fit: Regression, model: DriveModel) -> dict[str, ParameterEstimate]:
     return {
-        name: estimate(name, sign * fit.value(own), fit.std(own), model.spec(name).unit)
-        for own, (name, sign) in _RIGID_NAMES.items()
+        name: estimate(name, fit.value(own), fit.std(own), model.spec(name).unit)
+        for own, name in _RIGID_NAMES.items()
     }
 
 

@@ -61,7 +61,7 @@ def to_model_file(
         parameters=parameters,
         correlation=Correlation(
             names=[keys[name] for name in identification.correlation_names],
-            matrix=_signed(identification),
+            matrix=[[float(value) for value in row] for row in identification.correlation],
         ),
         noise=Noise(
             motor_um=None if noise.motor_m is None else noise.motor_m * UM_PER_M,
@@ -95,33 +95,17 @@ def model_from_file(
             + (" and the same --effects file." if library is None else "."),
         )
     values = {
-        known[key].name: known[key].from_file(entry.value) * _sign(key)
+        known[key].name: known[key].from_file(entry.value)
         for key, entry in stored.parameters.items()
     }
     return empty.with_parameters(values)
 
 
-def _sign(key: str) -> float:
-    return -1.0 if key == _OFFSET[1] else 1.0
-
-
-def _signed(identification: Identification) -> list[list[float]]:
-    model = identification.model
-    names = identification.correlation_names
-    rigid = model is not None and model.is_rigid
-    signs = [-1.0 if rigid and name == _OFFSET[0] else 1.0 for name in names]
-    return [
-        [float(value) * a * b for value, b in zip(row, signs, strict=True)]
-        for row, a in zip(identification.correlation, signs, strict=True)
-    ]
-
-
 def _estimated(spec: ParameterSpec, found: ParameterEstimate, key: str) -> ModelParameter:
-    sign = _sign(key)
-    ends = sorted(sign * spec.to_file(end) for end in (found.lower95, found.upper95))
+    ends = sorted(spec.to_file(end) for end in (found.lower95, found.upper95))
     known = spec.kind == "known"
     return ModelParameter(
-        value=sign * spec.to_file(found.value),
+        value=spec.to_file(found.value),
         unit=spec.file_unit,
         std=abs(spec.file_factor) * found.std,
         lower95=ends[0],

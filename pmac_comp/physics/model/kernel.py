@@ -763,7 +763,7 @@ def run(
             speed = z[7]
             push_motor = 0.0
             push_nut = 0.0
-            push_table = par[s.BIAS] - external_N[k]
+            push_table = -par[s.BIAS] - external_N[k]
             if use_waves:
                 push_motor += par[s.COGGING] * math.cos(
                     par[s.COGGING + 1] * mid_theta + par[s.COGGING + 2]

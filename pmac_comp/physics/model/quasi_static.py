@@ -88,7 +88,7 @@ def table_force_N(
     power = vector[s.POWER_FORCE] * np.abs(v) ** vector[s.POWER_EXPONENT] * np.sign(v)
     cable = vector[s.CABLE_K] * (x - vector[s.CABLE_CENTRE])
     inertia = vector[s.M_TABLE] * a
-    force = inertia + viscous + power + level * sense + cable - vector[s.BIAS] + external_force_N
+    force = inertia + viscous + power + level * sense + cable + vector[s.BIAS] + external_force_N
     return np.asarray(force)
 
 

@@ -58,7 +58,7 @@ ASYMMETRY_ROTARY = 76
 # Other torques and forces
 COGGING = 80  # amplitude, order, phase
 RIPPLE = 83  # fraction of the torque, order, phase
-BIAS = 86  # force on the table, positive pushes along positive motion
+BIAS = 86  # force on the table, positive resists positive motion
 CABLE_K = 87
 CABLE_CENTRE = 88
 EXTERNAL = 89  # amplitude, rad/s, phase; positive pushes against positive motion

@@ -9,8 +9,8 @@ Sign conventions where the name alone leaves a choice: ``friction_asymmetry.frac
 sample is older than the encoder sample; ``torque_ripple.amplitude_Nm`` is reached at rated torque
 and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass;
 ``presliding.elements`` above 0 makes the guide's presliding one of parallel elements with non-local
-memory (GMS) in place of a LuGre bristle; a positive ``bias_force.force_N`` pushes along positive
-motion, unlike the force of ``set_external_force``.
+memory (GMS) in place of a LuGre bristle; a positive ``bias_force.force_N`` resists positive
+motion, as the force of ``set_external_force`` does.
 """
 
 import math

@@ -383,7 +383,7 @@ def ballscrew_step(
         static_m, per_rad = lead_error(par, th_s, time)
         anchor = th_s
         arm = rho + per_rad
-        load = par[P_BIAS] - state[S_EXTERNAL] - par[P_CABLE_K] * (xt - par[P_CABLE_X])
+        load = -par[P_BIAS] - state[S_EXTERNAL] - par[P_CABLE_K] * (xt - par[P_CABLE_X])
         if par[P_FORCE] != 0.0:
             load -= par[P_FORCE] * math.sin(par[P_FORCE_OMEGA] * time + par[P_FORCE_PHASE])
         end_m = motor_level / sigma_m

@@ -20,7 +20,7 @@ EFFECT = Effect(
             10.0,
             (-1e5, 1e5),
             scale=10.0,
-            description="positive pushes along positive motion",
+            description="positive resists positive motion, as external forces do",
         ),
     ),
     apply=_apply,
