@@ -22,6 +22,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 
 if TYPE_CHECKING:
@@ -528,7 +529,8 @@ def promised(
 
     motion = Trajectory(capture.time_s, capture.commanded_position_m)
     # The model promises for its own law: what captures corrected beside it is not its word.
-    law = compensation.law
+    # Routes without a dynamic law promise nothing beyond the static part.
+    law = compensation.law if compensation.route in ("law", "servo") else CompensationLaw()
     trim = law.provenance.get("trim", {})
     law = law.with_values(**{name: getattr(law, name) - change for name, change in trim.items()})
     return asdict(promise(law, loop, motion, latency_cycles=latency_cycles))
