@@ -140,14 +140,23 @@ def compare(
     validate: Annotated[
         list[Path] | None, typer.Option("--validate", help="Capture for judging (repeatable)")
     ] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
     json_target: JsonOption = "",
 ) -> None:
-    """Fit rival models to the same captures and show what each leaves uncorrected."""
+    """Fit rival models to the same captures and show what each leaves uncorrected.
+
+    Beside them what one would do otherwise (scale feedback, notch, friction feedforward, learning),
+    simulated on the identified model.
+    """
     from pmac_comp.workflow.comparison import compare_files
 
     progress = ProgressLines()
     result = compare_files(captures, validate or [], bench, progress=progress)
     progress.close()
+    if report is not None:
+        from pmac_comp.report.comparison import write_comparison_report
+
+        write_comparison_report(result, output.checked_target(report))
 
     def show() -> None:
         output.table(
@@ -158,5 +167,24 @@ def compare(
                 for r in result["models"]
             ],
         )
+        ways = result["alternatives"]
+        if ways["rows"]:
+            output.echo()
+            output.table(
+                f"what one would do otherwise, um rms ({ways['basis']})",
+                ("way", "total", "table - motor", "... + correction", "how"),
+                [
+                    (
+                        r["name"],
+                        r["total_rms_um"],
+                        r["mechanical_rms_um"],
+                        r["residual_rms_um"],
+                        r["how"],
+                    )
+                    for r in ways["rows"]
+                ],
+            )
+        if report is not None:
+            output.echo(f"report: {report}")
 
     output.finish(result, json_target, show)

@@ -155,6 +155,27 @@ def summary_bars(rows: Sequence[tuple[str, float, float, float | None]]) -> str:
     return svg(draw, 7.2, 0.8 + 0.5 * len(rows))
 
 
+def ranking(groups: Sequence[tuple[str, Sequence[tuple[str, float]]]]) -> str:
+    """Bars of what is left in um rms, one panel per group (title, rows of name and value)."""
+
+    def draw(figure: Figure) -> None:
+        heights = [max(len(rows), 1) for _, rows in groups]
+        panels = np.atleast_1d(figure.subplots(len(groups), 1, height_ratios=heights))
+        for axis, (title, rows) in zip(panels, groups, strict=True):
+            place = np.arange(len(rows))
+            bars = axis.barh(place, [row[1] for row in rows], 0.6, color=PROMISE)
+            axis.bar_label(bars, fmt="%.3g", padding=3)
+            axis.set_yticks(place, [row[0] for row in rows])
+            axis.invert_yaxis()
+            axis.set_xscale("log")
+            axis.margins(x=0.12)
+            axis.set_title(title, fontsize=8.5, loc="left")
+            axis.set_xlabel("um rms")
+            axis.grid(visible=False, axis="y")
+
+    return svg(draw, 7.6, 1.0 + sum(0.6 + 0.28 * len(rows) for _, rows in groups))
+
+
 def residual_figure(
     time_s: FloatArray, channels: Sequence[tuple[str, FloatArray, str]], title: str
 ) -> str:

@@ -1,4 +1,4 @@
-"""Rival models on capture files: one table of what each leaves uncorrected."""
+"""Rival models on capture files, and beside them what a user would do otherwise."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -19,21 +19,27 @@ def compare_files(
     *,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Fit every rival and the full model to captures, judge them on others."""
-    from pmac_comp.physics.identify.compare import compare_models
+    """Fit every rival and the full model to captures, judge them on others.
+
+    The alternatives to compensation are simulated on the commands of the judged captures, with the
+    identified model as the plant.
+    """
+    from pmac_comp.physics.identify.compare import compare_models, parted
+    from pmac_comp.physics.identify.records import prepare
+    from pmac_comp.workflow.alternatives import BASIS, compare_alternatives
 
     loaded = load_bench(bench)
     read = {path: read_capture(path) for path in [*captures, *validate]}
     for path, capture in read.items():
         check_period(capture, loaded, path.name)
-    found = compare_models(
-        [read[path] for path in captures],
-        [read[path] for path in validate],
-        loaded,
-        progress=progress,
-    )
+    given = [read[path] for path in captures], [read[path] for path in validate]
+    found = compare_models(*given, loaded, progress=progress)
+    model = found.identification.model
+    commands = [prepare(capture, loaded).commanded_m for capture in parted(*given)[1]]
+    ways = () if model is None else compare_alternatives(model, commands, progress=progress)
     return {
         "kind": "comparison",
         "judged_on": found.judged_on,
         "models": [asdict(row) for row in found.rows],
+        "alternatives": {"simulated": True, "basis": BASIS, "rows": [asdict(w) for w in ways]},
     }

@@ -82,7 +82,7 @@ def compare_models(
         Too few captures, or none with a table position.
     """
     tell = progress or (lambda _text, _fraction: None)
-    fit, judge = _parted(captures, validate)
+    fit, judge = parted(captures, validate)
     tell("full model", 0.0)
     found = identify(fit, bench, progress=lambda text, part: tell(text, 0.6 * part))
     measured = tuple(_error_m(capture, found.static_map) for capture in judge)
@@ -103,9 +103,10 @@ def compare_models(
     return Comparison(tuple(rows), _judged_on(judge), measured, predicted, found)
 
 
-def _parted(
+def parted(
     captures: Sequence[Capture], validate: Sequence[Capture]
 ) -> tuple[list[Capture], list[Capture]]:
+    """Captures to fit and captures to judge; raises ModelError if one would have to do both."""
     if validate:
         return list(captures), list(validate)
     judge = list(captures[2::3]) or list(captures[1:2])
