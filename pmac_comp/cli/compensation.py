@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.cli import output
 from pmac_comp.cli.controller import (
     BenchOption,
@@ -83,8 +84,16 @@ def diff(
     json_target: JsonOption = "",
 ) -> None:
     """Show the compensation on the controller against a new one, in numbers and as a plot."""
+    from pmac_comp.workflow.compensation_file import check_bench
     from pmac_comp.workflow.deploy import difference
 
+    if plot is not None and plot.suffix.lower() not in {".svg", ".png"}:
+        raise ConfigError(
+            f"{plot} has a suffix that is not a plot format.",
+            code="PC-CLI-004",
+            hint="Use .svg or .png.",
+        )
+    check_bench(new, bench)
     result = difference(url, bench, new)
     if plot is not None:
         from pmac_comp.report.figures import save_difference_plot
@@ -93,7 +102,7 @@ def diff(
 
     def show() -> None:
         output.table("old against new", ("quantity", "old", "new", "unit"), result["rows"])
-        output.echo(f"largest change: {result['largest_change_um']:.3f} um")
+        output.echo(f"largest change of the table: {result['largest_change_um']:.3f} um")
 
     output.finish(result, json_target, show)
 
@@ -113,8 +122,10 @@ def upload(
     json_target: JsonOption = "",
 ) -> None:
     """Upload a compensation as one transaction; ends in OLD, NEW or DISABLED."""
+    from pmac_comp.workflow.compensation_file import check_bench
     from pmac_comp.workflow.deploy import plan_upload, upload_file
 
+    check_bench(new, bench)
     plan = plan_upload(url, bench, new)
 
     def show_plan() -> None:
@@ -129,7 +140,7 @@ def upload(
         return
     if json_target != "-":
         show_plan()
-    confirmed(f"Upload {new} to {url}?", yes=yes)
+    confirmed(f"Upload {new} to {url}?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = upload_file(url, bench, new, journal, persist=persist, progress=progress)
     progress.close()
@@ -214,12 +225,21 @@ def verify(
     json_target: JsonOption = "",
 ) -> None:
     """Measure before and after on fresh runs, alternating, against the promise."""
+    from pmac_comp.workflow.compensation_file import check_bench
     from pmac_comp.workflow.verify import verify_files, verify_on_controller
 
     progress = ProgressLines()
     if before or after:
         outcome = verify_files(bench, before or [], after or [], model=model, law=law)
     else:
+        if not url:
+            raise ConfigError(
+                "There is nothing to verify: no controller and no stored runs.",
+                code="PC-CLI-011",
+                hint="Give a URL, or stored runs with --before and --after.",
+            )
+        if law is not None:
+            check_bench(law, bench)
         confirmed(f"Run verification motions on {url}?", yes=yes)
         outcome = verify_on_controller(
             url,

@@ -12,7 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
-from pmac_comp.files.bench import Bench
+from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
@@ -117,6 +117,28 @@ def read_compensation(path: Path) -> Compensation:
         raise
     except PmacCompError as error:
         raise _bad(path, error.message) from error
+
+
+def check_bench(path: Path, bench: str) -> None:
+    """Refuse a compensation that was computed for another bench file.
+
+    Counts per revolution, scale and clock come from the bench file: with another one, metres would
+    become the wrong counts.
+
+    Raises
+    ------
+    ConfigError
+        The digests differ. A compensation without a digest passes.
+    """
+    computed_for = read_compensation(path).law.provenance.get("bench_digest", "")
+    loaded = load_bench(bench)
+    if computed_for and computed_for != loaded.digest:
+        raise ConfigError(
+            f"{path} was computed for another bench file than {bench}.",
+            code="PC-DEP-003",
+            hint="Name its bench file with --bench, or run `pmac-comp compensate` again with this "
+            "one. Nothing was changed.",
+        )
 
 
 def _from_mapping(data: dict[str, Any]) -> Compensation:
