@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from pmac_comp import __version__
-from pmac_comp.base.errors import InternalError, PmacCompError
+from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 app = typer.Typer(
@@ -52,9 +52,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(130)
     except BrokenPipeError:
         sys.exit(1)
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError) as error:
+        refused = _as_refusal(error)
+        output.show_error(refused, wants_json)
+        sys.exit(refused.exit_code)
     except Exception as error:
         output.show_error(_as_bug(error), wants_json)
         sys.exit(InternalError.exit_code)
+
+
+def _as_refusal(error: OSError) -> ConfigError:
+    """A file that cannot be used as asked: the user's to settle, not a bug."""
+    return ConfigError(
+        f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.",
+        code="PC-CLI-003",
+        hint="Check the path and its permissions.",
+    )
 
 
 def _as_bug(error: Exception) -> InternalError:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.base.errors import VerifyMismatch
+from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
@@ -14,6 +14,7 @@ from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
 _SHOWN = 40
+_LINE_SHOWN = 60
 
 
 def backup_to_file(
@@ -59,7 +60,7 @@ def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
     with open_axis(url, bench) as axis:
         present = kept.read_backup(axis.link)
     differing = kept.compare(present, stored)
-    lines = [f"{d.item}: {d.before} -> {d.after}" for d in differing[:_SHOWN]]
+    lines = [f"{d.item}: {_short(d.before)} -> {_short(d.after)}" for d in differing[:_SHOWN]]
     if len(differing) > _SHOWN:
         lines.append(f"... and {len(differing) - _SHOWN} more")
     return {"summary": f"{len(differing)} items differ", "lines": lines}
@@ -91,9 +92,21 @@ def restore_from_file(
 def _program_text(bench: str, source: Path) -> str:
     loaded = load_bench(bench)
     block = LawBlock.from_p_block(loaded.controller.p_block)
-    return programs.render(
-        source.read_text(encoding="utf-8"), motor=loaded.encoder.motor_number, first_p=block.first
-    )
+    try:
+        text = source.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"The program file {source} cannot be read: {error}.",
+            code="PC-BCK-011",
+            hint="Give a backup (.json) or a program file as text. Nothing was changed.",
+        ) from error
+    return programs.render(text, motor=loaded.encoder.motor_number, first_p=block.first)
+
+
+def _short(value: object) -> str:
+    """One line of at most 60 characters: a whole program would bury what differs."""
+    first, *rest = str(value).splitlines() or [""]
+    return (first[:_LINE_SHOWN] + f" ... ({len(rest)} more lines)") if rest else first or "nothing"
 
 
 def _steps(progress: Progress | None) -> kept.Progress:
