@@ -37,15 +37,19 @@ def register(app: typer.Typer) -> None:
     app.command("capture")(capture)
 
 
-def confirmed(question: str, *, yes: bool) -> None:
-    """Ask before something changes; a pipe without ``--yes`` counts as no."""
+def confirmed(question: str, *, yes: bool, can_look: bool = False) -> None:
+    """Ask before something changes; a pipe without ``--yes`` counts as no.
+
+    ``can_look`` says that the command has ``--dry-run``.
+    """
     if yes:
         return
     if not sys.stdin.isatty():
         raise ConfigError(
             f"{question} Nobody can answer here.",
             code="PC-CLI-010",
-            hint="Nothing was changed. Add --yes to go on without asking, or --dry-run to look.",
+            hint="Nothing was changed. Add --yes to go on without asking"
+            + (", or --dry-run to look." if can_look else "."),
         )
     if not typer.confirm(question, err=True):
         output.say("nothing was changed")
@@ -124,6 +128,13 @@ def terminal(
             )
             return
         output.say("one command per line; end with Ctrl-D")
+        if json_target:
+            lines = [line.rstrip("\r\n") for line in sys.stdin]
+            said = [{"command": line, "answer": ask(line)} for line in lines]
+            output.finish(
+                said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"])
+            )
+            return
         for line in sys.stdin:
             for answer in ask(line.rstrip("\r\n")):
                 output.echo(answer)
@@ -159,7 +170,7 @@ def restore(
     if dry_run:
         output.finish(plan, json_target, lambda: output.echo_all(plan["lines"]))
         return
-    confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes)
+    confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = restore_from_file(url, bench, source, progress=progress)
     progress.close()
@@ -211,7 +222,7 @@ def capture(
         return
     if json_target != "-":
         show_plan()
-    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
+    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = capture_to_folder(url, bench, plan, out, progress=progress)
     progress.close()

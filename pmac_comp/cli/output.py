@@ -19,6 +19,7 @@ import typer
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 
 JSON_STDOUT = "--json=-"
+_WHOLE_BELOW = 1e7  # counts are shown to the last one
 Progress = Callable[[str, float], None]
 
 JsonOption = Annotated[
@@ -160,7 +161,8 @@ def _cell(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        whole = value.is_integer() and abs(value) < _WHOLE_BELOW
+        return f"{value:.0f}" if whole else f"{value:.4g}"
     return str(value)
 
 
