@@ -139,9 +139,10 @@ def _start_model(
         return None
     from pmac_comp.physics.model.drive import DriveModel
 
+    library = user_effects(effects)  # also without --with, so that a wrong file is told
     drive = DriveModel.base(bench) if model is None else load_model(model, bench, effects=effects)
     for name in added:
-        drive = drive.with_effect(name, library=user_effects(effects))
+        drive = drive.with_effect(name, library=library)
     return drive
 
 
