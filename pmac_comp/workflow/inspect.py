@@ -52,7 +52,7 @@ def controller_status(url: str, bench: str) -> dict[str, Any]:
                             state.tables) or "none",
         "tables act (I51)": state.i51,
         "verdict": state.decision.state.value,
-        "why": state.decision.reason,
+        "why": f"tables: {state.decision.reason}",
         "law": head.form.name.lower(),
         "law bank": head.bank,
         "law gain": head.gain,

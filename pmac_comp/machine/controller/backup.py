@@ -285,6 +285,8 @@ def restore(
         raise MotorNotSafe(
             f"Restoring needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
             code="PC-BCK-003",
+            hint="Kill each where the axis is safe without torque: "
+            "`pmac-comp terminal URL -c '#1K'`.",
             left=ControllerState.OLD,
         )
     link.write_buffer(["CLOSE", "I5=0"])
