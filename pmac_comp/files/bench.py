@@ -145,6 +145,12 @@ class Controller(_Table):
     p_block: Annotated[list[int], Field(min_length=2, max_length=2)] = Field(
         default=[7000, 7199], description="first and last P-variable that may be used"
     )
+    cam_motor_number: int = Field(
+        default=8,
+        ge=1,
+        le=32,
+        description="unused PMAC motor that counts time for the route cam",
+    )
     ivariables: dict[str, float] = Field(default_factory=dict)
     si: SiControl | None = None
     cascade: CascadeControl | None = None

@@ -55,6 +55,7 @@ class Axis:
     bench: Bench
     identity: str = ""
     scales: Scales = field(init=False)
+    program_number: int = field(init=False, default=PROGRAM_NUMBER)
 
     def __post_init__(self) -> None:
         self.scales = Scales.of(self.bench)
@@ -200,14 +201,14 @@ class Axis:
         """Run the program; a card that still ends the jog before refuses and changes nothing."""
         for _ in range(_START_ATTEMPTS):
             try:
-                self.link.command(f"&1B{PROGRAM_NUMBER}R")
+                self.link.command(f"&1B{self.program_number}R")
             except CommandRefused as error:
                 if error.context.get("error") != _ERR_MOVE_NOT_COMPLETED:
                     raise
                 self.link.clock.sleep_s(0.02)
             else:
                 return
-        self.link.command(f"&1B{PROGRAM_NUMBER}R")
+        self.link.command(f"&1B{self.program_number}R")
 
     def _gather_ram(
         self, plan: GatherPlan, duration_s: float, start: Callable[[], None]

@@ -164,7 +164,7 @@ def run_demo(
     plant : str or None
         ``FILE[:FACTORY]`` of a drive of the user's own.
     route : str
-        ``law``, ``servo`` or ``table``.
+        ``law``, ``servo``, ``table`` or ``cam``.
     seed : int
         Draws the verification motions, after the upload.
     progress : callable, optional
@@ -220,6 +220,7 @@ def _whole_job(
             route=route,
             slow=tuple(slow),
             captures=tuple(captures),
+            motion=verification_motions(axis.bench, seed)[0],
             provenance={"model": "model.json", "bench_digest": axis.bench.digest},
             progress=told,
         )

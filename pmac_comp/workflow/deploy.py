@@ -24,24 +24,35 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.machine.controller import law_upload, motors, recovery
-from pmac_comp.machine.controller.comp_table import TableKind
+from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.program_upload import rollback_program
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.transaction import Context, UploadResult
 from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.exact import Learning, exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap, lead_map
 from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import (
+    CAM_PROGRAM,
+    deploy_program,
+    release_time_motor,
+    render_cam,
+    rest_time_motor,
+    tables_of,
+)
 from pmac_comp.workflow.compensation_file import (
     Compensation,
     check_route,
     read_compensation,
     write_compensation,
 )
+from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.session import open_axis
 
@@ -49,6 +60,7 @@ Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 _TORQUE_ROUTES = ("law", "servo")
+_MOTION_ROUTES = ("cam", "program")
 _CHEAP_SHARE = 0.25
 _SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
 _NOT_MOVED = "PC-SGN-005"
@@ -64,13 +76,14 @@ def compute_compensation(
     route: str,
     slow: tuple[Any, ...] = (),
     captures: tuple[Any, ...] = (),
+    motion: Motion | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Law and lead map of a model and slow runs for a route.
 
-    With ``captures`` (relaxed runs without compensation) the law's offset terms are corrected by
-    what the model leaves of them.
+    ``cam`` and ``program`` are for one ``motion``. With ``captures`` (relaxed runs without
+    compensation) the law's offset terms are corrected by what the model leaves of them.
     """
     check_route(route)
     law = design_law(
@@ -83,6 +96,16 @@ def compute_compensation(
     )
     # The lead runs are read without torque and without lead time: only the static part counts.
     lead = lead_map(slow, law.with_values(lead_s=0.0, lead2_s2=0.0)) if slow else None
+    if motion is not None and route in _MOTION_ROUTES:
+        exact = _exact(bench, model, motion.position_m)
+        return Compensation(
+            route,
+            law,
+            lead if route == "cam" else None,
+            motion_time_s=motion.trajectory.time_s,
+            motion_position_m=motion.position_m,
+            motion_correction_m=exact.correction_m,
+        )
     if captures:
         trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
         trim = {
@@ -142,10 +165,14 @@ def compensate_files(
     }
 
 
+def _exact(bench: Bench, model: Any, position_m: FloatArray) -> Learning:
+    limit = bench.safety.max_correction_um / UM_PER_M
+    return exact_correction(model_loop(model), position_m, bench.servo_period_s, limit_m=limit)
+
+
 def _compensate_motion(
     bench: Bench, drive: Any, out: Path, route: str, command: Path | None
 ) -> dict[str, Any]:
-    from pmac_comp.physics.compensate.exact import exact_correction
     from pmac_comp.workflow.commands import read_command
 
     if command is None:
@@ -155,8 +182,7 @@ def _compensate_motion(
             hint="Give it with --command FILE (CSV with time_s,commanded_position_mm).",
         )
     time_s, position = read_command(command)
-    limit = bench.safety.max_correction_um / UM_PER_M
-    exact = exact_correction(model_loop(drive), position, bench.servo_period_s, limit_m=limit)
+    exact = _exact(bench, drive, position)
     law = design_law(bench, model_loop(drive), latency_cycles=0, with_torque=False)
     compensation = Compensation(
         route,
@@ -292,10 +318,16 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
     """
     parts: list[UploadResult] = []
     notes: list[str] = []
-    rendered = compensation.table(axis.bench)
-    if rendered is not None:
+    tables = tables_of(compensation, axis.bench)
+    if compensation.route == "cam":
+        parts.append(_deploy_cam(axis, compensation, context, tables))
+        notes.append(
+            f"the motion is PROG {CAM_PROGRAM}; motor #{axis.bench.controller.cam_motor_number} "
+            "counts its time"
+        )
+    elif tables:
         stand_at_zero(axis)
-        with TableUpload(axis.link, context, (rendered.table,)) as upload:
+        with TableUpload(axis.link, context, tables) as upload:
             upload.prepare()
             parts.append(upload.execute())
     if compensation.route == "law":
@@ -316,11 +348,34 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
             notes.append("the law is armed; its gain ramped up")
         else:
             notes.append("the law is loaded and disarmed: the loop is open")
-    if compensation.route in {"cam", "program"}:
+    if compensation.route == "program":
         from pmac_comp.workflow.repeated import deploy_motion
 
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
+
+
+def _deploy_cam(
+    axis: Axis, compensation: Compensation, context: Context, tables: tuple[CompTable, ...]
+) -> UploadResult:
+    """Program with the time axis, then its table; the program goes if the table does not come."""
+    stand_at_zero(axis)
+    program = deploy_program(axis, render_cam(compensation, axis.bench), context)
+    try:
+        with TableUpload(axis.link, context, tables, route="cam") as upload:
+            upload.prepare()
+            return upload.execute()
+    except PmacCompError as error:
+        try:
+            _undo_program(axis, context, program.backup)
+        except PmacCompError as second:
+            error.add_note(f"PROG {CAM_PROGRAM} could not be taken back: {second.message}")
+        raise
+
+
+def _undo_program(axis: Axis, context: Context, backup: Path | None) -> None:
+    if backup is not None:
+        rollback_program(axis.link, context, backup)
 
 
 def _checked_sign(axis: Axis, context: Context) -> list[str]:
@@ -394,7 +449,7 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
             law_upload.arm(axis.link, context)
         else:
             law_upload.disarm(axis.link, context)
-    if compensation.lead is not None:
+    if compensation.lead is not None or compensation.route == "cam":
         axis.link.command(f"I51={int(on)}")
         verify_many(axis.link, {"I51": int(on)})
 
@@ -414,12 +469,14 @@ def plan_upload(url: str, bench: str, new: Path) -> dict[str, Any]:
         context = context_of(axis)
         lines: list[str] = []
         text = [f"plan for {url}, route {compensation.route}:"]
-        rendered = compensation.table(axis.bench)
-        if rendered is not None:
-            upload = TableUpload(axis.link, context, (rendered.table,))
+        tables = tables_of(compensation, axis.bench)
+        if tables:
+            upload = TableUpload(axis.link, context, tables)
             plan = upload.prepare()
             lines += plan.lines
             text += _table_plan_lines(plan, axis)
+        if compensation.route == "cam":
+            text += _cam_plan_lines(axis, compensation)
         if compensation.route in _TORQUE_ROUTES:
             parameters = law_parameters(compensation.law, axis.scales)
             text += _law_plan_lines(axis, context, compensation, parameters)
@@ -433,11 +490,24 @@ def _table_plan_lines(plan: UploadPlan, axis: Axis) -> list[str]:
     change_um = plan.largest_change_ct * axis.scales.motor_m_per_ct * UM_PER_M
     n = plan.new.n_entries
     out = [
-        f"  lead table: {n} entries, largest change {change_um:.2f} um",
+        f"  tables: {n} entries, largest change {change_um:.2f} um",
         f"  all tables are off (I51 = 0) while {n} entries are written and read back, some "
         f"{0.5 + n / 400.0:.1f} s",
     ]
     return out + [f"  refused: {refusal.message}" for refusal in plan.refusals]
+
+
+def _cam_plan_lines(axis: Axis, compensation: Compensation) -> list[str]:
+    cam = render_cam(compensation, axis.bench)
+    table = cam.table.table
+    largest_um = max(map(abs, table.entries)) / 16.0 * axis.scales.motor_m_per_ct * UM_PER_M
+    return [
+        f"  cam: motor #{table.motor} counts time at {cam.shape.ct_per_cycle} counts per servo "
+        f"cycle, {len(table.entries)} entries, largest {largest_um:.2f} um, rounding "
+        f"{cam.table.quantisation_um:.3f} um",
+        f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, other "
+        "motions stay uncompensated",
+    ]
 
 
 def _law_plan_lines(
@@ -491,16 +561,21 @@ def recover_upload(
 def rollback_upload(
     url: str, bench: str, journal: Path, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Bring back what the last uploads replaced: law first, then tables."""
+    """Bring back what the last uploads replaced: law first, then program, then tables."""
     with _ready(url, bench, journal, progress) as (axis, context):
         done: list[UploadResult] = []
         law = _latest(journal, "law")
         if law is not None:
             done.append(law_upload.rollback_law(axis.link, context, law))
+        program = _latest(journal, "program")
+        if program is not None:
+            done.append(rollback_program(axis.link, context, program))
         tables = _latest(journal, "tables")
         if tables is not None:
+            rest_time_motor(axis)
             stand_at_zero(axis)
             done.append(recovery.rollback(axis.link, context, tables))
+            release_time_motor(axis)
     if not done:
         raise ConfigError(
             f"There is no backup in {journal}.",

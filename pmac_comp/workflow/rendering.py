@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
-from pmac_comp.base.units import UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.law_bank import LawParameters
@@ -16,6 +17,9 @@ from pmac_comp.workflow.scales import Scales
 
 _ENTRY_PER_CT = 16.0  # table entries are in 1/16 count (Software Reference Manual p. 303)
 _MOST_ENTRIES = 4000
+CAM_RUN_UP_CYCLES = 16  # the time motor reaches its speed before the motion starts, and after it
+_CAM_SPACING_CYCLES = 4  # of cam entries: linear between them is 0.6 % off at 20 Hz
+_CAM_FADE_FRAC = 0.02  # of the motion at both ends: a cam begins and ends at zero
 
 
 def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -> LawParameters:
@@ -123,3 +127,86 @@ def _seam(
     first, last = out[used - 1], out[2 * half - used - 1]
     out[used : 2 * half - used - 1] = np.linspace(first, last, 2 * (half - used) + 1)[1:-1]
     return out
+
+
+@dataclass(frozen=True)
+class CamShape:
+    """How a motor counts time.
+
+    Parameters
+    ----------
+    ct_per_cycle : int
+        Counts of the time motor per servo cycle.
+    motion_cycles : int
+        Servo cycles of the motion.
+    rest_cycles : int
+        Servo cycles at full speed after it.
+    spacing_cycles : int
+        Servo cycles between entries.
+    """
+
+    ct_per_cycle: int
+    motion_cycles: int
+    rest_cycles: int
+    spacing_cycles: int
+
+    @property
+    def total_cycles(self) -> int:
+        """Servo cycles that the table spans; the ramps at both ends count half."""
+        return self.motion_cycles + self.rest_cycles + CAM_RUN_UP_CYCLES
+
+
+def cam_shape(n_samples: int, bench: Bench) -> CamShape:
+    """Time base of a motion of ``n_samples`` servo cycles.
+
+    The time motor runs at the highest speed of the bench, so the limit of the slope in um per mm
+    holds for the correction as it does for a table over position: at most as many um per second
+    as a table of that slope would give there. The table is as long as the travel at least.
+
+    Raises
+    ------
+    ConfigError
+        The motion is too long to be described by the entries that fit.
+    """
+    scales = Scales.of(bench)
+    fastest = scales.counts(bench.safety.max_speed_mm_per_s / MM_PER_M) * scales.period_s
+    ct_per_cycle = max(1, math.floor(fastest))
+    travel_ct = scales.counts((bench.travel.max_mm - bench.travel.min_mm) / MM_PER_M)
+    moving = n_samples - 1
+    least = max(moving + CAM_RUN_UP_CYCLES, math.ceil(travel_ct / ct_per_cycle))
+    spacing = max(_CAM_SPACING_CYCLES, math.ceil(least / _MOST_ENTRIES))
+    if spacing > 2 * _CAM_SPACING_CYCLES:
+        raise ConfigError(
+            f"A motion of {moving * scales.period_s:.1f} s is too long for a cam.",
+            code="PC-CAM-001",
+            hint="Use --route program, or --route law for motions of any length.",
+        )
+    total = spacing * math.ceil(least / spacing)
+    return CamShape(ct_per_cycle, moving, total - moving - CAM_RUN_UP_CYCLES, spacing)
+
+
+def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable:
+    """COMP table of the time motor that adds a correction (m, at every servo cycle) to the axis.
+
+    Outside the motion all entries are zero.
+    """
+    scales = Scales.of(bench)
+    shape = cam_shape(correction_m.size, bench)
+    n = correction_m.size
+    inside = np.minimum(np.arange(n), np.arange(n)[::-1]) / max(1.0, _CAM_FADE_FRAC * n)
+    edge = np.clip(inside, 0.0, 1.0)
+    faded = correction_m * edge * edge * (3.0 - 2.0 * edge)
+    step = shape.spacing_cycles
+    cycle = np.arange(1, shape.total_cycles // step + 1) * step - CAM_RUN_UP_CYCLES // 2
+    at = np.interp(cycle, np.arange(n), faded, left=0.0, right=0.0)
+    exact = at / scales.motor_m_per_ct * _ENTRY_PER_CT
+    entries = np.round(exact).astype(np.int64)
+    table = CompTable(
+        motor=bench.controller.cam_motor_number,
+        entries=tuple(int(e) for e in entries),
+        span_ct=shape.total_cycles * shape.ct_per_cycle,
+        target=bench.encoder.motor_number,
+        by_desired=True,
+    )
+    rounding = float(np.max(np.abs(entries - exact))) / _ENTRY_PER_CT
+    return RenderedTable(table, rounding * scales.motor_m_per_ct * UM_PER_M)

@@ -124,16 +124,8 @@ def deploy_motion(axis: Axis, compensation: Compensation, context: Context) -> U
     Raises
     ------
     ConfigError
-        The route is ``cam``, whose table needs a free motor that the bench file does not name, or
-        the file holds no motion.
+        The file holds no motion.
     """
-    if compensation.route == "cam":
-        raise ConfigError(
-            "The route cam needs an unused motor as time base, which this bench file does not "
-            "name.",
-            code="PC-DEP-050",
-            hint="Use --route program for a repeated motion, or --route law for any.",
-        )
     if compensation.motion_position_m is None or compensation.motion_correction_m is None:
         raise ConfigError("The compensation holds no motion.", code="PC-DEP-051")
     motion = Motion(

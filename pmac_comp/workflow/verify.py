@@ -470,7 +470,12 @@ def verify_axis(
 
     correction = compensation.table_correction(axis.bench)
     loop = None
-    if drive is not None:
+    if compensation.route == "cam":
+        from pmac_comp.workflow.cam import cam_axis
+
+        # A cam is for one motion, and only its own program runs the time along.
+        axis, motions = cam_axis(axis, compensation)
+    elif drive is not None:
         from pmac_comp.physics.compensate.design import model_loop
 
         loop = model_loop(drive)

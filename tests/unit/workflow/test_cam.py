@@ -1,0 +1,158 @@
+"""The electronic cam on the embedded card: exact table in time, better motion, gone by rollback."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow import deploy as deploy_module
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import CAM_PROGRAM, cam_axis, render_cam, reset_time
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import compute_compensation, context_of, deploy, switch
+from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
+from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
+
+BENCH = load_bench("paper")
+MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
+N = MOTION.position_m.size
+BUMP = 20e-6 * np.sin(2.0 * np.pi * np.arange(N) / N) * np.sin(np.pi * np.arange(N) / N) ** 2
+
+
+def cam_of(correction_m: np.ndarray, lead: LeadMap | None = None) -> Compensation:
+    return Compensation(
+        "cam", CompensationLaw(), lead, MOTION.trajectory.time_s, MOTION.position_m, correction_m
+    )
+
+
+@pytest.fixture
+def axis() -> Iterator[Axis]:
+    card = make_card(BENCH)
+    truth = TruthRecorder(card, 120.0)
+    with embedded(card) as link:
+        found = Axis(link, BENCH, "test")
+        found.set_up()
+        found.enable()
+        found.truth = truth.truth  # type: ignore[attr-defined]
+        yield found
+
+
+def offset_of(capture: Capture) -> np.ndarray:
+    return capture.desired_m - capture.commanded_position_m
+
+
+def test_table_is_the_correction_over_time_and_zero_outside() -> None:
+    cam = render_cam(cam_of(BUMP), BENCH)
+    table, shape = cam.table.table, cam.shape
+    assert (table.motor, table.source, table.target, table.by_desired) == (8, 8, 1, True)
+    cycle = np.arange(N, dtype=np.float64) + CAM_RUN_UP_CYCLES / 2
+    at = cycle * shape.ct_per_cycle
+    got = table.correction_ct(at) * BENCH.motor_resolution_m
+    assert np.max(np.abs(got - BUMP)) < 0.1e-6
+    after = np.arange(at[-1], table.span_ct, 97.0)
+    assert np.all(table.correction_ct(after) == 0.0)
+    assert table.span_ct >= (BENCH.travel.max_mm - BENCH.travel.min_mm) / 1e3 / 1e-6
+
+
+def test_too_long_a_motion_is_refused() -> None:
+    with pytest.raises(ConfigError, match="too long"):
+        cam_shape(200_000, BENCH)
+
+
+def test_correction_runs_with_the_motion_every_time(axis: Axis, tmp_path: Path) -> None:
+    compensation = cam_of(BUMP)
+    deployment = deploy(axis, compensation, context_of(axis, tmp_path))
+    assert deployment.verdict is ControllerState.NEW
+    runner, (motion,) = cam_axis(axis, compensation)
+    worst = []
+    for _ in range(2):
+        capture = runner.run(motion)
+        moving = np.flatnonzero(np.diff(capture.commanded_position_m))
+        first = int(np.flatnonzero(MOTION.position_m - MOTION.position_m[0])[0])
+        index = np.arange(capture.n) - (int(moving[0]) + 1) + first
+        want = np.interp(index, np.arange(N), BUMP, left=0.0, right=0.0)
+        worst.append(float(np.max(np.abs(offset_of(capture) - want))))
+    # Half an entry, the line between entries, and what one cycle changes.
+    assert max(worst) < 0.3e-6, worst
+
+
+def test_interrupted_cam_fades_and_starts_anew(axis: Axis, tmp_path: Path) -> None:
+    compensation = cam_of(BUMP)
+    deploy(axis, compensation, context_of(axis, tmp_path))
+    runner, (motion,) = cam_axis(axis, compensation)
+    before = offset_of(runner.run(motion))
+    axis.link.command(f"&1B{CAM_PROGRAM}R")
+    axis.link.clock.sleep_s(0.6)
+    axis.link.command("&1A")
+    axis.link.clock.sleep_s(0.3)
+    reading = motors.read_motor(axis.link, 8)
+    assert abs(reading.following_error_ct) > 1e4
+    reset_time(axis)
+    after = offset_of(runner.run(motion))
+    m = min(before.size, after.size)
+    assert np.max(np.abs(before[:m] - after[:m])) < 0.1e-6
+
+
+def test_total_error_falls_and_rollback_restores(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench_lead = LeadMap(np.arange(-0.3, 0.3005, 1e-3), np.zeros(601), np.zeros(601), 0.0)
+    drive = DriveModel.base(BENCH)
+    compensation = compute_compensation(BENCH, drive, route="cam", motion=MOTION)
+    compensation = Compensation(
+        "cam",
+        compensation.law,
+        bench_lead,
+        compensation.motion_time_s,
+        compensation.motion_position_m,
+        compensation.motion_correction_m,
+    )
+    context = context_of(axis, tmp_path)
+    deploy(axis, compensation, context)
+    assert [t.motor for t in read_tables(axis.link)] == [8, 1]
+    runner, (motion,) = cam_axis(axis, compensation)
+    left: dict[bool, tuple[float, float]] = {}
+    for on in (False, True):
+        switch(axis, context, compensation, on=on)
+        capture = runner.run(motion)
+        _, table = axis.truth().of(capture)  # type: ignore[attr-defined]
+        left[on] = (
+            float(np.std(table - capture.commanded_position_m)),
+            float(np.std(offset_of(capture))),
+        )
+    assert left[False][1] < 1e-9
+    assert left[True][0] < 0.3 * left[False][0], left
+
+    class Opened:
+        def __enter__(self) -> Axis:
+            return axis
+
+        def __exit__(self, *_failure: object) -> None:
+            pass
+
+    monkeypatch.setattr(deploy_module, "open_axis", lambda _url, _bench: Opened())
+    result = deploy_module.rollback_upload("sim://", "paper", tmp_path)
+    assert result["verdict"] == "OLD"
+    assert len(read_tables(axis.link)) == 0
+    assert read_many(axis.link, ["I800"])["I800"] == 0.0
+    with pytest.raises(VerifyMismatch):
+        runner.run(motion)
+    assert np.max(np.abs(offset_of(axis.run(MOTION)))) < 1e-9
+
+
+def test_motor_in_use_is_refused(axis: Axis, tmp_path: Path) -> None:
+    axis.link.command("I800=1")
+    with pytest.raises(SafetyRefusal, match="in use"):
+        deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
+    assert len(read_tables(axis.link)) == 0
