@@ -285,7 +285,14 @@ def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple
             f"the promise was missed on {len(missed)} motion(s) ({'; '.join(missed)}): "
             "run `pmac-comp diagnose` on the captures"
         )
-    worse = [m.name for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
+    grew = [m for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
+    fell = {m.name for m in grew if m.total_after.upper95 < m.total_before.lower95}
+    if fell:
+        remarks.append(
+            f"the offset also cancels the lag of the loop on: {'; '.join(sorted(fell))}; there "
+            "e_r contains that part by its definition, and the total error is what counts"
+        )
+    worse = [m.name for m in grew if m.name not in fell]
     if worse:
         remarks.append(f"the mechanical error grew on: {'; '.join(worse)}")
     return tuple(remarks)
