@@ -54,8 +54,9 @@ def _ways(ways: list[Mapping[str, Any]], basis: str) -> Section:
     keys = ("name", "total_rms_um", "mechanical_rms_um", "residual_rms_um", "how")
     text = [
         f"This table is {basis}.",
-        "Scale feedback takes position and velocity of the loop from the scale. A correction by "
-        "learning also holds what the loop lags behind, so its last figure is no mechanical error.",
+        "Scale feedback alone takes position and velocity of the loop from the scale; with its "
+        "velocity loop on the motor only the position. A correction by learning also holds what "
+        "the loop lags behind, so its last figure is no mechanical error.",
     ]
     rows = [[r[k] for k in keys] for r in ways]
     return Section("Other ways, simulated", text=text, tables=[Table(columns, rows)])

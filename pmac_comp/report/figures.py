@@ -167,7 +167,6 @@ def ranking(groups: Sequence[tuple[str, Sequence[tuple[str, float]]]]) -> str:
             axis.bar_label(bars, fmt="%.3g", padding=3)
             axis.set_yticks(place, [row[0] for row in rows])
             axis.invert_yaxis()
-            axis.set_xscale("log")
             axis.margins(x=0.12)
             axis.set_title(title, fontsize=8.5, loc="left")
             axis.set_xlabel("um rms")

@@ -23,6 +23,7 @@ from pmac_comp.files.bench import Bench, Controller
 from pmac_comp.physics.compensate.design import design_law, model_loop, without_static
 from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import evaluate_law
+from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.physics.model.quasi_static import mechanical_error_m, modes_Hz, motor_torque_Nm
@@ -33,7 +34,8 @@ Progress = Callable[[str, float], None]
 
 BASIS = (
     "simulated, not measured: the identified full model is the plant, on the commands of the "
-    "captures that were not used for fitting; static errors and the mean of each run are left out"
+    "captures that were not used for fitting; without sensor rounding, static errors and the mean "
+    "of each run; ways that use the model know their plant exactly"
 )
 _REACH_m = 10.0  # of the reading terms: beyond any travel
 _SCALINGS = tuple(2.0 ** (i / 3.0) for i in range(-9, 10))
@@ -41,6 +43,8 @@ _TRIED = 7  # scalings below the largest stable one among which the best is take
 _WINDOW_s = 0.25  # what is left in one must fade to this share in the next, or to this level:
 _FADED = 0.6
 _CALM_m = 1e-9
+_MOST_REPEATS = 300
+_AGREED_m = 2e-9
 _LINEAR = frozenset({"viscous", "payload", "actuator_delay", "current_bandwidth"})
 _NOTCH_QUALITY = 1.0
 _WEIGHTS = (0.1, 0.25, 0.5, 0.75)
@@ -84,17 +88,23 @@ class Way:
         Plant with the controller's gains.
     weight : float
         Share of the scale in the position that the controller uses, 0 (motor) to 1 (table).
+    dual : bool
+        Position loop on the scale, velocity loop on the motor; then ``weight`` is not used.
     correction_m, torque_Nm : callable or None
         Of the command, shape (n,): what is added to command and controller output.
     """
 
     model: DriveModel
     weight: float = 0.0
+    dual: bool = False
     correction_m: Callable[[FloatArray], FloatArray] | None = None
     torque_Nm: Callable[[FloatArray], FloatArray] | None = None
 
     def run(self, command_m: FloatArray) -> "Errors":
         """Errors of one motion; raises NonFinite if the loop diverges."""
+        if self.dual:
+            motor, table = dual_positions_m(self.model, command_m)
+            return Errors(table - motor, None, table - command_m)
         added = None if self.correction_m is None else self.correction_m(command_m)
         torque = None if self.torque_Nm is None else self.torque_Nm(command_m)
         motor, table = positions_m(self.model, command_m, added, torque, weight=self.weight)
@@ -146,6 +156,37 @@ def positions_m(
         return response.motor_position_m, response.table_position_m
     seen, motor = response.motor_position_m, response.table_position_m
     return motor, (seen - (1.0 - weight) * motor) / weight
+
+
+def dual_positions_m(model: DriveModel, command_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Motor and table position in m, shape (n,): position loop on the scale, velocity on the motor.
+
+    The compiled loop uses one reading. What its proportional and integral parts lack, the gains
+    times table minus motor, enters as torque and is found by repetition until it stands still.
+
+    Raises
+    ------
+    NonFinite
+        The loop diverges, or the repetition does, as it must with a loop that is not stable.
+
+    Source
+    ------
+    Turbo PMAC Software Reference Manual, Ixx03 (position feedback) and Ixx04 (velocity feedback).
+    """
+    vector = model.kernel_vector()
+    cascade = vector[s.LAW] > 0.5
+    proportional = vector[s.CASCADE_GAIN] * vector[s.CASCADE_KP] if cascade else vector[s.KP]
+    per_cycle = 0.0 if cascade else vector[s.KI] * vector[s.PERIOD]
+    torque = np.zeros(command_m.size)
+    before = np.full(command_m.size, math.inf)
+    for _ in range(_MOST_REPEATS):
+        response = simulate(model, command_m, torque_feedforward_Nm=torque)
+        table, error = response.table_position_m, response.mechanical_error_m
+        if np.max(np.abs(table - before)) < _AGREED_m:
+            return response.motor_position_m, table
+        before = table
+        torque = -proportional * error - per_cycle * (np.cumsum(error) - error)
+    raise NonFinite("The dual loop does not settle on one motion.", code="PC-ALT-001")
 
 
 def _blend(model: DriveModel, weight: float) -> tuple[TableTerm, ...]:
@@ -205,20 +246,20 @@ def _baseline(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeR
 
 
 def _scale_rows(plant: DriveModel, commands: Sequence[FloatArray]) -> list[AlternativeRow]:
-    """Position and velocity of the loop from the scale: gains of the bench, and the best stable.
-
-    A velocity loop that stays on the motor would be stable at more gain; it is not in this table.
-    """
-    name = "linear-scale feedback alone"
-    bench_way = Way(plant, weight=1.0)
-    as_is = _row(name, "gains of the bench file", bench_way, commands)
-    if not settles(bench_way):
+    """Both loops on the scale, or the position loop alone: gains of the bench, and the best."""
+    rows = []
+    for name, weight, dual in (
+        ("linear-scale feedback alone", 1.0, False),
+        ("linear-scale feedback, velocity loop on the motor", 0.0, True),
+    ):
+        way = Way(plant, weight=weight, dual=dual)
         as_is = AlternativeRow(name, "gains of the bench file: unstable", None, None, None, ())
-    scaling, largest, way = _best_gain(plant, commands[0], weight=1.0)
-    if way is None:
-        return [as_is]
-    how = f"gains x {scaling:.2f}, the best (stable up to x {largest:.2f})"
-    return [as_is, _row(f"{name}, gains scaled", how, way, commands)]
+        if settles(way):
+            as_is = _row(name, "gains of the bench file", way, commands)
+        rows.append(as_is)
+        scaled = f"{name}, gains scaled"
+        rows.append(_best_row(plant, commands, scaled, weight=weight, dual=dual))
+    return rows
 
 
 def _scale_with_offset(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
@@ -228,7 +269,7 @@ def _scale_with_offset(plant: DriveModel, commands: Sequence[FloatArray]) -> Alt
     error of its own size.
     """
     ways = {
-        w: Way(plant, w, lambda r, share=1.0 - w: share * offset_m(plant, r))  # type: ignore[misc]
+        w: Way(plant, w, correction_m=lambda r, k=1.0 - w: k * offset_m(plant, r))  # type: ignore[misc]
         for w in _WEIGHTS
     }
     stable = {w: way for w, way in ways.items() if settles(way)}
@@ -245,19 +286,26 @@ def _notch_rows(plant: DriveModel, commands: Sequence[FloatArray]) -> list[Alter
 
     Before it the gain that the loop allows without, so that the two are not mistaken.
     """
-    rows = [_higher_gain(plant, commands, "higher gains alone, motor encoder", None)]
+    rows = [_best_row(plant, commands, "higher gains alone, motor encoder")]
     if plant.bench.controller.kind == "pmac":  # the other control laws have no filter
         mode_Hz = float(modes_Hz(plant, plant.bench.mid_travel_m)[0])
         if mode_Hz < 0.45 / plant.bench.servo_period_s:
             name = f"notch filter at the first mode ({mode_Hz:.0f} Hz)"
-            rows.append(_higher_gain(plant, commands, name, mode_Hz))
+            rows.append(_best_row(plant, commands, name, notch_Hz=mode_Hz))
     return rows
 
 
-def _higher_gain(
-    plant: DriveModel, commands: Sequence[FloatArray], name: str, notch_Hz: float | None
+def _best_row(
+    plant: DriveModel,
+    commands: Sequence[FloatArray],
+    name: str,
+    *,
+    weight: float = 0.0,
+    dual: bool = False,
+    notch_Hz: float | None = None,
 ) -> AlternativeRow:
-    scaling, largest, way = _best_gain(plant, commands[0], notch_Hz=notch_Hz)
+    start = Way(plant, weight=weight, dual=dual)
+    scaling, largest, way = _best_gain(start, commands[0], notch_Hz=notch_Hz)
     if way is None:
         return AlternativeRow(name, "unstable at every gain tried", None, None, None, ())
     how = f"gains x {scaling:.2f}, the best (stable up to x {largest:.2f})"
@@ -296,7 +344,7 @@ def _law(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
         correction_m=lambda r: evaluate_law(law, r, period).correction_m,
         torque_Nm=lambda r: evaluate_law(law, r, period).torque_Nm,
     )
-    how = "route servo: model's offset and torque, any motion, no scale needed while running"
+    how = "route servo, any motion, no scale needed while running; made from this very model"
     return _row("this project's law", how, way, commands)
 
 
@@ -362,13 +410,13 @@ def _without_sliding(model: DriveModel) -> DriveModel:
 
 
 def _best_gain(
-    plant: DriveModel, command: FloatArray, *, weight: float = 0.0, notch_Hz: float | None = None
+    start: Way, command: FloatArray, *, notch_Hz: float | None = None
 ) -> tuple[float, float, Way | None]:
     """Best scaling of the loop gains, the largest stable one, and the way with the best."""
     stable: list[tuple[float, Way]] = []
     for scaling in _SCALINGS:
-        bench = scaled_bench(plant.bench, scaling, notch_Hz=notch_Hz)
-        way = Way(replace(plant, bench=bench), weight=weight)
+        bench = scaled_bench(start.model.bench, scaling, notch_Hz=notch_Hz)
+        way = replace(start, model=replace(start.model, bench=bench))
         if settles(way):
             stable.append((scaling, way))
         elif stable:

@@ -10,6 +10,7 @@ from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.workflow.alternatives import (
     Way,
     compare_alternatives,
+    dual_positions_m,
     positions_m,
     scaled_bench,
     settles,
@@ -52,6 +53,15 @@ def test_the_loop_on_the_scale_brings_the_table_to_rest_on_the_command() -> None
     assert abs(motor_on_motor[-1] - goal) < 0.2 * abs(bend_m)
     assert abs(table_on_table[-1] - goal) < 0.2 * abs(bend_m)
     assert motor_on_table[-1] - goal == pytest.approx(-bend_m, rel=0.4)
+
+
+def test_position_from_the_scale_and_velocity_from_the_motor_rests_on_the_command() -> None:
+    """Without sliding friction, so that the integrator has nothing to wait for."""
+    bent = MODEL.without_effect("coulomb").with_effect("bias_force", {"force_N": 60.0})
+    motor, table = dual_positions_m(bent, MOVE_m)
+    assert abs(table[-1] - motor[-1]) > 0.4e-6
+    assert abs(table[-1] - MOVE_m[-1]) < 0.02 * abs(table[-1] - motor[-1])
+    assert not settles(Way(slow(16.0), dual=True))
 
 
 def test_stability_is_seen_without_the_help_of_friction() -> None:
