@@ -60,7 +60,6 @@ Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 _TORQUE_ROUTES = ("law", "servo")
-_MOTION_ROUTES = ("cam", "program")
 _CHEAP_SHARE = 0.25
 _SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
 _NOT_MOVED = "PC-SGN-005"
@@ -82,7 +81,7 @@ def compute_compensation(
 ) -> Compensation:
     """Law and lead map of a model and slow runs for a route.
 
-    ``cam`` and ``program`` are for one ``motion``. With ``captures`` (relaxed runs without
+    ``cam`` is for one ``motion``. With ``captures`` (relaxed runs without
     compensation) the law's offset terms are corrected by what the model leaves of them.
     """
     check_route(route)
@@ -96,12 +95,12 @@ def compute_compensation(
     )
     # The lead runs are read without torque and without lead time: only the static part counts.
     lead = lead_map(slow, law.with_values(lead_s=0.0, lead2_s2=0.0)) if slow else None
-    if motion is not None and route in _MOTION_ROUTES:
+    if motion is not None and route == "cam":
         exact = _exact(bench, model, motion.position_m)
         return Compensation(
             route,
             law,
-            lead if route == "cam" else None,
+            lead,
             motion_time_s=motion.trajectory.time_s,
             motion_position_m=motion.position_m,
             motion_correction_m=exact.correction_m,
@@ -201,7 +200,16 @@ def _compensate_motion(
         "total error after um rms (model)": exact.history_um[-1],
         "passes": len(exact.history_um) - 1,
     }
-    return {"route": route, "file": out, "summary": summary, "remarks": [], "law": None}
+    limit_um = bench.safety.max_correction_um
+    cut = float(np.mean(np.abs(exact.correction_m) * UM_PER_M > 0.999 * limit_um))
+    remarks = [f"{100.0 * cut:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"]
+    return {
+        "route": route,
+        "file": out,
+        "summary": summary,
+        "remarks": remarks if cut else [],
+        "law": None,
+    }
 
 
 def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
