@@ -133,16 +133,16 @@ def summary_bars(rows: Sequence[tuple[str, float, float, float | None]]) -> str:
     def draw(figure: Figure) -> None:
         axis: Axes = figure.subplots()
         place = np.arange(len(rows))
-        axis.barh(place + 0.2, [r[1] for r in rows], 0.36, color=BEFORE, label="before")
-        axis.barh(place - 0.2, [r[2] for r in rows], 0.36, color=AFTER, label="after")
+        axis.barh(place - 0.2, [r[1] for r in rows], 0.36, color=BEFORE, label="before")
+        axis.barh(place + 0.2, [r[2] for r in rows], 0.36, color=AFTER, label="after")
         marked = [(p, r[3]) for p, r in zip(place, rows, strict=True) if r[3] is not None]
         if marked:
             axis.plot(
                 [m[1] for m in marked],
-                [m[0] - 0.2 for m in marked],
+                [m[0] + 0.2 for m in marked],
                 "|",
                 color=PROMISE,
-                ms=12,
+                ms=22,
                 mew=2,
                 label="promised by the model",
             )
@@ -150,9 +150,9 @@ def summary_bars(rows: Sequence[tuple[str, float, float, float | None]]) -> str:
         axis.invert_yaxis()
         axis.set_xlabel("mechanical error, um rms")
         axis.grid(visible=False, axis="y")
-        axis.legend(loc="lower right")
+        figure.legend(loc="outside upper right", ncols=3)
 
-    return svg(draw, 7.2, 0.8 + 0.5 * len(rows))
+    return svg(draw, 7.2, 1.1 + 0.5 * len(rows))
 
 
 def ranking(groups: Sequence[tuple[str, Sequence[tuple[str, float]]]]) -> str:

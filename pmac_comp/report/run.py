@@ -45,7 +45,7 @@ def write_verification_report(verification: Verification, path: Path) -> Path:
     """Report of a verification alone."""
     page = Page(
         title="Verification: before and after compensation",
-        subtitle=f"{len(verification.motions)} motions",
+        subtitle=f"{len(verification.motions)} motion" + "s" * (len(verification.motions) != 1),
         notice=SIMULATED if verification.simulated else MEASURED,
         headline=_headline(verification),
         sections=verification_sections(verification),
@@ -109,7 +109,7 @@ def verification_sections(verification: Verification) -> list[Section]:
                 f"The sensors' own quantisation is {verification.floor_um:.2f} um rms.",
                 *verification.remarks,
             ],
-            tables=[*_main_tables(verification.motions), _promise_table(verification.motions)],
+            tables=[*_main_tables(verification.motions), *_promise_tables(verification.motions)],
             figures=[(figures.summary_bars(bars), "Mechanical error per motion, measured.")],
         )
     ]
@@ -174,7 +174,7 @@ def _main_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
     ]  # fmt: skip
 
 
-def _promise_table(motions: tuple[MotionOutcome, ...]) -> Table:
+def _promise_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
     names = (
         ("e_before_um", "e before"), ("e_r_after_um", "e_r after"),
         ("e_c_before_um", "e_c before"), ("e_c_after_um", "e_c after"),
@@ -185,11 +185,10 @@ def _promise_table(motions: tuple[MotionOutcome, ...]) -> Table:
         for label, values in (("promised", motion.promise), ("true", motion.truth)):
             if values is not None:
                 rows.append((f"{motion.name}: {label}", *(values[name] for name, _ in names)))
-    return Table(
-        ("um rms", *(label for _, label in names)),
-        rows,
-        "What the model promised, and what the plant really did (simulated cards only)",
-    )
+    if not rows:
+        return []
+    caption = "What the model promised, and what the plant really did (simulated cards only)"
+    return [Table(("um rms", *(label for _, label in names)), rows, caption)]
 
 
 def _motion_section(verification: Verification, motion: MotionOutcome) -> Section:

@@ -54,3 +54,18 @@ def test_thinning_keeps_every_peak() -> None:
 
 def test_cells() -> None:
     assert [cell(v) for v in (None, True, 1.23456789, 7, "x")] == ["–", "yes", "1.235", "7", "x"]
+
+
+def test_no_promise_makes_no_empty_table() -> None:
+    from pmac_comp.report.run import _promise_tables
+
+    assert _promise_tables(()) == []
+
+
+def test_long_names_break_and_heads_wrap() -> None:
+    html = page("x")
+    style = html[html.index("<style>") : html.index("</style>")]
+    heads = [line for line in style.splitlines() if line.startswith("th {")]
+    assert len(heads) == 1
+    assert "white-space: normal" in heads[0]
+    assert "overflow-wrap: anywhere" in style
