@@ -5,6 +5,7 @@ that every command has. Commands sit in one module per group and load the rest o
 ``--help`` stays quick.
 """
 
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +16,7 @@ from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
+_INTERRUPTED = 130
 app = typer.Typer(
     name="pmac-comp",
     help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",
@@ -42,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command and leave with its exit code (0 done, 2..9 and 70 by error class)."""
     words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
     wants_json = output.JSON_STDOUT in words
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends in order, as by Ctrl-C
     try:
         app(args=words, prog_name="pmac-comp")
     except PmacCompError as error:
@@ -49,7 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         output.say("interrupted")
-        sys.exit(130)
+        sys.exit(_INTERRUPTED)
+    except SystemExit as left:
+        if left.code == _INTERRUPTED:  # typer has taken the Ctrl-C and says nothing
+            output.say("interrupted")
+        raise
     except BrokenPipeError:
         sys.exit(1)
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError) as error:

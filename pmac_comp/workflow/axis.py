@@ -5,14 +5,21 @@ may not: the registers themselves (``machine.controller``), the fit. Nothing her
 after a doubt: a run that did not come back whole is run again from its start.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import CaptureError, CommandRefused, MotorNotSafe, SampleGap
+from pmac_comp.base.errors import (
+    CaptureError,
+    CommandRefused,
+    MotorNotSafe,
+    PmacCompError,
+    SampleGap,
+)
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Attribute, Capture
@@ -141,14 +148,36 @@ class Axis:
         whole, first = relaxing(motion) if relaxed else (motion, 0)
         self.prepare(whole)
         for attempt in range(_ATTEMPTS):
-            self._go_to_start(whole)
-            result = self._gather(whole, progress)
+            with self._halted_if_cut_off():
+                self._go_to_start(whole)
+                result = self._gather(whole, progress)
             if not result.gaps:
                 return self.capture_of(result, whole, first)
             if progress is not None:
                 progress(f"{motion.name}: samples lost, run {attempt + 2} of {_ATTEMPTS}", -1.0)
         result.require_whole()
         raise CaptureError("The run was not whole.", code="PC-AXI-001")
+
+    @contextmanager
+    def _halted_if_cut_off(self) -> Iterator[None]:
+        """Stop the axis where whoever watches it has gone: Ctrl-C, or an error in the run."""
+        try:
+            yield
+        except (KeyboardInterrupt, PmacCompError):
+            self.halt()
+            raise
+
+    def halt(self) -> None:
+        """Abort the motion program, decelerate in closed loop and end gathering, as far as told.
+
+        Answers that are still under way are dropped first. Nothing is raised: this runs while
+        something else has gone wrong, and that is what must be reported.
+        """
+        with suppress(PmacCompError):
+            self.link.flush()
+        for text in ("&1A", f"#{self.motor}J/", "ENDGATHER"):
+            with suppress(PmacCompError):
+                self.link.command(text)
 
     def prepare(self, motion: Motion) -> None:
         """Download the motion as a PVT program and compare what the card lists."""
