@@ -22,6 +22,7 @@ from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.scales import Scales
 
 PROGRAM_NUMBER = 703
+_LISTED_DIGITS = 9  # one fewer than the ten that a listing shows
 _SHORTEST_CYCLES = 11  # 4.9 ms at 442 us: well above the card's calculation time of a block
 _LONGEST_DOUBLINGS = 6
 _PVT_ERROR_m = 0.02e-6
@@ -348,6 +349,12 @@ class PvtProgram:
     duration_s: float
 
 
+def _listed(value: float, decimals: int) -> str:
+    """Decimal text with no more digits than the card lists back: ten (fact sheet, 2.4)."""
+    whole = len(str(int(abs(value))))
+    return f"{value:.{max(0, min(decimals, _LISTED_DIGITS - whole))}f}"
+
+
 def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     """PVT segments through a trajectory, as long as the cubic stays within 0.02 um.
 
@@ -368,7 +375,8 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
             last = length
         at += length
         worst, segments = max(worst, error), segments + 1
-        lines.append(f"X{position[at]:.4f}:{speed[at] if at < n - 1 else 0.0:.3f}")
+        velocity = speed[at] if at < n - 1 else 0.0
+        lines.append(f"X{_listed(position[at], 4)}:{_listed(velocity, 3)}")
     return PvtProgram(
         tuple(_tidy(line) for line in lines),
         segments,
