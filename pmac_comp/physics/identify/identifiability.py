@@ -83,7 +83,9 @@ def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
     index = [fit.names.index(name) for name in names if name in fit.names]
     if len(index) < len(names):
         return False
-    std = float(np.sqrt(fit.covariance[np.ix_(index, index)].sum()))
+    # What the runs excite decides, not what the model misfits: that widens the intervals instead.
+    excited = np.linalg.inv(fit.information + np.diag(fit.prior)) * np.outer(fit.scales, fit.scales)
+    std = float(np.sqrt(excited[np.ix_(index, index)].sum()))
     size = max(
         sum(abs(fit.model.parameters[name]) for name in names),
         0.25 * float(fit.scales[index].sum()),
