@@ -296,6 +296,7 @@ class Motors:
     def home_zero(self, motor: int) -> int:
         """HMZ: the present commanded position becomes zero."""
         base = reg.motor_base(motor)
+        self._write(motor, reg.M_BIAS, 0)
         self.shift_zero(motor, round(self.queue.state(motor)[0]))
         self.memory.y[base + reg.M_STATUS2] |= reg.S2_HOMEZ
         return 0
@@ -393,6 +394,8 @@ class Motors:
             memory.x[base + reg.M_STATUS1] &= ~reg.S1_HOME_SEARCH & 0xFFFFFF
             memory.y[base + reg.M_STATUS2] |= reg.S2_HOME_COMPLETE
             memory.y[base + reg.M_HOME_CAPTURE] = round(captured / unit) & 0xFFFFFF
+            # Reported positions refer to the new zero: what PSET or X=3 renamed is forgotten.
+            self._write(motor, reg.M_BIAS, 0)
             self.shift_zero(motor, round(target))
             self._plan_jog(motor, 0.0)
             return

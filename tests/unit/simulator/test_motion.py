@@ -248,6 +248,20 @@ def test_homing_from_a_program(card: Card, ask: Ask) -> None:
     assert abs(float(ask("#1P"))) < 2
 
 
+@pytest.mark.parametrize("search", ["HM", "HMZ"])
+def test_homing_forgets_a_renamed_position(card: Card, ask: Ask, search: str) -> None:
+    # Turbo PMAC User Manual, homing: reported positions are referenced to the new zero.
+    prepare(ask, "PSET X500", "X300")
+    run(card, ask, 2000)
+    assert float(ask("#1P")) == pytest.approx(300, abs=1)
+    ask(f"I123=5 I7012=1 #1{search}")
+    card.run_cycles(6000)
+    assert float(ask("#1P")) == pytest.approx(0, abs=1)
+    prepare(ask, "LINEAR ABS TA20 TM200", "X100")
+    run(card, ask, 2000)
+    assert float(ask("#1P")) == pytest.approx(100, abs=1)
+
+
 def test_rotary_buffer_runs_lines_as_they_come(card: Card, ask: Ask) -> None:
     ask("&1#1->X")
     ask("I116=1000 I117=1000 I113=0 I114=0 I111=0")
