@@ -124,6 +124,9 @@ class Flash:
 
     def load(self) -> Image | None:
         """Saved image, None if nothing was saved; FlashDamaged if it is spoiled."""
+        # A reset reads what is on the disk now, not what this process once wrote there.
+        if self.path is not None and self.path.exists():
+            self._data = self.path.read_bytes()
         return None if self._data is None else Image.decode(self._data)
 
     def store(self, image: Image) -> None:

@@ -91,6 +91,20 @@ def test_spoiled_image_reverts_to_factory_values(bench: Bench, tmp_path: Path, p
     assert word & (1 << 13)
 
 
+def test_reset_reads_the_image_on_disk(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "flash.bin"
+    port = Card(bench, flash=path).port()
+    port.line("I130=777 SAVE")
+    data = bytearray(path.read_bytes())
+    data[200] ^= 1
+    path.write_bytes(bytes(data))
+    port.line("$$$")
+    assert b"2000" in port.line("I130")
+    word = int(port.line("???").strip(b"\n\r\x06")[:6], 16)
+    assert word & (1 << 10)
+    assert word & (1 << 13)
+
+
 def test_truncated_image_reverts_too(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "flash.bin"
     path.write_bytes(b"TURBO PMAC FLASH 1\n")
