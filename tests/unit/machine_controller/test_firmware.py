@@ -275,3 +275,45 @@ def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
     assert float(bench.link.query("#1P")[0]) > 100
     bench.clock.sleep_s(1.5)
     assert bench.p(7190) == 3
+
+
+def homing_bench(folder: Path, *settings: str) -> CardBench:
+    bench = CardBench(folder)
+    programs.download_source(bench.link, source("bench_setup.pmc"))
+    programs.download_source(bench.link, source("homing.plc"))
+    bench.link.write_buffer([*settings, "P7191=20000", "ENABLE PLC 2"])
+    return bench
+
+
+@pytest.mark.parametrize(
+    "settings, zero_mm",
+    [
+        # home switch 10 mm before the negative end; index once a revolution
+        (("I123=-100", "I7012=2", "I7013=0"), -290.0),
+        (("I123=10", "I7012=1", "I126=0"), 10.0),
+    ],
+)
+def test_homing_finds_its_trigger_and_ends_at_rest_there(
+    tmp_path: Path, settings: tuple[str, ...], zero_mm: float
+) -> None:
+    bench = homing_bench(tmp_path, *settings)
+    for _ in range(100):
+        bench.clock.sleep_s(0.1)
+        if bench.p(7190) != 1:
+            break
+    assert bench.p(7190) == 2
+    assert abs(float(bench.link.query("#1P")[0])) < 10
+    assert bench.link.query("M7011M7012M7015") == ["1", "1", "0"]
+    counts_per_mm = bench.bench.encoder.counts_per_rev / bench.bench.screw.pitch_mm
+    encoder_ct = int(bench.link.query("RX:$78001")[0])
+    assert encoder_ct == pytest.approx(zero_mm * counts_per_mm, abs=60)
+
+
+def test_homing_leaves_a_killed_motor_killed(tmp_path: Path) -> None:
+    bench = homing_bench(tmp_path, "I123=-10", "I7012=2", "I7013=0")
+    bench.clock.sleep_s(1.0)
+    assert bench.p(7190) == 1
+    bench.link.command("#1K")
+    bench.clock.sleep_s(0.5)
+    assert bench.p(7190) == 3
+    assert bench.link.query("M7003") == ["1"]
