@@ -286,7 +286,7 @@ def homing_bench(folder: Path, *settings: str) -> CardBench:
 
 
 @pytest.mark.parametrize(
-    "settings, zero_mm",
+    ("settings", "zero_mm"),
     [
         # home switch 10 mm before the negative end; index once a revolution
         (("I123=-100", "I7012=2", "I7013=0"), -290.0),
