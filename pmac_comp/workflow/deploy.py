@@ -4,6 +4,7 @@ What lives here: the order in which the parts of a route go onto the card, and t
 people. What may not: the transactions themselves (``machine.controller``), the fit (``physics``).
 """
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
+    ForeignChange,
     PmacCompError,
     SafetyRefusal,
     VerifyMismatch,
@@ -58,6 +61,7 @@ from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
+_LAST_UPLOAD = "last_upload.json"
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 _TORQUE_ROUTES = ("law", "servo")
 _CHEAP_SHARE = 0.25
@@ -324,6 +328,24 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
     The lead table goes first, then the law into the idle bank; the gain ramps up at the end.
     """
+    with _one_upload(context):
+        return _deploy_parts(axis, compensation, context)
+
+
+@contextmanager
+def _one_upload(context: Context) -> Iterator[None]:
+    """Note which backups belong to this upload, so that ``rollback`` takes back it alone."""
+    before = set(context.store.glob("*.json"))
+    try:
+        yield
+    finally:
+        made = sorted(path.name for path in set(context.store.glob("*.json")) - before)
+        if made:
+            last = {"controller": context.controller, "backups": made}
+            atomic_write_text(context.store / _LAST_UPLOAD, json.dumps(last, indent=2) + "\n")
+
+
+def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> Deployment:
     parts: list[UploadResult] = []
     notes: list[str] = []
     tables = tables_of(compensation, axis.bench)
@@ -569,16 +591,17 @@ def recover_upload(
 def rollback_upload(
     url: str, bench: str, journal: Path, *, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Bring back what the last uploads replaced: law first, then program, then tables."""
+    """Bring back what the last upload replaced: law first, then program, then tables."""
     with _ready(url, bench, journal, progress) as (axis, context):
         done: list[UploadResult] = []
-        law = _latest(journal, "law")
+        backups = _last_backups(context)
+        law = _of_kind(backups, "law")
         if law is not None:
             done.append(law_upload.rollback_law(axis.link, context, law))
-        program = _latest(journal, "program")
+        program = _of_kind(backups, "program")
         if program is not None:
             done.append(rollback_program(axis.link, context, program))
-        tables = _latest(journal, "tables")
+        tables = _of_kind(backups, "tables")
         if tables is not None:
             rest_time_motor(axis)
             stand_at_zero(axis)
@@ -597,8 +620,30 @@ def rollback_upload(
     }
 
 
-def _latest(folder: Path, kind: str) -> Path | None:
-    found = sorted(folder.glob(f"*.{kind}.json"), key=lambda path: path.stat().st_mtime_ns)
+def _last_backups(context: Context) -> list[Path]:
+    """Backups of the last upload that the journal folder notes.
+
+    Raises
+    ------
+    ForeignChange
+        The last upload went to another controller.
+    """
+    note = context.store / _LAST_UPLOAD
+    if not note.is_file():
+        return sorted(context.store.glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
+    last = json.loads(note.read_text(encoding="utf-8"))
+    if last["controller"] != context.controller:
+        raise ForeignChange(
+            "The last upload in this journal went to another controller.",
+            code="PC-DEP-021",
+            hint="Name the journal folder of this controller's upload with --journal.",
+            left=ControllerState.OLD,
+        )
+    return [context.store / Path(name).name for name in last["backups"]]
+
+
+def _of_kind(backups: list[Path], kind: str) -> Path | None:
+    found = [path for path in backups if path.name.endswith(f".{kind}.json")]
     return found[-1] if found else None
 
 
