@@ -11,6 +11,9 @@ _DEFINITION = re.compile(
     r"\*|(?:DP|X|Y|D|L|F)\s*:?\s*(?:\$[0-9A-F]+|\d+)(?:\s*,\s*[0-9]+)*(?:\s*,\s*[USDC](?![A-Z0-9]))?"
 )
 
+# What starts like a definition but is none must not be read as a query and a command (M5->Z:1).
+_UNSUPPORTED_DEFINITION = re.compile(r"[XY]|TW|(?!J)[A-Z]{1,3}\s*:")
+
 
 @command("I")
 def _i(context: LineContext) -> None:
@@ -107,6 +110,8 @@ def _define(context: LineContext, numbers: range) -> None:
     scanner.skip_blanks()
     match = _DEFINITION.match(scanner.text, scanner.position)
     if match is None:
+        if _UNSUPPORTED_DEFINITION.match(scanner.rest):
+            raise CardError(3, f"definition of M{numbers[0]} not understood at '{scanner.rest}'")
         for number in numbers:
             context.answer(variables.definition(number))
         return

@@ -166,3 +166,10 @@ def test_position_is_set_through_registers_while_killed(card: Card, ask: Ask) ->
 def test_identity_of_servo_clock(ask: Ask) -> None:
     assert ask("I7000 I7001 I7002 I10") == "6516 0 3 3707733"
     assert int(640 / 9 * (2 * 6516 + 3) * 4) == 3707733
+
+
+@pytest.mark.parametrize("text", ["TWS:$1", "Z:$10", "X", "Y:", "DP:", "SL:$10"])
+def test_a_bad_m_definition_is_refused_whole(ask: Ask, text: str) -> None:
+    ask("M500->X:$10F0,24")
+    assert ask(f"M500->{text}") == "ERR003"
+    assert ask("M500-> M500->Y:$10,0 M500->P9") == "X:$10F0,24 Y:$10,0 0"
