@@ -1,6 +1,7 @@
 """Options and fixtures shared by all tests."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,12 @@ settings.register_profile(
 )
 settings.register_profile("long", max_examples=5000, deadline=None)
 settings.load_profile(os.environ.get("PMAC_COMP_HYPOTHESIS", "ci"))
+
+
+def pytest_configure() -> None:
+    """Undo an ignored Ctrl-C, which a background job inherits and hands on to what tests start."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

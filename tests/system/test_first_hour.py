@@ -82,22 +82,24 @@ def test_only_commands_with_a_dry_run_advise_it(tmp_path: Path) -> None:
 def test_interrupted_capture_stops_the_axis(tmp_path: Path, how: signal.Signals) -> None:
     serve = [sys.executable, "-m", "pmac_comp", "sim", "--tcp", "0"]
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as sim:
-        assert sim.stdout is not None
-        url = json.loads(sim.stdout.readline())["tcp"]
-        motion = "sine:amplitude_mm=10,frequency_Hz=1,cycles=60"
-        words = ["capture", url, "-b", "paper", "--motion", motion, "--yes"]
-        with subprocess.Popen(
-            [sys.executable, "-m", "pmac_comp", *words], cwd=tmp_path, stderr=subprocess.PIPE
-        ) as going:
-            wait_until(lambda: state_of(url, tmp_path) == "moving")
-            time.sleep(1.0)  # past the move to the start
-            going.send_signal(how)
-            _, said = going.communicate(timeout=30)
-        assert going.returncode == 130
-        assert b"interrupted" in said
-        wait_until(lambda: state_of(url, tmp_path) != "moving")
-        assert state_of(url, tmp_path) == "holding"
-        sim.terminate()
+        try:
+            assert sim.stdout is not None
+            url = json.loads(sim.stdout.readline())["tcp"]
+            motion = "sine:amplitude_mm=10,frequency_Hz=1,cycles=60"
+            words = ["capture", url, "-b", "paper", "--motion", motion, "--yes"]
+            with subprocess.Popen(
+                [sys.executable, "-m", "pmac_comp", *words], cwd=tmp_path, stderr=subprocess.PIPE
+            ) as going:
+                wait_until(lambda: state_of(url, tmp_path) == "moving")
+                time.sleep(1.0)  # past the move to the start
+                going.send_signal(how)
+                _, said = going.communicate(timeout=30)
+            assert going.returncode == 130
+            assert b"interrupted" in said
+            wait_until(lambda: state_of(url, tmp_path) != "moving")
+            assert state_of(url, tmp_path) == "holding"
+        finally:
+            sim.kill()
 
 
 def state_of(url: str, cwd: Path) -> str:
