@@ -35,7 +35,7 @@ ensure_environment() {
             || fail "the module venv does not work; on Debian install python3.11-venv."
     fi
     say "environment: installing pmac-comp[$extras] (some minutes the first time)"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
+    "$venv/bin/python" -m pip install --quiet --quiet --disable-pip-version-check \
         --constraint "$root/tools/constraints.txt" --editable "$root[$extras]" \
         || fail "pip could not install the packages; check the connection to the package index."
     printf '%s' "$wanted" > "$stamp"
