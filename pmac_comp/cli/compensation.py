@@ -259,13 +259,7 @@ def verify(
 
         write_verification_report(outcome, output.checked_target(report))
 
-    def show() -> None:
-        for line in outcome.lines():
-            output.echo(line)
-        if report is not None:
-            output.echo(f"report: {report}")
-
-    output.finish(outcome.as_result(), json_target, show)
+    output.finish_with_report(outcome.as_result(), outcome.lines, json_target, report)
 
 
 def improve(

@@ -125,13 +125,7 @@ def diagnose(
 
         write_diagnosis_report(outcome, output.checked_target(report))
 
-    def show() -> None:
-        for line in outcome.lines():
-            output.echo(line)
-        if report is not None:
-            output.echo(f"report: {report}")
-
-    output.finish(outcome.as_result(), json_target, show)
+    output.finish_with_report(outcome.as_result(), outcome.lines, json_target, report)
 
 
 def compare(

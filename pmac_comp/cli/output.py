@@ -123,6 +123,19 @@ def finish(result: Any, json_target: str, show: Callable[[], None]) -> None:
         show()
 
 
+def finish_with_report(
+    result: Any, lines: Callable[[], Iterable[str]], json_target: str, report: Path | None
+) -> None:
+    """Result as ``finish`` gives it, for people as lines and the name of the report written."""
+
+    def show() -> None:
+        echo_all(lines())
+        if report is not None:
+            echo(f"report: {report}")
+
+    finish(result, json_target, show)
+
+
 def say(text: str) -> None:
     """One line for people on standard error."""
     sys.stderr.write(safe(text) + "\n")
