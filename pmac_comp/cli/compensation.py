@@ -54,7 +54,7 @@ def compensate(
     json_target: JsonOption = "",
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
-    from pmac_comp.workflow.deploy import compensate_files
+    from pmac_comp.workflow.computing import compensate_files
 
     result = compensate_files(
         bench,
@@ -85,7 +85,7 @@ def diff(
 ) -> None:
     """Show the compensation on the controller against a new one, in numbers and as a plot."""
     from pmac_comp.workflow.compensation_file import check_bench
-    from pmac_comp.workflow.deploy import difference
+    from pmac_comp.workflow.difference import difference
 
     if plot is not None and plot.suffix.lower() not in {".svg", ".png"}:
         raise ConfigError(
@@ -123,7 +123,7 @@ def upload(
 ) -> None:
     """Upload a compensation as one transaction; ends in OLD, NEW or DISABLED."""
     from pmac_comp.workflow.compensation_file import check_bench
-    from pmac_comp.workflow.deploy import plan_upload, upload_file
+    from pmac_comp.workflow.upload_flow import plan_upload, upload_file
 
     check_bench(new, bench)
     plan = plan_upload(url, bench, new)
@@ -161,7 +161,7 @@ def recover(
     json_target: JsonOption = "",
 ) -> None:
     """Settle what an interrupted upload left; ends in OLD, NEW or DISABLED."""
-    from pmac_comp.workflow.deploy import recover_upload
+    from pmac_comp.workflow.upload_flow import recover_upload
 
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, progress=progress)
@@ -181,7 +181,7 @@ def rollback(
     json_target: JsonOption = "",
 ) -> None:
     """Bring back what the last upload replaced, verified."""
-    from pmac_comp.workflow.deploy import rollback_upload
+    from pmac_comp.workflow.upload_flow import rollback_upload
 
     confirmed(f"Roll back the last upload on {url}?", yes=yes)
     progress = ProgressLines()

@@ -17,7 +17,7 @@ import numpy as np  # isort: skip
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.verify import ErrorSignals
+from pmac_comp.workflow.outcome import ErrorSignals
 
 BEFORE, AFTER, PROMISE = "#b3452c", "#1f6f5c", "#3b5b92"
 _MOST_POINTS = 3000

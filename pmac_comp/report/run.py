@@ -6,9 +6,9 @@ from typing import Any
 from pmac_comp import __version__
 from pmac_comp.report import figures
 from pmac_comp.report.page import Page, Section, Table, write_page
+from pmac_comp.workflow.computing import describe
 from pmac_comp.workflow.demo import RunResult
-from pmac_comp.workflow.deploy import describe
-from pmac_comp.workflow.verify import MotionOutcome, Verification, error_signals
+from pmac_comp.workflow.outcome import MotionOutcome, Verification, error_signals
 
 SIMULATED = (
     "The controller and the drive behind it are simulated. Figures marked 'measured' are what the "

@@ -30,7 +30,8 @@ from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.variables import read_many, write_many
-from pmac_comp.workflow.motions import PROGRAM_NUMBER, Motion, check_motion, pvt_program, relaxing
+from pmac_comp.workflow.motions import Motion, check_motion, relaxing
+from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
 from pmac_comp.workflow.scales import Scales
 
 Progress = Callable[[str, float], None]

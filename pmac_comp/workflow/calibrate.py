@@ -12,11 +12,10 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import write_capture
 from pmac_comp.machine.controller.capture_log import recover
 from pmac_comp.workflow.axis import Axis, run_all
+from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
 from pmac_comp.workflow.motions import (
     Motion,
-    calibration_motions,
     check_motion,
-    lead_motions,
     motion_rows,
     parse_motion,
 )

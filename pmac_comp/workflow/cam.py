@@ -34,7 +34,8 @@ from pmac_comp.machine.controller.variables import read_many, same_value, verify
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.motions import Motion, PvtProgram, check_motion, pvt_program
+from pmac_comp.workflow.motions import Motion, check_motion
+from pmac_comp.workflow.pvt import PvtProgram, pvt_program
 from pmac_comp.workflow.rendering import (
     CAM_RUN_UP_CYCLES,
     CamShape,

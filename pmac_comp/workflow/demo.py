@@ -17,17 +17,16 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
+from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.computing import compute_compensation, cost_remarks, describe
 from pmac_comp.workflow.deploy import (
     Deployment,
-    compute_compensation,
     context_of,
-    cost_remarks,
     deploy,
-    describe,
 )
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
-from pmac_comp.workflow.motions import calibration_motions, lead_motions, verification_motions
+from pmac_comp.workflow.outcome import Verification
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.simulated import (
     ServedClock,
@@ -35,7 +34,7 @@ from pmac_comp.workflow.simulated import (
     default_servo,
     make_card,
 )
-from pmac_comp.workflow.verify import Verification, store, verify_axis
+from pmac_comp.workflow.verify import store, verify_axis
 
 Progress = Callable[[str, float], None]
 

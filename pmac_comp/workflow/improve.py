@@ -12,13 +12,15 @@ from pmac_comp.files.capture import write_capture
 from pmac_comp.files.model_file import write_model
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.calibrate import prepare
+from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import check_route, write_compensation
-from pmac_comp.workflow.deploy import compute_compensation, context_of, deploy
+from pmac_comp.workflow.computing import compute_compensation
+from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.identification import identify_captures, load_model
-from pmac_comp.workflow.motions import calibration_motions, lead_motions, verification_motions
+from pmac_comp.workflow.outcome import Verification
 from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.verify import Verification, store, verify_axis
+from pmac_comp.workflow.verify import store, verify_axis
 
 Progress = Callable[[str, float], None]
 

@@ -19,7 +19,8 @@ from pmac_comp.physics.compensate.exact import Learning, learn
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.motions import Motion, check_motion, pvt_program
+from pmac_comp.workflow.motions import Motion, check_motion
+from pmac_comp.workflow.pvt import pvt_program
 
 Progress = Callable[[str, float], None]
 COMPENSATED_PROGRAM = 704

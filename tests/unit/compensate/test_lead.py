@@ -8,7 +8,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import lead_map
-from pmac_comp.workflow.motions import lead_motions
+from pmac_comp.workflow.campaigns import lead_motions
 from pmac_comp.workflow.rendering import lead_table
 
 BENCH = load_bench("paper")

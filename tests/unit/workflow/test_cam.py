@@ -15,11 +15,12 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import deploy as deploy_module
+from pmac_comp.workflow import upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_axis, render_cam, reset_time
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import compute_compensation, context_of, deploy, switch
+from pmac_comp.workflow.computing import compute_compensation
+from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
 from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
@@ -141,8 +142,8 @@ def test_total_error_falls_and_rollback_restores(
         def __exit__(self, *_failure: object) -> None:
             pass
 
-    monkeypatch.setattr(deploy_module, "open_axis", lambda _url, _bench: Opened())
-    result = deploy_module.rollback_upload("sim://", "paper", tmp_path)
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    result = upload_flow.rollback_upload("sim://", "paper", tmp_path)
     assert result["verdict"] == "OLD"
     assert len(read_tables(axis.link)) == 0
     assert read_many(axis.link, ["I800"])["I800"] == 0.0

@@ -5,16 +5,14 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, SafetyRefusal
 from pmac_comp.files.bench import load_bench
+from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.motions import (
     Motion,
-    calibration_motions,
     check_motion,
-    lead_motions,
     parse_motion,
-    pvt_program,
     relaxing,
-    verification_motions,
 )
+from pmac_comp.workflow.pvt import pvt_program
 
 BENCH = load_bench("paper")
 

@@ -3,7 +3,8 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.workflow.motions import calibration_motions, pvt_program
+from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.pvt import pvt_program
 
 
 @pytest.mark.parametrize("bench_name", ["paper", "paper_x4"])

@@ -6,6 +6,7 @@ import pytest
 
 from pmac_comp.base.errors import ForeignChange
 from pmac_comp.workflow import deploy as d
+from pmac_comp.workflow import upload_flow as flow
 
 
 def _upload(store, controller, *names):
@@ -17,9 +18,9 @@ def _upload(store, controller, *names):
 def test_a_later_table_upload_does_not_bring_an_older_law_back(tmp_path):
     _upload(tmp_path, "card", "c-1.tables.json", "c-2.law.json")
     _upload(tmp_path, "card", "c-3.tables.json")
-    backups = d._last_backups(SimpleNamespace(store=tmp_path, controller="card"))
-    assert d._of_kind(backups, "tables") == tmp_path / "c-3.tables.json"
-    assert d._of_kind(backups, "law") is None
+    backups = flow._last_backups(SimpleNamespace(store=tmp_path, controller="card"))
+    assert flow._of_kind(backups, "tables") == tmp_path / "c-3.tables.json"
+    assert flow._of_kind(backups, "law") is None
 
 
 def _broken_upload(store):
@@ -31,11 +32,11 @@ def _broken_upload(store):
 def test_an_upload_that_fails_still_notes_its_backup(tmp_path):
     with pytest.raises(RuntimeError, match="link lost"):
         _broken_upload(tmp_path)
-    backups = d._last_backups(SimpleNamespace(store=tmp_path, controller="card"))
+    backups = flow._last_backups(SimpleNamespace(store=tmp_path, controller="card"))
     assert [path.name for path in backups] == ["c-1.tables.json"]
 
 
 def test_the_upload_of_another_controller_is_not_rolled_back(tmp_path):
     _upload(tmp_path, "card 1", "c-1.tables.json")
     with pytest.raises(ForeignChange, match="another controller"):
-        d._last_backups(SimpleNamespace(store=tmp_path, controller="card 2"))
+        flow._last_backups(SimpleNamespace(store=tmp_path, controller="card 2"))

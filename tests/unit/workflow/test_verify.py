@@ -6,13 +6,8 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.workflow.verify import (
-    Spread,
-    error_signals,
-    outcome_of,
-    sensor_floor_um,
-    verify_files,
-)
+from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
+from pmac_comp.workflow.verify import verify_files
 
 BENCH = load_bench("paper")
 PERIOD = BENCH.servo_period_s

@@ -1,0 +1,131 @@
+"""Proposed motions: for calibration, for the lead error, for verification drawn by a seed."""
+
+import math
+
+import numpy as np
+
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.signals import trajectory as tr
+from pmac_comp.workflow.motions import Motion
+
+
+def calibration_motions(bench: Bench) -> list[Motion]:
+    """Proposed campaign: several amplitudes and frequencies at three places of the travel.
+
+    Fits the travel, the safety limits and the rated speed of the bench (ballscrew facts 2.9,
+    excitation rules).
+    """
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    middle, span = 0.5 * (low + high), high - low
+    period = bench.servo_period_s
+    speed = usable_speed(bench)
+    acceleration = min(bench.safety.max_acceleration_m_per_s2, 8.0)
+
+    def sine(name: str, amplitude: float, frequency: float, place: float, n: float) -> Motion:
+        omega = 2.0 * math.pi * frequency
+        amplitude = min(amplitude, 0.15 * span, 0.9 * speed / omega, 0.85 * acceleration / omega**2)
+        shape = tr.sinusoid(
+            period_s=period,
+            amplitude_m=amplitude,
+            frequency_Hz=frequency,
+            cycles=n,
+            centre_m=middle + place * span,
+        )
+        return Motion(name, shape)
+
+    def move(name: str, distance: float, fraction: float, start: float) -> Motion:
+        shape = tr.trapezoid(
+            period_s=period,
+            distance_m=distance * span,
+            speed_m_per_s=fraction * speed,
+            acceleration_m_per_s2=min(3.0, acceleration),
+            s_curve_s=0.02,
+            start_m=middle + start * span,
+        )
+        return Motion(name, shape)
+
+    slow = tr.triangle(
+        period_s=period,
+        amplitude_m=min(2e-3, 0.05 * span),
+        speed_m_per_s=2e-3,
+        cycles=2,
+        centre_m=middle,
+        acceleration_m_per_s2=0.5,
+    )
+    return [
+        sine("sine_low_end", 0.010, 4.0, -0.40, 8.0),
+        sine("sine_middle", 0.012, 3.5, 0.0, 8.0),
+        sine("sine_high_end", 0.010, 4.0, 0.40, 8.0),
+        sine("sine_long", 0.050, 0.7, 0.0, 3.0),
+        sine("sine_small", 0.004, 1.0, 0.1, 4.0),
+        move("move_long", 0.75, 0.7, -0.38),
+        move("move_slow", 0.15, 0.1, -0.1),
+        Motion("triangle_slow", slow),
+    ]
+
+
+def lead_motions(bench: Bench) -> list[Motion]:
+    """One slow run over the travel and back."""
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    margin = 0.005 * (high - low)
+    shape = tr.trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=high - low - 2.0 * margin,
+        speed_m_per_s=min(0.06, 0.3 * usable_speed(bench)),
+        acceleration_m_per_s2=0.5,
+        s_curve_s=0.05,
+        start_m=low + margin,
+    )
+    return [Motion("lead_run", shape)]
+
+
+def verification_motions(
+    bench: Bench, seed: int, *, n_sine: int = 3, n_move: int = 3
+) -> list[Motion]:
+    """Motions drawn by a seed: sinusoids within the rated speed and jerk-limited trapezoids."""
+    rng = np.random.default_rng(seed)
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    span, speed = high - low, usable_speed(bench)
+    acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
+    period = bench.servo_period_s
+    motions: list[Motion] = []
+    for _ in range(n_sine):
+        frequency = float(np.exp(rng.uniform(np.log(0.7), np.log(5.0))))
+        omega = 2.0 * math.pi * frequency
+        most = min(0.05, 0.1 * span, 0.95 * speed / omega, 0.98 * acceleration / omega**2)
+        amplitude = float(rng.uniform(0.7, 1.0)) * most
+        centre = float(rng.uniform(low + 1.2 * amplitude, high - 1.2 * amplitude))
+        name = f"sine {amplitude * 1e3:.1f} mm {frequency:.2f} Hz at {centre * 1e3:.0f} mm"
+        cycles = max(3.0, min(6.0, math.ceil(1.5 * frequency)))
+        shape = tr.sinusoid(
+            period_s=period,
+            amplitude_m=amplitude,
+            frequency_Hz=frequency,
+            cycles=cycles,
+            centre_m=centre,
+        )
+        motions.append(Motion(name, shape))
+    for _ in range(n_move):
+        distance = float(rng.uniform(0.05, 0.3)) * span
+        v = float(rng.uniform(0.3, 0.95)) * speed
+        a = float(rng.uniform(0.3, 1.0)) * min(5.0, acceleration)
+        start = float(rng.uniform(low, high - distance))
+        name = f"move {distance * 1e3:.0f} mm {v * 1e3:.0f} mm/s {a:.1f} m/s2"
+        shape = tr.trapezoid(
+            period_s=period,
+            distance_m=distance,
+            speed_m_per_s=v,
+            acceleration_m_per_s2=a,
+            s_curve_s=0.015,
+            start_m=start,
+        )
+        motions.append(Motion(name, shape))
+    return motions
+
+
+def usable_speed(bench: Bench) -> float:
+    """Highest speed in m/s: the safety limit or the rated speed of the motor."""
+    limit = bench.safety.max_speed_mm_per_s / MM_PER_M
+    rpm = bench.known.rated_speed_rpm
+    return limit if rpm is None else min(limit, rpm / 60.0 * bench.pitch_m)
