@@ -65,6 +65,10 @@ _BUFFERS = {
     _ROTARY: (reg.ROTARY_POINTERS, 16),
     _TBUF: (0x3151, 1),
 }
+_START_CELLS = np.concatenate(
+    [kind.value + np.arange(reg.MOTORS) for kind in _KINDS]
+    + [address + np.arange(count) for address, count in _BUFFERS.values()]
+)
 _BLOCKS_DEFINE = {
     TableKind.COMP: (_TBUF, _ROTARY, _LOOKAHEAD, _GATHER),
     TableKind.TCOMP: (_TBUF, _ROTARY, _LOOKAHEAD, _GATHER),
@@ -105,13 +109,9 @@ def buffer_exists(memory: Memory, name: str) -> bool:
 def lowest_defined(memory: Memory) -> int:
     """Lowest address that a DEFINEd buffer in user memory uses (end of memory if none)."""
     low = int(memory.x[reg.MEMORY_END]) or reg.USER_BUFFER_END_STANDARD
-    places = [(kind.value, reg.MOTORS) for kind in _KINDS] + list(_BUFFERS.values())
-    for address, count in places:
-        for i in range(count):
-            start = int(memory.x[address + i])
-            if reg.USER_BUFFER_START <= start < low:
-                low = start
-    return low
+    starts = memory.x[_START_CELLS]
+    starts = starts[starts >= reg.USER_BUFFER_START]
+    return min(low, int(starts.min())) if starts.size else low
 
 
 def program_floor(memory: Memory) -> int:

@@ -5,6 +5,7 @@ Source: Turbo PMAC Software Reference Manual p. 35-42, 254-263, 276-277.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from pmac_comp.machine.wire.dialog import (
 )
 from pmac_comp.simulator.commands.line import LineContext, Modal
 from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.language.scanner import Scanner
+from pmac_comp.simulator.language.scanner import Scanner, parse_number
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 _TAB, _CHECKSUM, _CANCEL, _CONTROL_T, _CONTROL_Z = 0x09, 0x0E, 0x18, 0x14, 0x1A
 _ERROR_LINE_TOO_LONG = 3
 _ERROR_CHARACTER = 4
+# Most of a download is one constant per line; it needs no parser.
+_CONSTANT = re.compile(rb"([IPQM])(\d{1,4})=(-?)(\$[0-9A-F]+|\d+\.?\d*|\.\d+)", re.IGNORECASE)
+_LAST_VARIABLE = 8191
 
 
 class Port:
@@ -48,18 +52,45 @@ class Port:
     def line(self, text: str | bytes) -> bytes:
         """Answer to one command line, framed by I3, I4 and I6."""
         raw = text.encode("latin-1", "replace") if isinstance(text, str) else text
+        lines: list[str] = []
+        error, silent = self._execute(raw, lines)
+        if silent and error is None:
+            return b""
+        return self._reply(lines, raw, error=error)
+
+    def verdict(self, raw: bytes) -> int | None:
+        """Execute one command line for its error number only, None if it was carried out."""
+        return self._execute(raw, [])[0]
+
+    def _execute(self, raw: bytes, lines: list[str]) -> tuple[int | None, bool]:
+        """Execute a line into `lines`; its error and whether it ends without acknowledgement."""
         self._last_line = raw
-        if any(code > 0x7E for code in raw):
-            return self._reply([], raw, error=_ERROR_CHARACTER)
-        context = LineContext(self.card, self.modal, Scanner(raw.decode("ascii")), owner=self)
-        error = None
         try:
+            constant = _CONSTANT.fullmatch(raw)
+            if constant is not None and self._assign_constant(constant):
+                return None, False
+            if not raw.isascii() or b"\x7f" in raw:
+                return _ERROR_CHARACTER, False
+            text = raw.decode("ascii")
+            context = LineContext(self.card, self.modal, Scanner(text), owner=self, lines=lines)
             self.card.execute_line(context)
         except CardError as refusal:
-            error = refusal.code
-        if context.silent_end and error is None:
-            return b""
-        return self._reply(context.lines, raw, error=error)
+            return refusal.code, False
+        return None, context.silent_end
+
+    def _assign_constant(self, match: re.Match[bytes]) -> bool:
+        """Carry out ``P5=7`` unless it belongs into an open buffer; False if it does."""
+        card = self.card
+        number = int(match[2])
+        if number > _LAST_VARIABLE or card.programs.is_open_on(self):
+            return False
+        if card.rotary.is_open_on(self):
+            return False
+        value = parse_number(match[4].decode("ascii").upper())
+        kind = match[1].decode("ascii").upper()
+        card.variables.write(kind, number, -value if match[3] else value, self.modal.cs)
+        card.variable_written(kind, number)
+        return True
 
     def _reply(self, lines: list[str], command: bytes, *, error: int | None) -> bytes:
         read = self.card.variables.int_i

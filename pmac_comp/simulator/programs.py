@@ -8,9 +8,10 @@ Source: Turbo PMAC Software Reference Manual p. 295-298, 341-349, 378-385, 509.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import accumulate
+from itertools import accumulate, islice
 
 from pmac_comp.simulator import registers as r
+from pmac_comp.simulator.compensation import lowest_defined
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.assembler import Assembled, assemble
 from pmac_comp.simulator.language.scanner import Scanner
@@ -44,11 +45,22 @@ class Program:
     statements: list[Statement] = field(default_factory=list)
     assembled: Assembled | None = None
     _offsets: list[int] = field(default_factory=list, repr=False)
+    _counted: tuple[int, int] = (0, 0)  # statements that were counted, their words
 
     @property
     def words(self) -> int:
         """Long words of memory, the closing RETURN included."""
-        return sum(s.words for s in self.statements) + 1
+        count, words = self._counted
+        if count > len(self.statements):
+            count = words = 0
+        words += sum(s.words for s in islice(self.statements, count, None))
+        self._counted = (len(self.statements), words)
+        return words + 1
+
+    def clear(self) -> None:
+        """Drop all statements."""
+        self.statements.clear()
+        self._counted = (0, 0)
 
     def lines(self, *, long: bool) -> list[tuple[int, str]]:
         """Word offset and text of each listed line, RETURN last."""
@@ -143,7 +155,7 @@ class ProgramStore:
         """CLEAR: empty the open buffer."""
         if not self.is_open_on(owner) or self.open_program is None:
             raise CardError(7)
-        self.open_program.statements.clear()
+        self.open_program.clear()
         self.update_memory()
 
     def close(self, owner: object, *, force: bool = False) -> None:
@@ -161,10 +173,13 @@ class ProgramStore:
         program = self.open_program
         if program is None:
             raise CardError(5)
-        if self.free_words() < statement.words:
+        free = self.free_words() - statement.words
+        if free < 0:
             raise CardError(6)
         program.statements.append(statement)
-        self.update_memory()
+        # The entries of programs behind this one move when it is closed.
+        self.memory.y[r.PROGRAM_END] += statement.words
+        self._update_status(free)
 
     def end_line(self) -> None:
         """Close the text line being entered, which ends inline IF and WHILE actions."""
@@ -214,12 +229,10 @@ class ProgramStore:
             m.y[r.PLC_TABLE + number] = flags | address
             address += plc.words
         m.y[r.PROGRAM_END] = address
-        self._update_status()
+        self._update_status(self.free_words())
 
     def free_words(self) -> int:
         """Long words between the programs and the buffers made by DEFINE."""
-        from pmac_comp.simulator.compensation import lowest_defined
-
         return lowest_defined(self.memory) - int(self.memory.y[r.PROGRAM_END])
 
     def _mark_open(self, *, is_open: bool) -> None:
@@ -233,7 +246,7 @@ class ProgramStore:
             word | PLC_DISABLED | PLC_OPEN if is_open else (word | PLC_DISABLED) & ~PLC_OPEN
         )
 
-    def _update_status(self) -> None:
+    def _update_status(self, free_words: int) -> None:
         m = self.memory
         word = int(m.y[r.GLOBAL_STATUS])
         word &= ~(r.G2_MOTION_BUFFER_OPEN | r.G2_PLC_BUFFER_OPEN)
@@ -241,7 +254,7 @@ class ProgramStore:
             kind = self.open_program.kind
             word |= r.G2_MOTION_BUFFER_OPEN if kind == MOTION else r.G2_PLC_BUFFER_OPEN
         threshold = int(m.x[0x1093])  # I18
-        if self.open_program is None or self.free_words() <= threshold:
+        if self.open_program is None or free_words <= threshold:
             word |= r.G2_FIXED_BUFFER_FULL
         else:
             word &= ~r.G2_FIXED_BUFFER_FULL

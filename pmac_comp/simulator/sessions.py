@@ -191,8 +191,7 @@ class EthernetSession:
     def _write_buffer(self, request: Request) -> bytes:
         self._waiting.clear()
         for number, line in enumerate(request.lines, start=_FIRST_LINE):
-            reply = self.port.line(line)
-            error = _error_in(reply)
+            error = self.port.verdict(line)
             if error is not None:
                 return BufferVerdict(error, number).encode()
         return BufferVerdict().encode()
@@ -241,15 +240,6 @@ class EthernetSession:
             # Takes effect at power-up; the address of the server itself is the host's affair.
             self.card.ip_address = request.payload
         return self.card.ip_address
-
-
-def _error_in(reply: bytes) -> int | None:
-    """Number of the error a line was refused with, None if it was not."""
-    place = reply.find(b"\x07")
-    if place < 0:
-        return None
-    digits = reply[place:].lstrip(b"\x07\r\n")[3:6]
-    return int(digits) if digits.isdigit() else 3
 
 
 class AsciiSession:

@@ -147,12 +147,14 @@ def execute_command(context: LineContext) -> None:
     start = scanner.position
     for keyword in _BY_FIRST.get(character, ()):
         if scanner.take(keyword):
-            end, scanner.position = scanner.position, start
-            word = program_word(scanner)
-            scanner.position = end
-            if word is not None and len(word) > len(keyword):
-                # STOP is a program statement, not S followed by nonsense.
-                raise CardError(5)
+            end = scanner.position
+            if scanner.peek().isalpha():
+                scanner.position = start
+                word = program_word(scanner)
+                scanner.position = end
+                if word is not None and len(word) > len(keyword):
+                    # STOP is a program statement, not S followed by nonsense.
+                    raise CardError(5)
             if keyword.isalpha() and scanner.text[end : end + 1].isalpha():
                 _refuse_other_words(scanner, start)
             KEYWORDS[keyword](context)

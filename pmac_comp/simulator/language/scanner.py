@@ -27,11 +27,13 @@ class Scanner:
         self.raw = text
         self.text = _upper_outside_quotes(text)
         self.position = 0
+        self._blanks = " " in text or "\t" in text
 
     def skip_blanks(self) -> None:
         """Move over blanks and tabs."""
-        while self.position < len(self.text) and self.text[self.position] in " \t":
-            self.position += 1
+        if self._blanks:
+            while self.position < len(self.text) and self.text[self.position] in " \t":
+                self.position += 1
 
     @property
     def at_end(self) -> bool:
@@ -46,7 +48,10 @@ class Scanner:
 
     def take(self, *words: str) -> str | None:
         """Take the first of these words that stands here, else None; inner blanks do not count."""
-        self.skip_blanks()
+        if self._blanks:
+            self.skip_blanks()
+        elif not self.text.startswith(words, self.position):
+            return None
         for word in words:
             end = self._match(word)
             if end is not None:
@@ -58,7 +63,7 @@ class Scanner:
         position = self.position
         if self.text.startswith(word, position):
             return position + len(word)
-        if not self.text.startswith(word[0], position):
+        if not self._blanks or not self.text.startswith(word[0], position):
             return None
         for character in word:
             while position < len(self.text) and self.text[position] in " \t":
