@@ -22,7 +22,7 @@ def estimates_of(grown: Grown) -> tuple[Estimate, ...]:
         return ()
     part = grown.bench.fitting_bench()
     model = grown.final.model
-    gram, directions = linearised(part, grown.final_on(part), None)
+    gram, directions, _ = linearised(part, grown.final_on(part), None)
     gram = gram.with_bounds(untempered(gram.prior))
     solution = gram.solve(range(gram.n_columns))
     spread = np.sqrt(np.maximum(np.diag(robust_covariance(gram, solution)), 0.0))

@@ -96,7 +96,6 @@ def spans_of(
 def flexible_columns(
     records: Sequence[Record],
     model: DriveModel,
-    simulated: Sequence[FloatArray],
     lead_m: float,
     executor: Executor,
 ) -> list[FloatArray]:
@@ -108,8 +107,6 @@ def flexible_columns(
         Fitting and judging.
     model : DriveModel
         Working point.
-    simulated : sequence of ndarray, shape (m, channels)
-        Coarse channels at the working point.
     lead_m : float
         Travel per revolution.
     executor : Executor
@@ -119,7 +116,9 @@ def flexible_columns(
     -------
     list of ndarray
     """
-    responses = list(executor.map(lambda r: r.response(model), records))
+    substeps = max(2, model.substeps // 2)  # both ends of a difference alike
+    responses = list(executor.map(lambda r: r.response(model, substeps=substeps), records))
+    base = [r.coarsen(r.channels_of(p)) for r, p in zip(records, responses, strict=True)]
     positions = [np.asarray(r.motor_position_m) for r in responses]
     spans = spans_of(records, positions)
     table = [bases(r, x, spans, lead_m) for r, x in zip(records, positions, strict=True)]
@@ -129,8 +128,8 @@ def flexible_columns(
         i, j = job
         torque = size_Nm * np.ascontiguousarray(table[i][:, j])
         record = records[i]
-        moved = record.channels_of(record.response(model, probe_torque_Nm=torque))
-        return np.asarray((record.coarsen(moved) - simulated[i]) / size_Nm)
+        moved = record.response(model, probe_torque_Nm=torque, substeps=substeps)
+        return np.asarray((record.coarsen(record.channels_of(moved)) - base[i]) / size_Nm)
 
     count = table[0].shape[1]
     jobs = [(i, j) for i in range(len(records)) for j in range(count)]

@@ -10,6 +10,7 @@ answered from the scalar products of the columns, in microseconds.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -87,9 +88,10 @@ class Gram:
         """Number of columns."""
         return int(self.blocks.shape[1]) - 1
 
-    def total(self, *, fitting: bool) -> FloatArray:
-        """Products summed over the fitting or the judging blocks."""
-        return np.asarray(self.blocks[self.fitting == fitting].sum(axis=0))
+    @cached_property
+    def total(self) -> FloatArray:
+        """Products summed over the fitting blocks."""
+        return np.asarray(self.blocks[self.fitting].sum(axis=0))
 
     def with_bounds(self, prior: Prior) -> "Gram":
         """The same data under other bounds."""
@@ -112,11 +114,7 @@ class Gram:
         Solution
         """
         chosen = np.asarray(indices, dtype=np.int64)
-        total = (
-            self.total(fitting=True)
-            if weights is None
-            else np.tensordot(weights, self.blocks, axes=1)
-        )
+        total = self.total if weights is None else np.tensordot(weights, self.blocks, axes=1)
         return self._solve_total(total, chosen)
 
     def _solve_total(self, total: FloatArray, chosen: IntArray) -> Solution:

@@ -16,7 +16,15 @@ from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
-from pmac_comp.physics.diagnose.screen import Screened, Screening, look, noise_like, screen
+from pmac_comp.physics.diagnose.screen import (
+    Look,
+    Screened,
+    Screening,
+    look,
+    noise_like,
+    refreshed,
+    screen,
+)
 from pmac_comp.physics.diagnose.statistics import (
     bic_gain,
     corrected_p,
@@ -31,6 +39,9 @@ from pmac_comp.physics.model.effect import Effect
 Progress = Callable[[str], None]
 _ELEMENTARY = frozenset({"coulomb", "viscous"})
 _CLOSE = 0.9
+# Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
+_HINT = 0.002
+_MOST_FRESH = 10
 
 
 @dataclass(frozen=True)
@@ -185,9 +196,10 @@ def grow(
     point = refit(part, evaluate(part, start), rounds=8)
     rounds: list[Round] = []
     base: Fitted | None = None
+    seen: Look | None = None
     for number in range(1, rules.most_effects + 2):
         progress(f"round {number}: looking at {len(library)} effects")
-        bench, point, screening = _look_around(bench, point, library)
+        bench, point, screening, seen = _look_around(bench, point, library, seen)
         whole = evaluate(bench, point.model)
         base = whole if base is None else base
         done = _round(bench, whole, screening, library, rules, progress)
@@ -197,26 +209,35 @@ def grow(
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        part = bench.fitting_bench()
-        point = refit(part, evaluate(part, done.accepted.fitted.model), rounds=3)
+        point = evaluate(bench.fitting_bench(), done.accepted.fitted.model)
     base_model = evaluate(bench, base.model) if base is not None else evaluate(bench, start)
     final = evaluate(bench, point.model)
     return Grown(bench, base_model, final, tuple(rounds))
 
 
 def _look_around(
-    bench: Workbench, point: Fitted, library: Mapping[str, Effect]
-) -> tuple[Workbench, Fitted, Screening]:
+    bench: Workbench, point: Fitted, library: Mapping[str, Effect], last: Look | None
+) -> tuple[Workbench, Fitted, Screening, Look]:
     """Columns at the point, a fresh noise estimate, the point refitted under it, the ranking."""
     part = bench.fitting_bench()
-    seen = look(part, point.model.bench, point, library)
+    seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
     noise = part.noise_from(left, sensor_floor_m(part, point.model))
     part = part.with_noise(noise)
     frozen = Frozen(seen.own, [c[:, :, : len(seen.own)] for c in seen.columns])
     moved = refit(part, evaluate(part, point.model), frozen=frozen, rounds=3)
     screening = screen(part, moved, seen)
-    return bench.with_noise(_spread(bench, noise)), moved, screening
+    if seen.stale:
+        seen = refreshed(part, point, seen, _promising(screening))
+        screening = screen(part, moved, seen)
+    return bench.with_noise(_spread(bench, noise)), moved, screening, seen
+
+
+def _promising(screening: Screening) -> frozenset[str]:
+    """Effects whose columns of an earlier round promise enough to be simulated afresh."""
+    rows = float(screening.gram.rows[screening.gram.fitting].sum())
+    worth = [s for s in screening.ranked if s.fit_gain > _HINT * rows]
+    return frozenset(s.start.effect for s in worth[:_MOST_FRESH])
 
 
 def _spread(bench: Workbench, noise: Noise) -> Noise:

@@ -98,6 +98,7 @@ class Record:
         *,
         probe_torque_Nm: FloatArray | None = None,
         probe_force_N: FloatArray | None = None,
+        substeps: int | None = None,
     ) -> Response:
         """Closed-loop simulation of this record's command on the servo grid."""
         force = self.external_force_N
@@ -110,6 +111,7 @@ class Record:
             torque_feedforward_Nm=probe_torque_Nm,
             external_force_N=force,
             time_origin_s=float(self.capture.time_s[0]),
+            substeps=substeps,
         )
 
     def channels_of(self, response: Response) -> FloatArray:
@@ -118,9 +120,9 @@ class Record:
             return response.motor_position_m[:, None]
         return np.column_stack([response.motor_position_m, response.table_position_m])
 
-    def simulated_m(self, model: DriveModel) -> FloatArray:
+    def simulated_m(self, model: DriveModel, *, substeps: int | None = None) -> FloatArray:
         """Simulated channels on the coarse grid, shape (m, channels)."""
-        return self.coarsen(self.channels_of(self.response(model)))
+        return self.coarsen(self.channels_of(self.response(model, substeps=substeps)))
 
     def coordinates(self, response: Response, lead_m_per_rev: float) -> Coordinates:
         """Machine coordinates on the coarse grid, from a simulation (free of sensor noise)."""

@@ -20,6 +20,7 @@ from pmac_comp.physics.model.drive import DriveModel
 _HALVINGS = 4
 _ENOUGH = 0.5  # chi-square: below one, no parameter moves by a standard deviation
 _LARGEST_STEPS = 60.0
+_TRUSTED = 0.8
 
 
 @dataclass(frozen=True)
@@ -104,27 +105,34 @@ def refit(
         Never worse than the start.
     """
     best = start
+    held = frozen
     for _ in range(rounds):
-        gram, directions = linearised(bench, best, frozen)
+        gram, directions, columns = linearised(bench, best, held)
         solution = gram.solve(range(gram.n_columns))
         moved = _line_search(bench, best, directions, solution)
         if moved is None:
-            return best
-        gain, best = best.chi2 - moved.chi2, moved
+            if held is frozen:
+                return best
+            held = frozen
+            continue
+        promised, gain = best.chi2 - solution.chi2, best.chi2 - moved.chi2
+        best = moved
         if gain < max(_ENOUGH, 1e-4 * best.chi2):
             return best
+        # Columns that foretold their step well serve once more.
+        held = Frozen(tuple(directions), columns) if gain > _TRUSTED * promised else frozen
     return best
 
 
 def linearised(
     bench: Workbench, point: Fitted, frozen: Frozen | None
-) -> tuple[Gram, list[Direction]]:
-    """Gram matrices of a model's own directions at a point."""
+) -> tuple[Gram, list[Direction], Columns]:
+    """Gram matrices of a model's own directions at a point, with directions and columns."""
     known = {} if frozen is None else {d.label: i for i, d in enumerate(frozen.directions)}
     directions = own_directions(point.model)
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
-    columns = bench.columns(point.simulated, fresh)
+    columns = bench.columns(point.model, fresh)
     if frozen is not None and kept:
         index = [known[d.label] for d in kept]
         # A frozen column counts in steps of the point where it was taken.
@@ -136,7 +144,8 @@ def linearised(
             for c, f in zip(columns, frozen.columns, strict=True)
         ]
     ordered = [*fresh, *kept]
-    return bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered)), ordered
+    gram = bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered))
+    return gram, ordered, columns
 
 
 def moved_values(

@@ -5,7 +5,8 @@ this package below ``growth``.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -112,6 +113,8 @@ class Look:
         Of all columns.
     n_flexible : int
         How many of them are flexible.
+    stale : frozenset of int
+        Starts whose columns were simulated at an earlier working point.
     """
 
     own: tuple[Direction, ...]
@@ -119,12 +122,22 @@ class Look:
     columns: Columns
     prior: Prior
     n_flexible: int
+    stale: frozenset[int] = frozenset()
+
+    def places(self) -> list[range]:
+        """Columns of every start."""
+        ends = np.cumsum([len(self.own), *(len(s.directions) for s in self.starts)]).tolist()
+        return [range(a, b) for a, b in pairwise(ends)]
 
 
 def look(
-    bench: Workbench, description: Bench, point: Fitted, library: Mapping[str, Effect]
+    bench: Workbench,
+    description: Bench,
+    point: Fitted,
+    library: Mapping[str, Effect],
+    last: Look | None = None,
 ) -> Look:
-    """Simulate all columns at a working point.
+    """Columns at a working point: simulated, or those of an earlier point where it had them.
 
     Parameters
     ----------
@@ -136,6 +149,9 @@ def look(
         Working point.
     library : Mapping of str to Effect
         Candidates.
+    last : Look or None
+        Look at an earlier point: its candidates' columns serve to choose those that are worth
+        being simulated again (``refreshed``).
 
     Returns
     -------
@@ -150,16 +166,82 @@ def look(
         for start in starts_of(effect, point.model, description, peaks)
     )
     directions = [*own, *(d for start in starts for d in start.directions)]
-    columns = bench.columns(point.simulated, directions)
-    rivals = flexible_columns(
-        bench.records, point.model, point.simulated, description.pitch_m, bench.executor
-    )
-    n_flexible = rivals[0].shape[2]
-    joined: Columns = [
-        np.concatenate([c, r.astype(np.float32)], axis=2)
-        for c, r in zip(columns, rivals, strict=True)
+    if last is None:
+        rivals = flexible_columns(bench.records, point.model, description.pitch_m, bench.executor)
+        columns = bench.columns(point.model, directions)
+        joined: Columns = [
+            np.concatenate([c, r.astype(np.float32)], axis=2)
+            for c, r in zip(columns, rivals, strict=True)
+        ]
+        n_flexible = rivals[0].shape[2]
+        prior = _with_flexible(prior_of(directions), n_flexible)
+        return Look(own, starts, joined, prior, n_flexible)
+    return _with_old_columns(bench, point, own, starts, last)
+
+
+def _identity(start: Start) -> tuple[str, tuple[tuple[str, float], ...]]:
+    return start.key, tuple(sorted(start.values.items()))
+
+
+def _with_old_columns(
+    bench: Workbench,
+    point: Fitted,
+    own: tuple[Direction, ...],
+    starts: tuple[Start, ...],
+    last: Look,
+) -> Look:
+    """Own columns and those of new starts simulated; the others from an earlier look."""
+    old = dict(zip(map(_identity, last.starts), last.places(), strict=True))
+    stale = frozenset(i for i, start in enumerate(starts) if _identity(start) in old)
+    new = [d for i, start in enumerate(starts) if i not in stale for d in start.directions]
+    fresh = bench.columns(point.model, [*own, *new])
+    # Places in fresh columns (first) and old ones (behind them) in the order of this look.
+    width, order, at = fresh[0].shape[2], list(range(len(own))), len(own)
+    for start in starts:
+        if _identity(start) in old:
+            order += [width + i for i in old[_identity(start)]]
+        else:
+            order += range(at, at + len(start.directions))
+            at += len(start.directions)
+    everything = last.columns[0].shape[2]
+    order += range(width + everything - last.n_flexible, width + everything)
+    columns: Columns = [
+        np.concatenate([f, c], axis=2)[:, :, order]
+        for f, c in zip(fresh, last.columns, strict=True)
     ]
-    return Look(own, starts, joined, _with_flexible(prior_of(directions), n_flexible), n_flexible)
+    directions = [*own, *(d for start in starts for d in start.directions)]
+    prior = _with_flexible(prior_of(directions), last.n_flexible)
+    return Look(own, starts, columns, prior, last.n_flexible, stale)
+
+
+def refreshed(bench: Workbench, point: Fitted, seen: Look, effects: frozenset[str]) -> Look:
+    """The look with the columns of some effects simulated at the present point.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records.
+    point : Fitted
+        Working point.
+    seen : Look
+        Look with old columns.
+    effects : frozenset of str
+        Effects to simulate afresh.
+
+    Returns
+    -------
+    Look
+    """
+    chosen = [i for i in sorted(seen.stale) if seen.starts[i].effect in effects]
+    places = seen.places()
+    index = [j for i in chosen for j in places[i]]
+    fresh = bench.columns(point.model, [d for i in chosen for d in seen.starts[i].directions])
+    columns: Columns = []
+    for old, new in zip(seen.columns, fresh, strict=True):
+        changed = old.copy()
+        changed[:, :, index] = new
+        columns.append(changed)
+    return replace(seen, columns=columns, stale=seen.stale - set(chosen))
 
 
 def _with_flexible(prior: Prior, count: int) -> Prior:
@@ -211,10 +293,7 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
     base = gram.solve(own)
     left = gram.block_chi2(base)
     found: dict[str, list[Screened]] = {}
-    at = n_own
-    for start in seen.starts:
-        mine = list(range(at, at + len(start.directions)))
-        at += len(start.directions)
+    for start, mine in zip(seen.starts, seen.places(), strict=True):
         solution = gram.solve([*own, *mine])
         judged = (left - gram.block_chi2(solution))[~gram.fitting]
         found.setdefault(start.effect, []).append(
@@ -226,7 +305,8 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
             )
         )
     starts = {k: tuple(sorted(v, key=lambda s: -s.gain)) for k, v in found.items()}
-    flexible = gram.solve([*own, *range(at, gram.n_columns)])
+    rivals = range(gram.n_columns - seen.n_flexible, gram.n_columns)
+    flexible = gram.solve([*own, *rivals])
     return Screening(
         Frozen(seen.own, [c[:, :, :n_own] for c in seen.columns]),
         gram,

@@ -19,7 +19,8 @@ from pmac_comp.physics.model.drive import Response
 _BLOCK_s = 0.01
 _FASTEST_Hz = 14.0
 _ORDERS = np.arange(0.4, 64.0, 0.05)
-_FREQUENCIES_Hz = np.arange(0.4, 45.0, 0.02)
+_GRID_Hz = 0.02
+_FREQUENCIES_Hz = np.arange(0.4, 45.0, _GRID_Hz)
 _PEAKS = 2
 
 
@@ -94,8 +95,12 @@ def frequency_peaks(records: Sequence[Record], responses: Sequence[Response]) ->
             return []
         time, values = _blocks(record, residual)
         centred = values - values.mean()
-        waves = np.exp(-2j * np.pi * np.outer(_FREQUENCIES_Hz, time))
-        power += np.abs(waves @ centred) ** 2 / max(1, centred.size)
+        # Zeros behind the record put the grid's frequencies on the transform's.
+        block_s = float(time[1] - time[0])
+        length = max(centred.size, round(1.0 / (_GRID_Hz * block_s)))
+        spectrum = np.abs(np.fft.rfft(centred, length)) ** 2
+        grid = np.fft.rfftfreq(length, block_s)
+        power += np.interp(_FREQUENCIES_Hz, grid, spectrum) / max(1, centred.size)
     return _peaks(_FREQUENCIES_Hz, power, width=0.4)
 
 

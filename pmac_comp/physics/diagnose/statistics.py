@@ -1,6 +1,7 @@
 """Statistics that know the data is coloured: whitening, effective sample size, tests, intervals.
 
-What lives here: numbers about numbers. No drive, no capture. May import numpy and scipy only.
+What lives here: numbers about numbers. No drive, no capture. May import no package of ours but
+``base``.
 
 Residuals of a closed loop sampled at 2262 Hz are strongly correlated; a likelihood that counts
 every sample as independent makes any nonsense win. Everything here either removes the
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.stats import norm
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
@@ -54,14 +56,26 @@ class Whitener:
             Same shape; the first ``order`` samples are zero because their past is unknown.
         """
         wide = columns[..., None] if columns.ndim == 2 else columns
-        out = np.zeros_like(wide)
-        p, n = self.order, wide.shape[0]
-        if n > p:
-            future = wide[p:].copy()
-            for k in range(1, p + 1):
-                future -= np.einsum("ij,tjk->tik", self.lags[k - 1], wide[p - k : n - k])
-            out[p:] = np.einsum("ij,tjk->tik", self.scale, future)
-        return out[..., 0] if columns.ndim == 2 else out
+        scaled = np.einsum("ij,kjl->kil", self.scale, self.lags)
+        filters = np.concatenate([self.scale[None], -scaled])
+        out: FloatArray = _filtered(np.ascontiguousarray(filters), np.ascontiguousarray(wide))
+        return np.asarray(out[..., 0] if columns.ndim == 2 else out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _filtered(filters: FloatArray, series: FloatArray) -> FloatArray:
+    """Sum over lags of filter times past sample; zero where the past is unknown."""
+    n, channels, k = series.shape
+    order = filters.shape[0] - 1
+    out = np.zeros((n, channels, k))
+    for t in range(order, n):
+        for lag in range(order + 1):
+            for i in range(channels):
+                for j in range(channels):
+                    share = filters[lag, i, j]
+                    for c in range(k):
+                        out[t, i, c] += share * series[t - lag, j, c]
+    return out
 
 
 def fit_whitener(

@@ -44,7 +44,7 @@ def test_subset_and_blocks_add_up():
     solution = gram.solve([0, 1, 4])
     assert gram.block_chi2(solution)[gram.fitting].sum() == pytest.approx(solution.chi2)
     moved = gram.moved(solution)
-    assert moved.total(fitting=True)[-1, -1] == pytest.approx(solution.chi2)
+    assert moved.total[-1, -1] == pytest.approx(solution.chi2)
     again = moved.solve([0, 1, 4])
     assert np.abs(again.step).max() < 1e-9
 
@@ -76,7 +76,7 @@ def test_a_tight_prior_keeps_a_known_parameter():
 
 def test_covariance_is_the_inverse_of_the_information():
     gram, *_ = make()
-    information = gram.total(fitting=True)[:5, :5]
+    information = gram.total[:5, :5]
     assert np.allclose(gram.solve(range(5)).covariance, np.linalg.inv(information), rtol=1e-6)
 
 
