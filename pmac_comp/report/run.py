@@ -8,7 +8,8 @@ from pmac_comp.report import figures
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.workflow.computing import describe
 from pmac_comp.workflow.demo import RunResult
-from pmac_comp.workflow.outcome import MotionOutcome, Verification, error_signals
+from pmac_comp.workflow.outcome import MotionOutcome, error_signals
+from pmac_comp.workflow.verification import Verification
 
 SIMULATED = (
     "The controller and the drive behind it are simulated. Figures marked 'measured' are what the "
@@ -139,7 +140,7 @@ def _main_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
             m.e_before.value,
             m.e_r_after.value,
             f"{m.e_r_after.lower95:.2f} – {m.e_r_after.upper95:.2f}",
-            m.mechanical_ratio,
+            m.mechanical.value,
             m.e_before.peak,
             m.e_r_after.peak,
         )
@@ -152,7 +153,7 @@ def _main_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
             m.e_c_after.value,
             m.total_before.value,
             m.total_after.value,
-            m.total_ratio,
+            m.total.value,
             m.total_before.peak,
             m.total_after.peak,
         )

@@ -184,12 +184,17 @@ class Axis:
         """Download the motion as a PVT program and compare what the card lists."""
         pvt = pvt_program(motion, self.bench)
         gather.stop(self.link)
-        self.link.write_buffer(
-            ["UNDEFINE ALL", f"&1#{self.motor}->X", "I5190=1000", "I5113=0", "I42=0"]
-        )
+        self.define_axis()
+        self.program_number = PROGRAM_NUMBER
         lines = ("DWELL100", *pvt.lines, "DWELL50")
         programs.download(
             self.link, programs.Program(programs.ProgramKind.PROG, PROGRAM_NUMBER, lines)
+        )
+
+    def define_axis(self) -> None:
+        """Make the motor axis X in counts, with PVT times in ms and velocities per second."""
+        self.link.write_buffer(
+            ["UNDEFINE ALL", f"&1#{self.motor}->X", "I5190=1000", "I5113=0", "I42=0"]
         )
 
     def _go_to_start(self, motion: Motion) -> None:

@@ -8,6 +8,8 @@ from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.ringing import RINGING_NAME
+from pmac_comp.workflow.static_check import STATIC_NAME
 
 
 def calibration_motions(bench: Bench) -> list[Motion]:
@@ -129,3 +131,42 @@ def usable_speed(bench: Bench) -> float:
     limit = bench.safety.max_speed_mm_per_s / MM_PER_M
     rpm = bench.known.rated_speed_rpm
     return limit if rpm is None else min(limit, rpm / 60.0 * bench.pitch_m)
+
+
+def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
+    """One run of ISO 230-2: up through all targets and down again, with an overrun at both ends.
+
+    The targets are not at multiples of the pitch, so that a periodic error is met at different
+    phases (ISO 230-2:2014, clause 5.3.1).
+    """
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    span = high - low
+    step = 0.9 * span / (n_targets - 1)
+    start = low + 0.05 * span
+    phase = np.modf(np.arange(n_targets) * 0.6180339887)[0] - 0.5
+    targets = start + step * np.arange(n_targets) + phase * min(bench.pitch_m, 0.2 * step)
+    overrun = 0.02 * span
+    stops = [targets[0] - overrun, *targets, targets[-1] + overrun, *targets[::-1]]
+    shape = tr.staircase(
+        period_s=bench.servo_period_s,
+        positions_m=[*stops, targets[0] - overrun],
+        speed_m_per_s=0.6 * usable_speed(bench),
+        acceleration_m_per_s2=min(2.0, bench.safety.max_acceleration_m_per_s2),
+        s_curve_s=0.03,
+        dwell_s=0.4,
+    )
+    return Motion(STATIC_NAME, shape)
+
+
+def ringing_motion(bench: Bench) -> Motion:
+    """A move whose acceleration jumps: no S-curve, so that it excites the drive's resonance."""
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    shape = tr.trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=0.15 * (high - low),
+        speed_m_per_s=0.4 * usable_speed(bench),
+        acceleration_m_per_s2=min(3.0, bench.safety.max_acceleration_m_per_s2),
+        start_m=low + 0.4 * (high - low),
+        dwell_s=0.3,
+    )
+    return Motion(RINGING_NAME, shape)

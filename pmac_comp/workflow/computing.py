@@ -34,6 +34,7 @@ from pmac_comp.workflow.motions import Motion
 Progress = Callable[[str, float], None]
 LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
 TORQUE_ROUTES = ("law", "servo")
+MOTION_ROUTES = ("cam", "program")  # for one known motion
 _CHEAP_SHARE = 0.25
 
 

@@ -26,7 +26,6 @@ from pmac_comp.workflow.deploy import (
     deploy,
 )
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
-from pmac_comp.workflow.outcome import Verification
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.simulated import (
     ServedClock,
@@ -34,6 +33,7 @@ from pmac_comp.workflow.simulated import (
     default_servo,
     make_card,
 )
+from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
 
 Progress = Callable[[str, float], None]

@@ -146,7 +146,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         else:
             notes.append("the law is loaded and disarmed: the loop is open")
     if compensation.route == "program":
-        from pmac_comp.workflow.repeated import deploy_motion
+        from pmac_comp.workflow.program import deploy_motion
 
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))

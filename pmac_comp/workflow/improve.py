@@ -18,8 +18,8 @@ from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.identification import identify_captures, load_model
-from pmac_comp.workflow.outcome import Verification
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
 
 Progress = Callable[[str, float], None]

@@ -9,7 +9,7 @@ mechanical error, less what the compensation table gives.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -105,6 +105,34 @@ class Spread:
         return cls(float(np.sqrt(pool.mean())), float(low), float(high), peak)
 
 
+@dataclass(frozen=True)
+class Ratio:
+    """Rms after over rms before with its 95 % interval."""
+
+    value: float
+    lower95: float
+    upper95: float
+
+    @classmethod
+    def of(
+        cls, before: Sequence[FloatArray], after: Sequence[FloatArray], period_s: float
+    ) -> "Ratio":
+        """Ratio over runs; both sides are drawn anew, block by block."""
+        block = max(1, round(_BLOCK_s / period_s))
+        rng = np.random.default_rng(_SEED)
+        means: list[FloatArray] = []
+        for runs in (before, after):
+            pool = np.concatenate([_block_means(np.square(run), block) for run in runs])
+            drawn = rng.choice(pool, size=(_DRAWS, pool.size)).mean(axis=1)
+            means.append(np.concatenate([[pool.mean()], drawn]))
+        ratio = np.sqrt(means[1] / np.maximum(means[0], 1e-30))
+        low, high = np.quantile(ratio[1:], [0.025, 0.975])
+        return cls(float(ratio[0]), float(low), float(high))
+
+    def __str__(self) -> str:
+        return f"{self.value:.3f} ({self.lower95:.3f} to {self.upper95:.3f})"
+
+
 def _block_means(values: FloatArray, block: int) -> FloatArray:
     n = max(1, values.size // block)
     return np.asarray([part.mean() for part in np.array_split(values, n)])
@@ -122,6 +150,8 @@ class MotionOutcome:
         Pairs of runs.
     e_before, e_r_after, e_c_before, e_c_after, total_before, total_after : Spread
         Rms with interval, and peak.
+    mechanical, total : Ratio
+        After over before with interval.
     promise : Mapping or None
         What the model promised: the same names with ``_um``.
     truth : Mapping or None
@@ -136,18 +166,10 @@ class MotionOutcome:
     e_c_after: Spread
     total_before: Spread
     total_after: Spread
+    mechanical: Ratio
+    total: Ratio
     promise: Mapping[str, float] | None = None
     truth: Mapping[str, float] | None = None
-
-    @property
-    def mechanical_ratio(self) -> float:
-        """Mechanical error after over before."""
-        return self.e_r_after.value / max(self.e_before.value, 1e-12)
-
-    @property
-    def total_ratio(self) -> float:
-        """Total error after over before."""
-        return self.total_after.value / max(self.total_before.value, 1e-12)
 
     def promise_kept(self, floor_um: float) -> bool | None:
         """Whether the promised residual lies within the interval widened by the sensor noise."""
@@ -168,66 +190,15 @@ class MotionOutcome:
                 "before": asdict(self.total_before),
                 "after": asdict(self.total_after),
             },
-            "mechanical_after_over_before": self.mechanical_ratio,
-            "total_after_over_before": self.total_ratio,
+            "mechanical_after_over_before": self.mechanical.value,
+            "total_after_over_before": self.total.value,
+            "ratio_intervals": {
+                "mechanical": asdict(self.mechanical),
+                "total": asdict(self.total),
+            },
             "promise": None if self.promise is None else dict(self.promise),
             "truth": None if self.truth is None else dict(self.truth),
         }
-
-
-@dataclass(frozen=True)
-class Verification:
-    """All motions of a verification, with the runs they came from."""
-
-    motions: tuple[MotionOutcome, ...]
-    floor_um: float
-    simulated: bool
-    before: tuple[Capture, ...] = field(default=(), repr=False)
-    after: tuple[Capture, ...] = field(default=(), repr=False)
-    lead: LeadMap | None = field(default=None, repr=False)
-    table_correction: Callable[[FloatArray], FloatArray] | None = field(default=None, repr=False)
-    remarks: tuple[str, ...] = ()
-
-    def as_result(self) -> dict[str, Any]:
-        """Mapping for ``--json``."""
-        return {
-            "kind": "verification",
-            "simulated": self.simulated,
-            "sensor_floor_um": self.floor_um,
-            "motions": [m.as_result() for m in self.motions],
-            "remarks": list(self.remarks),
-        }
-
-    def lines(self) -> list[str]:
-        """Table and remarks for people."""
-        head = f"  {'motion':44s} {'e -> e_r um':>17s} {'e_c um':>17s} {'total um':>17s}  ratio"
-        out = ["measured rms before -> after (mean of a run taken out)", head]
-        for m in self.motions:
-            out.append(
-                f"  {m.name[:44]:44s} {_pair(m.e_before, m.e_r_after)} "
-                f"{_pair(m.e_c_before, m.e_c_after)} {_pair(m.total_before, m.total_after)}  "
-                f"{m.mechanical_ratio:.2f} mech, {m.total_ratio:.2f} total"
-            )
-            if m.promise is not None:
-                out.append(
-                    f"  {'  promised by the model':44s} "
-                    f"{m.promise['e_before_um']:8.2f}>{m.promise['e_r_after_um']:8.3f} "
-                    f"{m.promise['e_c_before_um']:8.2f}>{m.promise['e_c_after_um']:8.2f} "
-                    f"{m.promise['total_before_um']:8.2f}>{m.promise['total_after_um']:8.2f}"
-                )
-            if m.truth is not None:
-                out.append(
-                    f"  {'  on the true positions of the plant':44s} "
-                    f"{m.truth['e_before_um']:8.2f}>{m.truth['e_r_after_um']:8.3f} "
-                    f"{m.truth['e_c_before_um']:8.2f}>{m.truth['e_c_after_um']:8.2f} "
-                    f"{m.truth['total_before_um']:8.2f}>{m.truth['total_after_um']:8.2f}"
-                )
-        out += [f"  note: {line}" for line in self.remarks]
-        return out
-
-
-def _pair(before: Spread, after: Spread) -> str:
-    return f"{before.value:8.2f}>{after.value:8.3f}"
 
 
 def sensor_floor_um(bench: Bench) -> float:
@@ -255,6 +226,10 @@ def outcome_of(
     def spread(signals: Sequence[ErrorSignals], which: str) -> Spread:
         return Spread.of([getattr(s, which) for s in signals], period)
 
+    def ratio(which: str) -> Ratio:
+        sides = [[getattr(s, which) for s in signals] for signals in (first, second)]
+        return Ratio.of(sides[0], sides[1], period)
+
     return MotionOutcome(
         name=name,
         n_pairs=min(len(before), len(after)),
@@ -264,28 +239,8 @@ def outcome_of(
         e_c_after=spread(second, "control_m"),
         total_before=spread(first, "total_m"),
         total_after=spread(second, "total_m"),
+        mechanical=ratio("mechanical_m"),
+        total=ratio("total_m"),
         promise=promise,
         truth=truth,
     )
-
-
-def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:
-    """What a person should know beside the figures."""
-    remarks: list[str] = []
-    missed = [m.name for m in outcomes if m.promise_kept(floor_um) is False]
-    if missed:
-        remarks.append(
-            f"the promise was missed on {len(missed)} motion(s) ({'; '.join(missed)}): "
-            "run `pmac-comp diagnose` on the captures"
-        )
-    grew = [m for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
-    fell = {m.name for m in grew if m.total_after.upper95 < m.total_before.lower95}
-    if fell:
-        remarks.append(
-            f"the offset also cancels the lag of the loop on: {'; '.join(sorted(fell))}; there "
-            "e_r contains that part by its definition, and the total error is what counts"
-        )
-    worse = [m.name for m in grew if m.name not in fell]
-    if worse:
-        remarks.append(f"the mechanical error grew on: {'; '.join(worse)}")
-    return tuple(remarks)

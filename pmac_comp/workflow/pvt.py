@@ -34,6 +34,8 @@ class PvtProgram:
         Where the motor must stand, counts.
     shape_error_m : float
         Largest departure of the cubic segments from the trajectory.
+    rounding_ct : float
+        Largest rounding of a position in the text, counts.
     duration_s : float
         Time the program takes.
     """
@@ -42,6 +44,7 @@ class PvtProgram:
     n_segments: int
     start_ct: float
     shape_error_m: float
+    rounding_ct: float
     duration_s: float
 
 
@@ -62,7 +65,7 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     speed = np.gradient(position, period)
     n = position.size
     lines: list[str] = ["ABS"]
-    at, last, worst, segments = 0, 0, 0.0, 0
+    at, last, worst, rounding, segments = 0, 0, 0.0, 0.0, 0
     tolerance = _PVT_ERROR_m / scales.motor_m_per_ct
     while at < n - 1:
         length, error = _segment(position, speed, at, period, tolerance)
@@ -72,12 +75,15 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
         at += length
         worst, segments = max(worst, error), segments + 1
         velocity = speed[at] if at < n - 1 else 0.0
-        lines.append(f"X{_listed(position[at], 4)}:{_listed(velocity, 3)}")
+        place = _listed(position[at], 4)
+        rounding = max(rounding, abs(float(place) - float(position[at])))
+        lines.append(f"X{place}:{_listed(velocity, 3)}")
     return PvtProgram(
         tuple(_tidy(line) for line in lines),
         segments,
         float(position[0]),
         worst * scales.motor_m_per_ct,
+        rounding,
         (n - 1) * period,
     )
 

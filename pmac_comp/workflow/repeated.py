@@ -12,18 +12,14 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.transaction import Context, UploadResult
+from pmac_comp.machine.controller.transaction import Context
 from pmac_comp.physics.compensate.exact import Learning, learn
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.motions import Motion, check_motion
-from pmac_comp.workflow.pvt import pvt_program
+from pmac_comp.workflow.motions import Motion
 
 Progress = Callable[[str, float], None]
-COMPENSATED_PROGRAM = 704
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,11 @@ def run_with_offset(
     The capture has the motion itself as command and what the card drew as desired position.
     """
     drawn = with_offset(motion, offset_m)
-    capture = axis.run(drawn, progress=progress)
+    return as_compensated(axis.run(drawn, progress=progress), motion, drawn)
+
+
+def as_compensated(capture: Capture, motion: Motion, drawn: Motion) -> Capture:
+    """Capture of a drawn motion in the terms of the contract: command and desired position."""
     planned = drawn.position_m
     first = int(np.flatnonzero(np.abs(planned - planned[0]) > 1e-9)[0])
     gathered = capture.commanded_position_m
@@ -117,27 +117,3 @@ def refine_motion(
     limit = axis.bench.safety.max_correction_um / 1e6
     learned = learn(total, nothing.size, axis.scales.period_s, passes=passes, limit_m=limit)
     return Refinement(motion.name, without, learned.history_um[0], learned)
-
-
-def deploy_motion(axis: Axis, compensation: Compensation, context: Context) -> UploadResult:
-    """Upload the pre-compensated program of the route ``program``.
-
-    Raises
-    ------
-    ConfigError
-        The file holds no motion.
-    """
-    if compensation.motion_position_m is None or compensation.motion_correction_m is None:
-        raise ConfigError("The compensation holds no motion.", code="PC-DEP-051")
-    motion = Motion(
-        "compensated motion",
-        Trajectory(
-            np.arange(compensation.motion_position_m.size, dtype=np.float64) * axis.scales.period_s,
-            compensation.motion_position_m,
-        ),
-    )
-    drawn = with_offset(motion, compensation.motion_correction_m)
-    check_motion(drawn, axis.bench)
-    lines = ("DWELL100", *pvt_program(drawn, axis.bench).lines, "DWELL50")
-    program = Program(ProgramKind.PROG, COMPENSATED_PROGRAM, lines)
-    return upload_program(axis.link, context, program)

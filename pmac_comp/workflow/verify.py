@@ -5,35 +5,41 @@ statistics (``outcome``), plots (``report``).
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
+from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.identification import load_model
+from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
-    Verification,
+    MotionOutcome,
+    Ratio,
     error_signals,
     outcome_of,
     sensor_floor_um,
-    verdict_remarks,
 )
-
-if TYPE_CHECKING:
-    from pmac_comp.machine.controller.transaction import Context
-    from pmac_comp.workflow.axis import Axis
-    from pmac_comp.workflow.compensation_file import Compensation
-    from pmac_comp.workflow.motions import Motion
-    from pmac_comp.workflow.simulated import Truth
+from pmac_comp.workflow.promises import promised, true_errors
+from pmac_comp.workflow.repeated import refine_motion
+from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
+from pmac_comp.workflow.runs import Runs, left_as_found, runs_of
+from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.simulated import Truth
+from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approaches, is_static
+from pmac_comp.workflow.verification import Verification, verdict_remarks
 
 Progress = Callable[[str, float], None]
+Pair = tuple[list[Capture], list[Capture]]
 
 
 def verify_files(
@@ -52,59 +58,57 @@ def verify_files(
         Numbers of captures differ and no motion names pair them.
     """
     loaded = load_bench(bench)
-    first = [read_capture(path) for path in before]
-    second = [read_capture(path) for path in after]
-    groups = _paired(first, second)
-    compensation = None
-    if law is not None:
-        from pmac_comp.workflow.compensation_file import read_compensation
-
-        compensation = read_compensation(law)
-    lead = compensation.lead if compensation else None
-    correction = compensation.table_correction(loaded) if compensation else None
-    outcomes = tuple(
+    sides = [[read_capture(path) for path in paths] for paths in (before, after)]
+    static, ringing = _special(loaded, sides)
+    first, second = ([c for c in side if not _is_special(c)] for side in sides)
+    compensation = None if law is None else read_compensation(law)
+    if not first and not second and (static is not None or ringing is not None):
+        groups: dict[str, Pair] = {}
+    else:
+        groups = _paired(first, second)
+    loop = None if model is None else model_loop(load_model(model, loaded))
+    outcomes = [
         outcome_of(
             name,
             a,
             b,
-            lead=lead,
-            table_correction=correction,
-            promise=_promise(loaded, model, compensation, b[0]),
+            lead=compensation.lead if compensation else None,
+            table_correction=compensation.table_correction(loaded) if compensation else None,
+            promise=promised(compensation, loop, b[0]),
         )
         for name, (a, b) in groups.items()
-    )
-    floor = sensor_floor_um(loaded)
-    simulated = any("simulated" in str(c.attributes.get("source", "")) for c in first + second)
-    return Verification(
+    ]
+    return summed_up(
         outcomes,
-        floor,
-        simulated,
-        tuple(first),
-        tuple(second),
-        lead,
-        correction,
-        verdict_remarks(outcomes, floor),
+        list(groups.values()),
+        loaded,
+        compensation,
+        simulated=any(_is_simulated(capture) for side in sides for capture in side),
+        ringing=ringing,
+        static=static,
     )
 
 
-def _promise(
-    bench: Bench, model: Path | None, compensation: Any, capture: Capture
-) -> Mapping[str, float] | None:
-    if model is None or compensation is None:
-        return None
-    from pmac_comp.physics.compensate.design import model_loop
-    from pmac_comp.workflow.computing import LATENCY_CYCLES
-    from pmac_comp.workflow.identification import load_model
-
-    loop = model_loop(load_model(model, bench))
-    latency = LATENCY_CYCLES[compensation.route]
-    return promised(compensation, loop, capture, latency_cycles=latency)
+def _is_special(capture: Capture) -> bool:
+    return is_static(capture) or is_ringing(capture)
 
 
-def _paired(
-    before: Sequence[Capture], after: Sequence[Capture]
-) -> dict[str, tuple[list[Capture], list[Capture]]]:
-    groups: dict[str, tuple[list[Capture], list[Capture]]] = {}
+def _is_simulated(capture: Capture) -> bool:
+    return "simulated" in str(capture.attributes.get("source", ""))
+
+
+def _special(
+    bench: Bench, sides: Sequence[Sequence[Capture]]
+) -> tuple[StaticOutcome | None, RingingOutcome | None]:
+    """Positioning and ringing where the stored captures hold their motions."""
+    static = _static(([c for c in sides[0] if is_static(c)], [c for c in sides[1] if is_static(c)]))
+    rings = [[c for c in side if is_ringing(c)] for side in sides]
+    ringing = _ringing(bench, (rings[0], rings[1])) if all(rings) else None
+    return static, ringing
+
+
+def _paired(before: Sequence[Capture], after: Sequence[Capture]) -> dict[str, Pair]:
+    groups: dict[str, Pair] = {}
     names = [str(c.attributes.get("motion", "")) for c in [*before, *after]]
     if all(names):
         for side, captures in enumerate((before, after)):
@@ -132,8 +136,14 @@ def store(verification: Verification, folder: Path) -> dict[str, list[str]]:
             path = folder / f"{side}_{i + 1:02d}.h5"
             write_capture(path, capture)
             written[side].append(path.name)
+    for kind, found in (("static", verification.static), ("ringing", verification.ringing)):
+        for i, capture in enumerate(() if found is None else found.captures):
+            side = "after" if capture.attributes.get("compensation") == "on" else "before"
+            path = folder / f"{kind}_{side}_{i + 1:02d}.h5"
+            write_capture(path, capture)
+            written[side].append(path.name)
     text = json.dumps({**verification.as_result(), "files": written}, indent=2)
-    (folder / "verification.json").write_text(text + "\n", encoding="utf-8")
+    atomic_write_text(folder / "verification.json", text + "\n")
     return written
 
 
@@ -148,6 +158,7 @@ def verify_on_controller(
     law: Path | None = None,
     motions: tuple[str, ...] = (),
     repeats: int = 2,
+    static_runs: int = STATIC_RUNS,
     seed: int = 0,
     refine: int = 0,
     out: Path | None = None,
@@ -155,18 +166,13 @@ def verify_on_controller(
 ) -> Verification:
     """Run motions with and without what is on the controller, and compare.
 
+    Afterwards the compensation acts again if it acted before, and a motor that was killed is.
+
     Raises
     ------
     ConfigError
         No compensation file is named, so nobody knows what to switch.
     """
-    from pmac_comp.workflow.campaigns import verification_motions
-    from pmac_comp.workflow.compensation_file import read_compensation
-    from pmac_comp.workflow.deploy import context_of
-    from pmac_comp.workflow.identification import load_model
-    from pmac_comp.workflow.motions import parse_motion
-    from pmac_comp.workflow.session import open_axis
-
     if law is None:
         raise ConfigError(
             "The compensation to verify is not named.",
@@ -179,142 +185,163 @@ def verify_on_controller(
         chosen = [parse_motion(text, axis.bench) for text in motions] or verification_motions(
             axis.bench, seed
         )
-        context = context_of(axis, Path("pmac-comp-journal"))
-        drive = None if model is None else load_model(model, axis.bench)
-        verification = verify_axis(
-            axis,
-            context,
-            compensation,
-            chosen,
-            repeats=repeats,
-            drive=drive,
-            progress=progress,
-        )
-        if refine:
-            from pmac_comp.workflow.repeated import refine_motion
-
-            learned = refine_motion(axis, context, compensation, chosen[0], refine, progress)
-            verification = replace(verification, remarks=(*verification.remarks, *learned.lines()))
+        context = context_of(axis)
+        with left_as_found(axis, context, compensation):
+            verification = verify_axis(
+                axis,
+                context,
+                compensation,
+                chosen,
+                repeats=repeats,
+                static_runs=static_runs,
+                drive=None if model is None else load_model(model, axis.bench),
+                progress=progress,
+            )
+            if refine:
+                motion = chosen[0] if motions else verification_motions(axis.bench, seed)[0]
+                learned = refine_motion(axis, context, compensation, motion, refine, progress)
+                remarks = (*verification.remarks, *learned.lines())
+                verification = replace(verification, remarks=remarks, learning=learned)
     if out is not None:
         store(verification, out)
     return verification
 
 
 def verify_axis(
-    axis: "Axis",
-    context: "Context",
-    compensation: "Compensation",
-    motions: "Sequence[Motion]",
+    axis: Axis,
+    context: Context,
+    compensation: Compensation,
+    motions: Sequence[Motion],
     *,
     repeats: int = 1,
+    static_runs: int = 0,
     drive: Any = None,
-    truth: "Callable[[], Truth | None] | None" = None,
+    truth: Callable[[], Truth | None] | None = None,
     progress: Progress | None = None,
 ) -> Verification:
-    """Fresh runs before and after, alternating so that drift does not count as gain."""
-    from pmac_comp.workflow.computing import LATENCY_CYCLES
-    from pmac_comp.workflow.deploy import switch
+    """Fresh runs before and after, alternating so that drift does not count as gain.
 
+    Parameters
+    ----------
+    axis, context, compensation
+        What is on the controller.
+    motions : sequence of Motion
+        What to run; ``cam`` and ``program`` know their own one motion only.
+    repeats : int
+        Pairs of runs of each motion.
+    static_runs : int
+        Runs of the positioning test on each side, 0 for none (ISO 230-2 wants 5).
+    drive : DriveModel or None
+        Model that promises.
+    truth : callable or None
+        True positions of a simulated plant.
+    progress : callable, optional
+        Called with a step and a fraction.
+    """
+    runs = runs_of(axis, context, compensation, motions)
+    static = positioning_motion(axis.bench) if static_runs and runs.is_free else None
+    rings = ringing_motion(axis.bench) if runs.is_free else None
+    wanted = [(motion, repeats) for motion in runs.motions]
+    wanted += [(rings, repeats)] if rings is not None else []
+    wanted += [(static, static_runs)] if static is not None else []
+    pairs = list(alternating(runs, wanted, progress))
+    found = truth() if truth is not None else None
+    outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
-    loop = None
-    if compensation.route == "cam":
-        from pmac_comp.workflow.cam import cam_axis
+    loop = None if drive is None else model_loop(drive)
+    for motion, (before, after) in zip(runs.motions, groups, strict=True):
+        outcomes.append(
+            outcome_of(
+                motion.name,
+                before,
+                after,
+                lead=compensation.lead,
+                table_correction=correction,
+                promise=promised(compensation, loop, after[0]),
+                truth=true_errors(found, before, after, compensation, correction),
+            )
+        )
+    rest = pairs[len(runs.motions) :]
+    return summed_up(
+        outcomes,
+        groups,
+        axis.bench,
+        compensation,
+        simulated=truth is not None,
+        ringing=None if rings is None else _ringing(axis.bench, rest.pop(0)),
+        static=None if static is None else _static(rest.pop(0)),
+        remarks=runs.remarks,
+    )
 
-        # A cam is for one motion, and only its own program runs the time along.
-        axis, motions = cam_axis(axis, compensation)
-    elif drive is not None:
-        from pmac_comp.physics.compensate.design import model_loop
 
-        loop = model_loop(drive)
-    total = 2 * repeats * len(motions)
-    runs: list[tuple[str, list[Capture], list[Capture]]] = []
-    done = 0
-    for motion in motions:
-        sides: tuple[list[Capture], list[Capture]] = ([], [])
+def alternating(
+    runs: Runs, wanted: Sequence[tuple[Motion, int]], progress: Progress | None
+) -> Iterator[Pair]:
+    """Captures without and with compensation of each motion, pair by pair."""
+    total_s = sum(2.0 * n * motion.duration_s for motion, n in wanted)
+    done_s = 0.0
+    for motion, repeats in wanted:
+        sides: Pair = ([], [])
         for pair in range(repeats):
             # The order changes from pair to pair: a drift over time falls on both alike.
             for on in (False, True) if pair % 2 == 0 else (True, False):
-                switch(axis, context, compensation, on=on)
                 if progress is not None:
                     progress(
-                        f"verifying {motion.name}, {'with' if on else 'without'}", done / total
+                        f"verifying {motion.name}, {'with' if on else 'without'}", done_s / total_s
                     )
-                capture = axis.run(motion)
+                capture = runs.run(motion, on=on)
                 sides[on].append(capture.with_attributes(compensation="on" if on else "off"))
-                done += 1
-        runs.append((motion.name, *sides))
-    found = truth() if truth is not None else None
-    latency = LATENCY_CYCLES[compensation.route]
-    outcomes = tuple(
-        outcome_of(
-            name,
-            a,
-            b,
-            lead=compensation.lead,
-            table_correction=correction,
-            promise=None
-            if loop is None
-            else promised(compensation, loop, b[0], latency_cycles=latency),
-            truth=None if found is None else true_errors(found, a, b, compensation, correction),
-        )
-        for name, a, b in runs
-    )
-    floor = sensor_floor_um(axis.bench)
+                done_s += motion.duration_s
+        yield sides
+
+
+def _ringing(bench: Bench, pair: Pair) -> RingingOutcome:
+    return ringing_of(*pair, bench.known.resonance_Hz)
+
+
+def _static(pair: Pair) -> StaticOutcome | None:
+    before, after = (None if len(side) < 2 else approaches(side) for side in pair)
+    if before is None and after is None:
+        return None
+    return StaticOutcome(before, after, (*pair[0], *pair[1]))
+
+
+def summed_up(
+    outcomes: Sequence[MotionOutcome],
+    groups: Sequence[Pair],
+    bench: Bench,
+    compensation: Compensation | None,
+    *,
+    simulated: bool,
+    ringing: RingingOutcome | None = None,
+    static: StaticOutcome | None = None,
+    remarks: Sequence[str] = (),
+) -> Verification:
+    """Verification of outcomes and their runs; all motions together beside each one."""
+    lead = None if compensation is None else compensation.lead
+    table = None if compensation is None else compensation.table_correction(bench)
+    before = [error_signals(c, lead) for pair in groups for c in pair[0]]
+    after = [error_signals(c, lead, table) for pair in groups for c in pair[1]]
+
+    def together(which: str) -> Ratio | None:
+        if not before or not after:
+            return None
+        sides = [[getattr(s, which) for s in signals] for signals in (before, after)]
+        return Ratio.of(sides[0], sides[1], bench.servo_period_s)
+
+    floor = sensor_floor_um(bench)
     return Verification(
-        outcomes,
+        tuple(outcomes),
         floor,
-        truth is not None,
-        tuple(c for _, a, _ in runs for c in a),
-        tuple(c for _, _, b in runs for c in b),
-        compensation.lead,
-        correction,
-        verdict_remarks(outcomes, floor),
+        simulated,
+        tuple(c for pair in groups for c in pair[0]),
+        tuple(c for pair in groups for c in pair[1]),
+        lead,
+        table,
+        (*verdict_remarks(outcomes, floor), *remarks),
+        "" if compensation is None else compensation.route,
+        together("mechanical_m"),
+        together("total_m"),
+        static,
+        ringing,
     )
-
-
-def promised(
-    compensation: "Compensation", loop: Any, capture: Capture, *, latency_cycles: int
-) -> Mapping[str, float]:
-    """What the model promises for the commanded motion of a capture, mean taken out, um."""
-    from pmac_comp.physics.compensate.design import promise
-    from pmac_comp.physics.signals.trajectory import Trajectory
-
-    motion = Trajectory(capture.time_s, capture.commanded_position_m)
-    # The model promises for its own law: what captures corrected beside it is not its word.
-    # Routes without a dynamic law promise nothing beyond the static part.
-    law = compensation.law if compensation.route in ("law", "servo") else CompensationLaw()
-    trim = law.provenance.get("trim", {})
-    law = law.with_values(**{name: getattr(law, name) - change for name, change in trim.items()})
-    return asdict(promise(law, loop, motion, latency_cycles=latency_cycles))
-
-
-def true_errors(
-    truth: "Truth",
-    before: Sequence[Capture],
-    after: Sequence[Capture],
-    compensation: "Compensation",
-    correction: Callable[[FloatArray], FloatArray] | None,
-) -> Mapping[str, float] | None:
-    """The same errors on the plant's unquantised positions, um rms; simulated cards only."""
-    values: dict[str, list[FloatArray]] = {}
-    for side, captures in (("before", before), ("after", after)):
-        for capture in captures:
-            found = truth.of(capture)
-            if found is None:
-                return None
-            true = replace(capture, motor_position_m=found[0], table_position_m=found[1])
-            signals = error_signals(
-                true, compensation.lead, correction if side == "after" else None
-            )
-            names = (
-                "e_before" if side == "before" else "e_r_after",
-                f"e_c_{side}",
-                f"total_{side}",
-            )
-            parts = (signals.mechanical_m, signals.control_m, signals.total_m)
-            for name, part in zip(names, parts, strict=True):
-                values.setdefault(f"{name}_um", []).append(part)
-    return {
-        name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)) * UM_PER_M)
-        for name, parts in values.items()
-    }

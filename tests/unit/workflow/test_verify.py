@@ -54,7 +54,7 @@ def test_promise_is_kept_or_missed() -> None:
     after = [run(correction_um=-3.0, e_um=3.3, control_um=1.0)]
     promised = {"e_r_after_um": 0.3}
     kept = outcome_of("a", before, after, promise=promised)
-    assert kept.mechanical_ratio == pytest.approx(0.1, rel=0.02)
+    assert kept.mechanical.value == pytest.approx(0.1, rel=0.02)
     assert kept.promise_kept(0.05) is True
     missed = outcome_of("a", before, after, promise={"e_r_after_um": 0.02})
     assert missed.promise_kept(0.02) is False

@@ -1,0 +1,113 @@
+"""Runs with and without a compensation, whatever its route: what ``verify`` alternates between."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller import law_upload, motors
+from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import cam_axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.computing import TORQUE_ROUTES
+from pmac_comp.workflow.deploy import switch
+from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.program import program_axis, run_drawn
+
+Run = Callable[[Motion], Capture]
+
+
+@dataclass(frozen=True)
+class Runs:
+    """How the motions of a verification are run.
+
+    Parameters
+    ----------
+    motions : tuple of Motion
+        What can be compared.
+    without, compensated : callable
+        Run a motion and give its capture.
+    remarks : tuple of str
+        What a person should know; a route for one known motion says so.
+    """
+
+    motions: tuple[Motion, ...]
+    without: Run
+    compensated: Run
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def is_free(self) -> bool:
+        """Whether any other motion can be run as well."""
+        return not self.remarks
+
+    def run(self, motion: Motion, *, on: bool) -> Capture:
+        """Capture of a motion with or without compensation."""
+        return self.compensated(motion) if on else self.without(motion)
+
+
+def runs_of(
+    axis: Axis, context: Context, compensation: Compensation, motions: Sequence[Motion]
+) -> Runs:
+    """Runs of the route of a compensation.
+
+    Raises
+    ------
+    ConfigError
+        ``cam`` or ``program`` without a motion.
+    VerifyMismatch
+        The controller holds another program or table than the compensation.
+    """
+    own: tuple[str, ...] = ()
+    without: Run = axis.run
+    compensated: Run = axis.run
+    if compensation.route == "cam":
+        # A cam is for one motion, and only its own program runs the time along.
+        runner, motions = cam_axis(axis, compensation)
+        without = compensated = runner.run
+        own = _OWN_MOTION
+    elif compensation.route == "program":
+        drawer, motions = program_axis(axis, compensation)
+        without, own = drawer.run, _OWN_MOTION
+
+        def compensated(_: Motion) -> Capture:
+            return run_drawn(drawer)
+
+    def switched(run: Run, *, on: bool) -> Run:
+        def capture(motion: Motion) -> Capture:
+            switch(axis, context, compensation, on=on)
+            return run(motion)
+
+        return capture
+
+    return Runs(tuple(motions), switched(without, on=False), switched(compensated, on=True), own)
+
+
+_OWN_MOTION = (
+    "this route is for one known motion: others stay uncompensated, and positioning after "
+    "ISO 230-2 and ringing are not measured",
+)
+
+
+@contextmanager
+def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> Iterator[None]:
+    """Comparisons in between; afterwards compensation and motor are as they were found.
+
+    After an error the axis is only stopped (``Axis.run`` did that): nobody knows what a further
+    command would meet.
+    """
+    killed = motors.read_motor(axis.link, axis.motor).status.is_killed
+    acts = _acts(axis, context, compensation)
+    yield
+    if acts != _acts(axis, context, compensation):
+        switch(axis, context, compensation, on=acts)
+    if killed:
+        axis.kill()
+
+
+def _acts(axis: Axis, context: Context, compensation: Compensation) -> bool:
+    if compensation.route in TORQUE_ROUTES:
+        return law_upload.read_law_head(axis.link, context.block).is_armed
+    return read_many(axis.link, ["I51"])["I51"] == 1.0

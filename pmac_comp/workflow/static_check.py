@@ -1,0 +1,193 @@
+"""Positioning after ISO 230-2: deviations at targets that are approached from both sides.
+
+What lives here: the deviations of stored or fresh captures of a staircase, and the figures before
+and after. What may not: the estimators (``physics.signals.metrics``), conversations.
+
+A target is a place at which the axis rests after upward and after downward moves; the overrun
+beyond the first and the last one is reached from one side only and does not count. The mean offset
+between scale and encoder is unknown and cancels in every figure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import CaptureError
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.signals.metrics import Positioning, positioning
+
+STATIC_NAME = "positioning after ISO 230-2"
+STATIC_RUNS = 5  # ISO 230-2:2014, clause 5.3.2
+_LEAST_REST_s = 0.15
+_READ_FRAC = 0.4  # last share of a rest that is averaged: the loop has settled
+_SAME_m = 1e-6
+_STILL_m = 1e-10  # per sample: commanded position at rest
+_FIGURES = (
+    ("reversal value B", "reversal_value_m"),
+    ("mean reversal", "mean_reversal_m"),
+    ("repeatability R", "repeatability_m"),
+    ("systematic deviation E", "systematic_m"),
+    ("mean bidirectional deviation M", "mean_bidirectional_m"),
+    ("accuracy A", "accuracy_m"),
+)
+
+
+@dataclass(frozen=True)
+class Approaches:
+    """Deviations of several runs; table minus target.
+
+    Parameters
+    ----------
+    target_m : ndarray, shape (p,)
+        Targets in rising order.
+    up_m, down_m : ndarray, shape (runs, p)
+        Deviation of each run, approached upwards and downwards.
+    """
+
+    target_m: FloatArray
+    up_m: FloatArray
+    down_m: FloatArray
+
+    def figures(self) -> Positioning:
+        """Figures after ISO 230-2."""
+        return positioning(self.up_m, self.down_m)
+
+
+@dataclass(frozen=True)
+class StaticOutcome:
+    """Positioning before and after; one of them is None where it was not measured."""
+
+    before: Approaches | None
+    after: Approaches | None
+    captures: tuple[Capture, ...] = field(default=(), repr=False)
+
+    @property
+    def sides(self) -> tuple[tuple[str, Approaches], ...]:
+        """What was measured, by name."""
+        both = (("before", self.before), ("after", self.after))
+        return tuple((name, side) for name, side in both if side is not None)
+
+    def rows(self) -> list[tuple[str, float | None, float | None]]:
+        """Figure, before, after; um."""
+        before, after = (None if s is None else s.figures() for s in (self.before, self.after))
+        return [(name, _figure_um(before, key), _figure_um(after, key)) for name, key in _FIGURES]
+
+    def lines(self) -> list[str]:
+        """Table for people."""
+        n = max(side.up_m.shape[0] for _, side in self.sides)
+        targets = self.sides[0][1].target_m
+        out = [
+            f"positioning after ISO 230-2: {targets.size} targets from "
+            f"{targets[0] * MM_PER_M:.1f} to {targets[-1] * MM_PER_M:.1f} mm, {n} runs, um"
+        ]
+        for name, before, after in self.rows():
+            out.append(f"  {name:32s} {_number(before)} > {_number(after)}")
+        if n < STATIC_RUNS:
+            out.append(f"  note: the standard wants {STATIC_RUNS} runs, these are {n}")
+        return out
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {name: _side_result(side) for name, side in self.sides}
+
+
+def _figure_um(found: Positioning | None, key: str) -> float | None:
+    return None if found is None else float(getattr(found, key)) * UM_PER_M
+
+
+def _number(value: float | None) -> str:
+    return f"{'-':>8s}" if value is None else f"{value:8.3f}"
+
+
+def _side_result(side: Approaches) -> dict[str, Any]:
+    found = side.figures()
+    names = ("reversal_B_um", "mean_reversal_um", "repeatability_R_um", "systematic_E_um",
+             "mean_bidirectional_M_um", "accuracy_A_um")  # fmt: skip
+    return {
+        "runs": int(side.up_m.shape[0]),
+        "target_mm": (side.target_m * MM_PER_M).tolist(),
+        "mean_up_um": (found.mean_up_m * UM_PER_M).tolist(),
+        "mean_down_um": (found.mean_down_m * UM_PER_M).tolist(),
+        **{
+            name: float(getattr(found, key) * UM_PER_M)
+            for name, (_, key) in zip(names, _FIGURES, strict=True)
+        },
+    }
+
+
+def approaches(captures: Sequence[Capture]) -> Approaches:
+    """Deviations at the targets of staircases, one row per run.
+
+    Raises
+    ------
+    CaptureError
+        No table position, no target that is approached from both sides, or runs that differ.
+    """
+    runs = [_rests(capture) for capture in captures]
+    targets = [_targets(up, down) for up, down in runs]
+    if not targets or any(t.size != targets[0].size for t in targets):
+        raise CaptureError(
+            "The positioning runs have different targets, or there is none.", code="PC-ISO-002"
+        )
+    if any(np.max(np.abs(t - targets[0])) > _SAME_m for t in targets):
+        raise CaptureError("The positioning runs have different targets.", code="PC-ISO-002")
+    pick = [[[_nearest(side, target) for target in targets[0]] for side in run] for run in runs]
+    values = np.asarray(pick)
+    return Approaches(targets[0], values[:, 0, :], values[:, 1, :])
+
+
+Rest = tuple[float, float]  # target and deviation, m
+
+
+def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
+    """Rests after upward and after downward moves."""
+    if capture.table_position_m is None:
+        raise CaptureError(
+            "The capture has no table position.",
+            code="PC-ISO-001",
+            hint="ISO 230-2 figures need a scale at the table.",
+        )
+    r = capture.commanded_position_m
+    deviation = capture.table_position_m - r
+    least = round(_LEAST_REST_s / capture.sample_period_s)
+    up: list[Rest] = []
+    down: list[Rest] = []
+    still = np.abs(np.diff(r, prepend=r[0])) < _STILL_m
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    last = float(r[0])
+    for first, end in edges.reshape(-1, 2):
+        if end - first < least:
+            continue
+        place = float(r[first])
+        part = slice(end - max(1, int(_READ_FRAC * (end - first))), end)
+        side = up if place > last + _SAME_m else down
+        if abs(place - last) > _SAME_m:
+            side.append((place, float(np.mean(deviation[part]))))
+        last = place
+    return up, down
+
+
+def _targets(up: Sequence[Rest], down: Sequence[Rest]) -> FloatArray:
+    """Places that were approached from both sides, rising."""
+    low = np.asarray([place for place, _ in down])
+    both = [place for place, _ in up if low.size and np.min(np.abs(low - place)) < _SAME_m]
+    if not both:
+        raise CaptureError(
+            "No target is approached from both sides.",
+            code="PC-ISO-003",
+            hint="Run a staircase up and down: `pmac-comp capture --campaign positioning`.",
+        )
+    return np.sort(np.asarray(both))
+
+
+def _nearest(side: Sequence[Rest], target: float) -> float:
+    return min(side, key=lambda rest: abs(rest[0] - target))[1]
+
+
+def is_static(capture: Capture) -> bool:
+    """Whether a capture is one of a positioning run."""
+    return str(capture.attributes.get("motion", "")) == STATIC_NAME

@@ -1,0 +1,152 @@
+"""A verification: all motions before and after, the static part, the ringing, and the verdict."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread
+from pmac_comp.workflow.repeated import Refinement
+from pmac_comp.workflow.ringing import RingingOutcome
+from pmac_comp.workflow.static_check import StaticOutcome
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All motions of a verification, with the runs they came from.
+
+    Parameters
+    ----------
+    motions : tuple of MotionOutcome
+        Motion by motion.
+    floor_um : float
+        Rms that the quantisation of the sensors alone makes.
+    simulated : bool
+        Whether the controller and its drive were simulated.
+    before, after : tuple of Capture
+        Runs without and with compensation.
+    lead, table_correction : LeadMap, callable or None
+        Static part of the compensation and what its table gives (m at m).
+    remarks : tuple of str
+        What a person should know beside the figures.
+    route : str
+        How the compensation reached the servo; empty for stored captures without a file.
+    mechanical, total : Ratio or None
+        After over before, all motions together.
+    static : StaticOutcome or None
+        Positioning after ISO 230-2.
+    ringing : RingingOutcome or None
+        What rings after steps of the acceleration.
+    learning : Refinement or None
+        What the model alone gave on a repeated motion, and what learning added.
+    """
+
+    motions: tuple[MotionOutcome, ...]
+    floor_um: float
+    simulated: bool
+    before: tuple[Capture, ...] = field(default=(), repr=False)
+    after: tuple[Capture, ...] = field(default=(), repr=False)
+    lead: LeadMap | None = field(default=None, repr=False)
+    table_correction: Callable[[FloatArray], FloatArray] | None = field(default=None, repr=False)
+    remarks: tuple[str, ...] = ()
+    route: str = ""
+    mechanical: Ratio | None = None
+    total: Ratio | None = None
+    static: StaticOutcome | None = None
+    ringing: RingingOutcome | None = None
+    learning: Refinement | None = None
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {
+            "kind": "verification",
+            "simulated": self.simulated,
+            "sensor_floor_um": self.floor_um,
+            "motions": [m.as_result() for m in self.motions],
+            "route": self.route,
+            "reached": {
+                "mechanical": None if self.mechanical is None else asdict(self.mechanical),
+                "total": None if self.total is None else asdict(self.total),
+            },
+            "static": None if self.static is None else self.static.as_result(),
+            "ringing": None if self.ringing is None else self.ringing.as_result(),
+            "learning": None if self.learning is None else _learned(self.learning),
+            "remarks": list(self.remarks),
+        }
+
+    def reached(self) -> list[str]:
+        """What the route reached on all motions together, for people."""
+        if self.mechanical is None or self.total is None:
+            return []
+        name = f"route {self.route}" if self.route else "compensation"
+        return [
+            f"{name} reached, all motions together, after over before (95 %): mechanical error "
+            f"{self.mechanical}, total error {self.total}"
+        ]
+
+    def lines(self) -> list[str]:
+        """Table and remarks for people."""
+        head = f"  {'motion':44s} {'e -> e_r um':>17s} {'e_c um':>17s} {'total um':>17s}  ratio"
+        out = ["measured rms before -> after (mean of a run taken out)", head]
+        for m in self.motions:
+            out.append(
+                f"  {m.name[:44]:44s} {_pair(m.e_before, m.e_r_after)} "
+                f"{_pair(m.e_c_before, m.e_c_after)} {_pair(m.total_before, m.total_after)}  "
+                f"{m.mechanical.value:.2f} mech, {m.total.value:.2f} total"
+            )
+            if m.promise is not None:
+                out.append(
+                    f"  {'  promised by the model':44s} "
+                    f"{m.promise['e_before_um']:8.2f}>{m.promise['e_r_after_um']:8.3f} "
+                    f"{m.promise['e_c_before_um']:8.2f}>{m.promise['e_c_after_um']:8.2f} "
+                    f"{m.promise['total_before_um']:8.2f}>{m.promise['total_after_um']:8.2f}"
+                )
+            if m.truth is not None:
+                out.append(
+                    f"  {'  on the true positions of the plant':44s} "
+                    f"{m.truth['e_before_um']:8.2f}>{m.truth['e_r_after_um']:8.3f} "
+                    f"{m.truth['e_c_before_um']:8.2f}>{m.truth['e_c_after_um']:8.2f} "
+                    f"{m.truth['total_before_um']:8.2f}>{m.truth['total_after_um']:8.2f}"
+                )
+        out += self.reached()
+        out += [] if self.static is None else self.static.lines()
+        out += [] if self.ringing is None else self.ringing.lines()
+        return [*out, *(f"  note: {line}" for line in self.remarks)]
+
+
+def _learned(found: Refinement) -> dict[str, Any]:
+    return {
+        "motion": found.motion,
+        "without_um": found.without_um,
+        "model_um": found.model_um,
+        "history_um": list(found.learning.history_um),
+        "converged": found.learning.converged,
+    }
+
+
+def _pair(before: Spread, after: Spread) -> str:
+    return f"{before.value:8.2f}>{after.value:8.3f}"
+
+
+def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:
+    """What a person should know beside the figures."""
+    remarks: list[str] = []
+    missed = [m.name for m in outcomes if m.promise_kept(floor_um) is False]
+    if missed:
+        remarks.append(
+            f"the promise was missed on {len(missed)} motion(s) ({'; '.join(missed)}): "
+            "run `pmac-comp diagnose` on the captures"
+        )
+    grew = [m for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
+    fell = {m.name for m in grew if m.total_after.upper95 < m.total_before.lower95}
+    if fell:
+        remarks.append(
+            f"the offset also cancels the lag of the loop on: {'; '.join(sorted(fell))}; there "
+            "e_r contains that part by its definition, and the total error is what counts"
+        )
+    worse = [m.name for m in grew if m.name not in fell]
+    if worse:
+        remarks.append(f"the mechanical error grew on: {'; '.join(worse)}")
+    return tuple(remarks)
