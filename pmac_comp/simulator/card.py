@@ -598,8 +598,6 @@ class Card:
             self._factory_reset()
             return
         for system in self.systems.values():
-            system.stop_now()
-            system.frames, system.pointer = [], None
             system.axes.clear()
         self.memory.clear()
         self._queue.clear()
@@ -607,6 +605,8 @@ class Card:
         self.rotary.delete_all()
         self.variables.set_factory_memory()
         self._fixed_registers()
+        for system in self.systems.values():
+            system.power_up()
         damaged = self._restore()
         self._after_restore()
         if damaged:
@@ -691,8 +691,7 @@ class Card:
 
     def _factory_reset(self) -> None:
         for system in self.systems.values():
-            system.stop_now()
-            system.frames, system.pointer = [], None
+            system.power_up()
         for motor in self.servo.active_motors():
             self.servo.kill(motor)
         self.variables.set_factory_values()

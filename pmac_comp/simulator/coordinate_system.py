@@ -167,7 +167,6 @@ class CoordinateSystem:
         frame.context.state[vm.S_PC] = program.assembled.labels[label]
         self.frames = [frame]
         self.pointer = (number, label)
-        self.modal = Modal()
         self._load_defaults()
 
     def _frame(self, program: Program) -> Frame:
@@ -178,6 +177,17 @@ class CoordinateSystem:
     def _prepare(self, frame: Frame) -> None:
         frame.context.state[vm.S_SUSPEND] = 1
         frame.context.state[vm.S_CS] = self.number - 1
+
+    def power_up(self) -> None:
+        """Forget programs and move modes; modes last until the next reset (p. 409, 444)."""
+        self.stop_now()
+        self.frames, self.pointer = [], None
+        self.modal = Modal()
+        self._set_status()
+
+    def set_axis_mode(self, statement: Statement) -> None:
+        """ABS, INC or FRAX given on-line (p. 293, 322, 331)."""
+        self._event(statement, ())
 
     def _load_defaults(self) -> None:
         self.modal.ta_ms = self._isx(87)
@@ -420,12 +430,15 @@ class CoordinateSystem:
 
     def _do_abs(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
         self.modal.incremental -= set(statement.data or _AXES)
+        self._set_status()
 
     def _do_inc(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
         self.modal.incremental |= set(statement.data or _AXES)
+        self._set_status()
 
     def _do_frax(self, statement: Statement, _arguments: tuple[float, ...]) -> None:
-        self.modal.feed_axes = tuple(statement.data) or ("X", "Y", "Z")
+        self.modal.feed_axes = tuple(statement.data) or tuple(_AXES)
+        self._set_status()
 
     def _do_tm(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
         self.modal.tm_ms, self.modal.feed = arguments[0], None
@@ -787,10 +800,19 @@ class CoordinateSystem:
         followed |= r.CS2_FATAL_ERROR | r.CS2_AMPLIFIER_FAULT
         memory.y[cell] = (int(memory.y[cell]) & ~followed) | word
 
+    def _mode_word(self) -> int:
+        """Word 1 of the status without what runs: feedrate axes, incremental axes (p. 284)."""
+        word = r.CS1_RADIUS_INCREMENTAL
+        for place, letter in enumerate(_AXES):
+            if letter in self.modal.feed_axes:
+                word |= r.CS1_FIRST_FEED_AXIS << (2 * place)
+            if letter in self.modal.incremental:
+                word |= r.CS1_FIRST_INCREMENTAL_AXIS << (2 * place)
+        return word
+
     def _set_status(self) -> None:
         memory = self.card.memory
-        word1 = int(memory.x[self.base + r.C_STATUS13])
-        word1 &= ~(r.CS1_RUNNING | r.CS1_SINGLE_STEP | r.CS1_CONTINUOUS)
+        word1 = self._mode_word()
         if self.running:
             word1 |= r.CS1_RUNNING | (r.CS1_SINGLE_STEP if self.single else r.CS1_CONTINUOUS)
         memory.x[self.base + r.C_STATUS13] = word1

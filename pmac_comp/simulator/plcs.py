@@ -7,6 +7,7 @@ Source: Turbo PMAC Software Reference Manual p. 318-320, 385-393, 427, 509.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -147,7 +148,19 @@ class Plcs:
     def _do(
         self, statement: Statement, arguments: tuple[float, ...], context: Context, number: int
     ) -> None:
-        del arguments
+        if statement.kind == "address":
+            _readdress(context, statement.data, arguments[0])
+            return
         motor = max(int(context.state[vm.S_MOTOR_ADDRESS]), 1)
         cs = int(context.state[vm.S_CS]) + 1
         self.card.do_statement(statement, motor, cs, origin=f"{PLC}{number}")
+
+
+def _readdress(context: Context, sign: str, value: float) -> None:
+    """``ADDRESS#P`` and ``ADDRESS&P``: numbers beyond the last start again at the first."""
+    most = r.MOTORS if sign == "#" else r.COORDINATE_SYSTEMS
+    number = (math.floor(value + 0.5) - 1) % most
+    if sign == "#":
+        context.state[vm.S_MOTOR_ADDRESS] = number + 1
+    else:
+        context.state[vm.S_CS] = number

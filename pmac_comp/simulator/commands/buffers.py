@@ -41,19 +41,19 @@ def _open_rotary(context: LineContext) -> None:
     context.card.rotary.open(context.owner)
 
 
-@command("CLEARALLPLCS")
+@command("CLEARALLPLCS", "CLRALLPLCS")
 def _clear_all_plcs(context: LineContext) -> None:
     context.card.programs.clear_all(plcs_only=True)
     context.card.programs_changed()
 
 
-@command("CLEARALL")
+@command("CLEARALL", "CLRALL")
 def _clear_all(context: LineContext) -> None:
     context.card.programs.clear_all()
     context.card.programs_changed()
 
 
-@command("CLEAR")
+@command("CLEAR", "CLR")
 def _clear(context: LineContext) -> None:
     if context.card.rotary.is_open_on(context.owner):
         context.card.rotary.clear(context.modal.cs)
@@ -61,12 +61,12 @@ def _clear(context: LineContext) -> None:
     context.card.programs.clear(context.owner)
 
 
-@command("CLOSEALL")
+@command("CLOSEALL", "CLSALL")
 def _close_all(context: LineContext) -> None:
     context.card.close(context.owner, force=True)
 
 
-@command("CLOSE")
+@command("CLOSE", "CLS")
 def _close(context: LineContext) -> None:
     context.card.close(context.owner)
 
@@ -74,7 +74,7 @@ def _close(context: LineContext) -> None:
 # --- listings ------------------------------------------------------------------------------------
 
 
-@command("LISTPROGRAM", "LISTPROG")
+@command("LISTPROGRAM", "LISTPROG", "LISPROGRAM", "LISPROG")
 def _list_program(context: LineContext) -> None:
     program = context.card.programs.find(MOTION, context.scanner.need_integer(1, 32767))
     start = length = None
@@ -85,7 +85,7 @@ def _list_program(context: LineContext) -> None:
     _answer_listing(context, listing(program, long=_long(context), start=start, length=length))
 
 
-@command("LISTPLC")
+@command("LISTPLC", "LISPLC")
 def _list_plc(context: LineContext) -> None:
     number = context.scanner.need_integer(0, 31)
     program = context.card.programs.find(PLC, number)
@@ -108,12 +108,12 @@ def _answer_listing(context: LineContext, lines: list[str]) -> None:
         context.answer(line)
 
 
-@command("LISTPC")
+@command("LISTPC", "LISPC")
 def _list_counter(context: LineContext) -> None:
     _list_from_counter(context, executing=False)
 
 
-@command("LISTPE")
+@command("LISTPE", "LISPE")
 def _list_executing(context: LineContext) -> None:
     _list_from_counter(context, executing=True)
 
@@ -127,7 +127,7 @@ def _list_from_counter(context: LineContext, *, executing: bool) -> None:
     _answer_listing(context, lines)
 
 
-@command("LISTGATHER", "LISTGAT")
+@command("LISTGATHER", "LISTGAT", "LISGATHER", "LISGAT")
 def _list_gather(context: LineContext) -> None:
     scanner = context.scanner
     match = _GATHER_RANGE.match(scanner.text, scanner.position)
@@ -142,7 +142,7 @@ def _list_gather(context: LineContext) -> None:
     _answer_listing(context, lines)
 
 
-@command("LIST")
+@command("LIST", "LIS")
 def _list(context: LineContext) -> None:
     scanner = context.scanner
     kind = scanner.take("BLCOMP", "TCOMP", "COMP")
@@ -257,15 +257,13 @@ def _end_gather(context: LineContext) -> None:
 def _plc_command(long: str, short: str) -> None:
     @command(f"{long}PLC", f"{short}PLC")
     def handler(context: LineContext) -> None:
-        if context.scanner.take("C"):
-            _compiled(context)
-            return
         for number in _numbers(context):
             context.card.plcs.switch(long, number)
 
 
-def _compiled(context: LineContext) -> None:
-    # Compiled PLCs cannot exist here, so there is nothing to switch.
+@command("DISABLEPLCC", "DISPLCC")
+def _disable_compiled(context: LineContext) -> None:
+    # Compiled PLCs cannot exist here, so none runs after this; enabling one is refused.
     _numbers(context)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.language.statements import MOTION, StatementParser, axis_modes
 from pmac_comp.simulator.numbers import format_number
 
 _AXES = "ABCUVWXYZ"
@@ -125,6 +126,17 @@ def _move_time(context: LineContext) -> None:
 @command("MFLUSH")
 def _flush_assignments(context: LineContext) -> None:
     context.card.flush_assignments(context.modal.cs)
+
+
+def _axis_mode(name: str) -> None:
+    @command(name)
+    def handler(context: LineContext) -> None:
+        statement = axis_modes(StatementParser(context.scanner, MOTION), name)
+        context.card.systems[context.modal.cs].set_axis_mode(statement)
+
+
+for _name in ("ABS", "INC", "FRAX"):
+    _axis_mode(_name)
 
 
 @command("UNDEFINEALL", "UNDEFALL")

@@ -21,13 +21,13 @@ def _constant_answer(text: str, *keywords: str) -> None:
 
 
 _constant_answer(FIRMWARE + "  ", "VERSION", "VER")
-_constant_answer("1947001", "EAVERSION")
+_constant_answer("1947001", "EAVERSION", "EAVER")
 _constant_answer("TURBO2, X4", "TYPE")
 _constant_answer("56303", "CPU")
 _constant_answer(CARD_ID, "CID")
 _constant_answer("1", "VID")
-_constant_answer("0", "SID", "IDNUMBER")
-_constant_answer("02/24/2014", "DATE")
+_constant_answer("0", "SID", "IDNUMBER", "IDNUM")
+_constant_answer("02/24/2014", "DATE", "DAT")
 
 
 @command("TODAY")
@@ -84,7 +84,7 @@ def _unlock(context: LineContext) -> None:
     words[cell] = int(words[cell]) & ~bit
 
 
-@command("FSAVE", "FREAD", "FSAVECLEAR")
+@command("FSAVE", "FSAV", "FREAD", "FSAVECLEAR", "FSAVCLR")
 def _fast_save(_context: LineContext) -> None:
     # Bits 1 and 2 of I4904 are 0: this flash does not support it (p. 324).
     raise CardError(20)

@@ -60,6 +60,7 @@ class Assembler:
         self.code = Code()
         self.blocks: list[_Block] = []
         self.labels: dict[int, int] = {0: 0}
+        self.declared = sorted({0, *(s.data for s in statements if s.kind == "label")})
         self.jumps: list[tuple[int, int]] = []
         self.starts: list[int] = []
 
@@ -70,11 +71,10 @@ class Assembler:
             index = self._statement(index)
         if self.blocks:
             raise CardError(9, f"{self.blocks[-1].kind.upper()} is not closed")
+        self.code.emit(vm.OP_RETURN if self.buffer == MOTION else vm.OP_END)
         for place, label in self.jumps:
-            if label not in self.labels:
-                raise CardError(9, f"label N{label} is missing")
-            self.code.ops[place] = self.labels[label]
-        ops = [*self.code.ops, vm.OP_RETURN if self.buffer == MOTION else vm.OP_END]
+            self.code.ops[place] = self._target(place, label)
+        ops = self.code.ops
         compiled = Compiled(
             np.array(ops, dtype=np.int64), np.array(self.code.consts or [0.0], dtype=np.float64)
         )
@@ -193,19 +193,55 @@ class Assembler:
         text = self.statements[index].code.text
         return int(text) if text.isdigit() else None
 
+    def _target(self, place: int, label: int) -> int:
+        """Where a jump goes; a GOSUB whose label is missing goes on behind itself (p. 436)."""
+        if label in self.labels:
+            return self.labels[label]
+        self.code.ops[place - 1] = vm.OP_JUMP
+        return place + 1
+
     def _do_goto(self, index: int) -> None:
         label = self._static_label(index)
         if label is None:
-            raise CardError(3, "GOTO takes a constant label")
+            for candidate in self.declared:
+                skip = self._unless(index, candidate)
+                self._jump(candidate)
+                self.code.ops[skip] = self.here
+        elif label in self.declared:
+            self._jump(label)
+            return
+        # No such label: a run-time error when it is executed, not when it is entered (p. 437).
+        self.code.emit(vm.OP_EVENT, index, 0)
+
+    def _jump(self, label: int) -> None:
         self.code.emit(vm.OP_JUMP_BACK if label in self.labels else vm.OP_JUMP, 0)
         self.jumps.append((self.here - 1, label))
 
     def _do_gosub(self, index: int) -> None:
         label = self._static_label(index)
-        if label is None:
-            raise CardError(3, "GOSUB takes a constant label")
+        if label is not None:
+            self._call(label)
+            return
+        ends: list[int] = []
+        for candidate in self.declared:
+            skip = self._unless(index, candidate)
+            self._call(candidate)
+            self.code.emit(vm.OP_JUMP, 0)
+            ends.append(self.here - 1)
+            self.code.ops[skip] = self.here
+        for place in ends:
+            self.code.ops[place] = self.here
+
+    def _call(self, label: int) -> None:
         self.code.emit(vm.OP_CALL, 0)
         self.jumps.append((self.here - 1, label))
+
+    def _unless(self, index: int, label: int) -> int:
+        """Compare a computed label with one of the program's; place of the jump if they differ."""
+        self.code.append(self.statements[index].code)
+        self.code.constant(float(label))
+        self.code.emit(vm.OP_APPROX, vm.OP_JUMP_FALSE, 0)
+        return self.here - 1
 
     def _do_return(self, _index: int) -> None:
         self.code.emit(vm.OP_RETURN)

@@ -7,6 +7,7 @@ comparator, joined by AND and OR (OR lower).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,6 +54,7 @@ STORES_AT = {
     "M": vm.OP_STORE_M_AT,
 }
 MAX_NESTING = 12
+_HEX_END = re.compile(r"\$[0-9A-F]+$")
 
 
 @dataclass
@@ -233,14 +235,15 @@ class ExpressionParser:
     def _or(self, code: Code) -> None:
         self._and(code)
         while self.scanner.take("OR"):
-            code.write(" OR ")
+            code.write("OR")
             self._and(code)
             code.emit(vm.OP_LOR)
 
     def _and(self, code: Code) -> None:
         self._comparison(code)
         while self.scanner.take("AND"):
-            code.write(" AND ")
+            # The card prints no blanks; without one A would be a digit of the constant before it.
+            code.write(" AND" if _HEX_END.search(code.text) else "AND")
             self._comparison(code)
             code.emit(vm.OP_LAND)
 

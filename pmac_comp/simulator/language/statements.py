@@ -263,12 +263,12 @@ def _condition_line(parser: StatementParser, name: str) -> Statement:
     return Statement("condition_" + name.lower(), code, 1, code.text, code.text)
 
 
-@_keyword("N", buffers=(MOTION,))
-def _label(parser: StatementParser, _name: str) -> Statement | None:
+@_keyword("N", "O", buffers=(MOTION,))
+def _label(parser: StatementParser, name: str) -> Statement | None:
     number = parser.scanner.integer()
     if number is None:
         return None
-    return Statement("label", short=f"N{number}", long=f"N{number}", data=number)
+    return Statement("label", short=f"{name}{number}", long=f"{name}{number}", data=number)
 
 
 def _axes(parser: StatementParser) -> tuple[str, ...]:
@@ -287,11 +287,14 @@ def _axes(parser: StatementParser) -> tuple[str, ...]:
     return tuple(letters)
 
 
-@_keyword("ABS", "INC", "FRAX", buffers=(MOTION,))
-def _axis_modes(parser: StatementParser, name: str) -> Statement:
+def axis_modes(parser: StatementParser, name: str) -> Statement:
+    """Axes of ABS, INC or FRAX, which may also stand on-line."""
     letters = _axes(parser)
     text = name + (f"({','.join(letters)})" if letters else "")
     return Statement(name.lower(), short=text, long=text, data=letters)
+
+
+_keyword("ABS", "INC", "FRAX", buffers=(MOTION,))(axis_modes)
 
 
 @_keyword("PSET", buffers=(MOTION,))
@@ -388,19 +391,27 @@ def _send(parser: StatementParser, _name: str) -> Statement:
 
 @_keyword("ADDRESS", "ADR", buffers=(PLC,))
 def _address(parser: StatementParser, _name: str) -> Statement:
-    motor = cs = 0
-    text = ""
-    if parser.scanner.take("#"):
-        motor = parser.scanner.need_integer(1, 32)
-        text += f"#{motor}"
-    if parser.scanner.take("&"):
-        cs = parser.scanner.need_integer(1, 16)
-        text += f"&{cs}"
-    if not text:
-        raise CardError(3)
     code = Code()
-    code.emit(vm.OP_ADDRESS, motor, cs)
-    return Statement("assign", code, 0, f"ADR{text}", f"ADDRESS{text}")
+    found: dict[str, int] = {}
+    while (sign := parser.scanner.take("#", "&")) is not None:
+        code.text += sign
+        if parser.scanner.peek() == "P":
+            return _address_by_variable(parser, sign, code)
+        found[sign] = parser.scanner.need_integer(1, 32 if sign == "#" else 16)
+        code.text += str(found[sign])
+    if not found:
+        raise CardError(3)
+    code.emit(vm.OP_ADDRESS, found.get("#", 0), found.get("&", 0))
+    return Statement("assign", code, 0, f"ADR{code.text}", f"ADDRESS{code.text}")
+
+
+def _address_by_variable(parser: StatementParser, sign: str, code: Code) -> Statement:
+    """``ADDRESS#P5``: the number is the value of a P variable (p. 410-411)."""
+    if len(code.text) > 1:
+        raise CardError(3, "a number and a variable in one ADDRESS")
+    parser.operand(code)
+    text = code.text
+    return Statement("address", code, 1, f"ADR{text}", f"ADDRESS{text}", data=sign)
 
 
 @_keyword("LOCK", "UNLOCK")

@@ -17,7 +17,7 @@ def test_listing_forms(ask: Ask) -> None:
     enter(ask, "while (p1 < 360 and m1=1)", "x100:50 p1=p1+$10", "endwhile", 'cmd "#1j/"', "CLOSE")
     assert ask("LIST PROG 5").split(" ") == [
         "LIN", "ABS", "TA100", "TS0", "F(P4)", "X(P5*2)Y-10.5", "DWE500",
-        "WHILE(P1<360", "AND", "M1=1)", "X100:50", "P1=P1+$10", "ENDW", 'CMD"#1j/"', "RET",
+        "WHILE(P1<360ANDM1=1)", "X100:50", "P1=P1+$10", "ENDW", 'CMD"#1j/"', "RET",
     ]  # fmt: skip
     ask("I9=3")
     assert ask("LIST PROG 5,0,3") == "0:LINEAR 1:ABS 2:TA100"

@@ -10,12 +10,12 @@ from .conftest import Ask
 # Commands of the manual's list that the simulated card does not have.
 UNSUPPORTED = [
     "!X5", "ADISABLE", "AENABLE", "DISABLE", "DEFINE_CCBUF", "DEFINE_TBUF_2",
-    "DEFINE_LOOKAHEAD_100,10", "DELETE_PLCC_3", "FRAX(X)", "FSAVE", "FSAVECLEAR", "FREAD",
-    "INC", "ABS", "LIST_FORWARD", "LIST_INVERSE", "LIST_LINK", "LIST_LDS", "LIST_ROTARY",
+    "DEFINE_LOOKAHEAD_100,10", "DELETE_PLCC_3", "FSAVE", "FSAVECLEAR", "FREAD",
+    "LIST_FORWARD", "LIST_INVERSE", "LIST_LINK", "LIST_LDS", "LIST_ROTARY",
     "MACROAUX0,1", "MACROAUXREAD1,2,P3", "MACROSLV4,5", "MACROSLVSAVE0", "MS0,MI10",
     "MSR0,1,P1", "NOFRAX", "OPEN_BIN_ROT", "OPEN_FORWARD", "OPEN_INVERSE", "ROT0",
     "SETPHASE1", "TRACE", "WY$5", "RF$60000", "RDP$60000", "STN", "CLOSE_BIN", "REBOOT",
-    "DUMP",
+    "DUMP", "FSAV", "FSAVCLR", "ENABLE_PLCC_1",
 ]  # fmt: skip
 
 # Program text of the manual that is refused when it is entered.
