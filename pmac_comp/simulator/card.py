@@ -58,6 +58,7 @@ _STOPPING_EVENTS = {
     ks.EV_FATAL,
     ks.EV_LIMIT,
     ks.EV_HARD_LIMIT,
+    ks.EV_DESIRED_LIMIT,
     ks.EV_OVERCURRENT,
     ks.EV_INTEGRATED,
     ks.EV_SERVO_FAULT,

@@ -20,13 +20,29 @@ from numba import njit
 
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.simulator import compensation as comp
-from pmac_comp.simulator import encoder, gather, memory, vm
+from pmac_comp.simulator import conversion, encoder, gather, memory, sensors, vm
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator import servo_law as law
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator.compiled import keep_fresh
 from pmac_comp.simulator.memory import Space, read_long, read_word_signed, write_long
 from pmac_comp.simulator.plant import kernel_ballscrew as plant
+from pmac_comp.simulator.sensors import (
+    W_ANGLE,
+    W_CAPTURE,
+    W_COUNT,
+    W_COUNTS_PER_REV,
+    W_CYCLE_MS,
+    W_ENCODER_CHANNEL,
+    W_ENCODER_MOTOR,
+    W_ENCODER_SIGN,
+    W_FLAG_SELECT,
+    W_INPUT,
+    W_KIND,
+    W_TABLE,
+    W_TORQUE,
+    W_TORQUE_PER_DAC,
+)
 
 # Sign of the compensation register D:+$10: it holds minus the correction and is subtracted in the
 # following error. Two readings of the manual are open; the motor moves by +entry in both.
@@ -78,31 +94,9 @@ COMPENSATION_REGISTER_SIGN = -1.0
     K_ARMED,  # 1 a trigger is awaited
     K_COUNT,  # encoder count of the last cycle, for index crossings
     K_CURRENT,
+    K_DESIRED_LIMIT,  # 1 an event was given
     N_MOTOR_MEMORY,
-) = range(law.N_LAW, law.N_LAW + 10)
-
-# World: sensors and switches around the plant.
-(
-    W_KIND,  # 0 the plant runs outside, 1 compiled ball screw
-    W_ANGLE,
-    W_TABLE,
-    W_COUNTS_PER_RAD,
-    W_COUNTS_PER_M,
-    W_ENCODER_MOTOR,
-    W_SCALE_MOTOR,
-    W_ENCODER_CHANNEL,
-    W_SCALE_CHANNEL,
-    W_TORQUE_PER_DAC,
-    W_PLIM,
-    W_MLIM,
-    W_HOME,
-    W_INPUT,  # MI2
-    W_TORQUE,  # torque command of this cycle
-    W_ENCODER_SIGN,
-    W_COUNTS_PER_REV,
-    W_CYCLE_MS,
-    N_WORLD,
-) = range(19)
+) = range(law.N_LAW, law.N_LAW + 11)
 
 # Integers shared with Python.
 (
@@ -134,7 +128,8 @@ COMPENSATION_REGISTER_SIGN = -1.0
     EV_TRIGGER_MISSED,
     EV_OVERCURRENT,
     EV_INTEGRATED,
-) = range(1, 12)
+    EV_DESIRED_LIMIT,
+) = range(1, 13)
 MAX_EVENTS = 256
 BACKGROUND_CYCLES = 10
 # Modelled task times in half CPU cycles (the unit of the task-time registers): an interpreted
@@ -151,6 +146,8 @@ _DYNAMIC1 = (
     reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
 )
 _TIMER_END = -8388608
+# Bits of Ixx24 (p. 102-104).
+_ERROR_TO_MASTER, _HOLD_AT_LIMIT, _DESIRED_LIMIT = 1 << 13, 1 << 14, 1 << 15
 
 
 @njit(cache=True)
@@ -223,15 +220,19 @@ def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None
     a[A_IXX08] = ixx08
     a[A_IXX09] = ixx09
     a[A_IN_POSITION_SCANS] = y[base + reg.M_IXX88]
-    # Capture control and flag of the channel that the flags come from.
-    a[A_CAPTURE] = 1
-    a[A_FLAG_SELECT] = 0
+    a[A_CAPTURE], a[A_FLAG_SELECT] = _capture_settings(x, y, a[A_FLAGS])
+
+
+@njit(cache=True)
+def _capture_settings(x: Space, y: Space, channel: int) -> tuple[int, int]:
+    """Trigger (I7mn2) and flag (I7mn3) of a channel of servo IC 0 or 1."""
     for ic in range(2):
-        offset = a[A_FLAGS] - (0x078000 + 0x100 * ic)
+        offset = channel - (0x078000 + 0x100 * ic)
         if 0 <= offset < 0x20:
             cell = reg.INTERNAL_SERVO_IC + 10 * (offset // 8 + 1)
-            a[A_CAPTURE] = x[cell + 2] if ic == 0 else y[cell + 2]
-            a[A_FLAG_SELECT] = x[cell + 3] if ic == 0 else y[cell + 3]
+            words = x if ic == 0 else y
+            return int(words[cell + 2]), int(words[cell + 3])
+    return 1, 0
 
 
 @njit(cache=True)
@@ -269,7 +270,7 @@ def decode_all(
         n += 1
     active[1, :n] = active[0, :n]
     head[H_ACTIVE] = n
-    head[H_ENTRIES], bad = encoder.decode_table(x, y, entries)
+    head[H_ENTRIES], bad = conversion.decode_table(x, y, entries)
     if bad:
         x[reg.GLOBAL_STATUS] |= reg.G1_CONFIGURATION
     elif head[H_BAD_TABLE]:
@@ -277,7 +278,9 @@ def decode_all(
     head[H_BAD_TABLE] = 1 if bad else 0
     head[H_TABLES] = comp.decode_tables(x, y, tables)
     gather.decode_plan(x, y, plan)
-    world[W_ENCODER_SIGN] = _channel_sign(x, y, int(world[W_ENCODER_CHANNEL]))
+    channel = int(world[W_ENCODER_CHANNEL])
+    world[W_ENCODER_SIGN] = _channel_sign(x, y, channel)
+    world[W_CAPTURE], world[W_FLAG_SELECT] = _capture_settings(x, y, channel)
 
 
 @njit(cache=True)
@@ -337,30 +340,6 @@ def _flag_level(x: Space, channel: int, select: int) -> bool:
 
 
 @njit(cache=True)
-def _latch(x: Space, y: Space, world: FloatArray) -> None:
-    angle = world[W_ANGLE]
-    table = world[W_TABLE]
-    channel = int(world[W_ENCODER_CHANNEL])
-    if channel > 0:
-        count = angle * world[W_COUNTS_PER_RAD]
-        encoder.latch_channel(x, y, channel, count, int(world[W_ENCODER_SIGN]))
-        per_rev = world[W_COUNTS_PER_REV]
-        flags = int(x[channel]) & ~0x7C000
-        if abs(count - per_rev * math.floor(count / per_rev + 0.5)) < 0.5:
-            flags |= 1 << 14
-        if table < world[W_HOME]:
-            flags |= 1 << 16
-        if table > world[W_PLIM]:
-            flags |= 1 << 17
-        if table < world[W_MLIM]:
-            flags |= 1 << 18
-        x[channel] = flags
-    channel = int(world[W_SCALE_CHANNEL])
-    if channel > 0:
-        encoder.latch_channel(x, y, channel, table * world[W_COUNTS_PER_M], 1)
-
-
-@njit(cache=True)
 def _trigger(
     x: Space,
     y: Space,
@@ -382,19 +361,46 @@ def _trigger(
     control = a[A_CAPTURE]
     mode = control & 3
     flag = _flag_level(x, channel, a[A_FLAG_SELECT]) != bool(control & 8)
-    here = world[W_ANGLE] * world[W_COUNTS_PER_RAD] * world[W_ENCODER_SIGN]
+    here = world[W_COUNT]
     before = k[K_COUNT]
     k[K_COUNT] = here
-    if mode in {0, 2}:
+    if mode in {0, encoder.CAPTURE_FLAG}:
         return mode == 0 or flag, position
-    per_rev = world[W_COUNTS_PER_REV]
-    crossed = math.floor(before / per_rev) != math.floor(here / per_rev)
-    if not crossed or (mode == 3 and not flag):
+    crossed, index = encoder.index_between(before, here, world[W_COUNTS_PER_REV])
+    if not crossed or (mode == encoder.CAPTURE_BOTH and not flag):
         return False, position
-    index = max(math.floor(before / per_rev), math.floor(here / per_rev)) * per_rev
     if status & reg.S1_SOFTWARE_CAPTURE:
         return True, position
     return True, position - round((here - index) * d[D_UNIT])
+
+
+@njit(cache=True)
+def _desired_limit(
+    y: Space,
+    m: int,
+    a: IntArray,
+    d: FloatArray,
+    k: FloatArray,
+    command: int,
+    head: IntArray,
+    events: IntArray,
+) -> int:
+    """Commanded position under the software limits: stopped (one event), or held at the limit."""
+    side, limit = 0, 0.0
+    if d[D_POSITIVE] != 0.0 and command > d[D_POSITIVE]:
+        side, limit = 1, d[D_POSITIVE]
+    elif d[D_NEGATIVE] != 0.0 and command < d[D_NEGATIVE]:
+        side, limit = -1, d[D_NEGATIVE]
+    if side == 0:
+        k[K_DESIRED_LIMIT] = 0.0
+        return command
+    y[0x80 * m + reg.M_STATUS2] |= reg.S2_DESIRED_LIMIT_STOP
+    if a[A_IXX24] & _HOLD_AT_LIMIT:
+        return int(limit)
+    if k[K_DESIRED_LIMIT] == 0.0:
+        k[K_DESIRED_LIMIT] = 1.0
+        _event(head, events, EV_DESIRED_LIMIT, m, side)
+    return command
 
 
 @njit(cache=True)
@@ -571,16 +577,16 @@ def servo_cycles(
         if compiled:
             world[W_ANGLE] = pstate[plant.S_ANGLE_READ]
             world[W_TABLE] = pstate[plant.S_TABLE_READ]
-        _latch(x, y, world)
+        sensors.latch(x, y, world)
         # 2. Changed words.
         if dirty[0] != head[H_DIRTY]:
             head[H_DIRTY] = dirty[0]
             # The table is decoded and run first, so that a new motor starts on its result.
-            head[H_ENTRIES], _ = encoder.decode_table(x, y, entries)
-            encoder.convert(x, y, entries, head[H_ENTRIES], ectmem)
+            head[H_ENTRIES], _ = conversion.decode_table(x, y, entries)
+            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
             decode_all(x, y, head, decoded, addresses, active, entries, tables, plan, world, mmem)
         else:
-            encoder.convert(x, y, entries, head[H_ENTRIES], ectmem)
+            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
         n_active = head[H_ACTIVE]
         # 3. Time base.
         used = 1
@@ -616,6 +622,8 @@ def servo_cycles(
                     flags &= 65535
                 c = cursor[m]
                 command = math.floor(c[traj.C_POSITION] + 0.5)
+                if a[A_IXX24] & _DESIRED_LIMIT:
+                    command = _desired_limit(y, m, a, decoded[m], mmem[m], command, head, events)
                 write_long(x, y, base + reg.M_COMMANDED, command)
                 speed = c[traj.C_VELOCITY] / cycle_ms
                 write_long(x, y, base + reg.M_DESIRED_VELOCITY, int(speed * (16777216.0 / 3.0)))
@@ -709,6 +717,14 @@ def servo_cycles(
                 k[K_VELOCITY] = velocity
                 write_long(x, y, base + reg.M_PREVIOUS_NET, int(net))
                 error = net - position
+                if a[A_IXX24] & _ERROR_TO_MASTER:
+                    # What exceeds Ixx67 leaves the error for good.
+                    most = d[law.G_FELIMIT] * d[D_UNIT] / 16.0
+                    excess = math.floor(error - min(max(error, -most), most))
+                    if excess != 0:
+                        write_long(x, y, base + reg.M_MASTER, master - excess)
+                        write_long(x, y, base + reg.M_PREVIOUS_NET, int(net) - excess)
+                        error -= excess
                 moving = cursor[m, traj.C_VELOCITY] != 0.0
                 if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
                     # The algorithm may put the error it really acts on in place of this one.
@@ -959,5 +975,6 @@ def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word:
     return bool(k[K_CURRENT] > d[D_I2T_LIMIT])
 
 
-keep_fresh(servo_cycles, comp, encoder, gather, vm, reg, law, traj, memory, plant)
-keep_fresh(decode_all, comp, encoder, gather, reg, memory)
+keep_fresh(servo_cycles, comp, conversion, encoder, gather, sensors, vm, reg, law, traj)
+keep_fresh(servo_cycles, memory, plant)
+keep_fresh(decode_all, comp, conversion, gather, reg, memory)

@@ -27,7 +27,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator import compensation, encoder, gather, vm
+from pmac_comp.simulator import compensation, conversion, gather, sensors, vm
 from pmac_comp.simulator import kernel_servo as ks
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator.language.expressions import Compiled
@@ -55,7 +55,7 @@ class ServoEvent:
     ----------
     kind : int
         ``EV_...`` of ``kernel_servo``: ``EV_FATAL`` and its like (the motor is already killed),
-        ``EV_LIMIT`` and ``EV_HARD_LIMIT`` (the motor is already decelerating), ``EV_SEGMENT`` (a
+        ``EV_LIMIT`` and its like (the motor is already decelerating), ``EV_SEGMENT`` (a
         segment with a tag has started: ``value`` is the tag), ``EV_LOW_QUEUE``, ``EV_PLC``.
     motor : int
         Motor, 0 if none.
@@ -100,7 +100,7 @@ class Servo(Motors):
         self._decoded: FloatArray = np.zeros((33, ks.N_DECODED))
         self._addresses: IntArray = np.zeros((33, ks.N_ADDRESSES), dtype=np.int64)
         self._active: IntArray = np.zeros((2, 33), dtype=np.int64)
-        self._entries, self._ectmem = encoder.new_table()
+        self._entries, self._ectmem = conversion.new_table()
         self._tables = compensation.empty_tables()
         self._plan = gather.new_plan()
         self._events: IntArray = np.zeros((ks.MAX_EVENTS, 3), dtype=np.int64)
@@ -126,25 +126,25 @@ class Servo(Motors):
 
     def _new_world(self) -> FloatArray:
         bench = self.bench
-        world = np.zeros(ks.N_WORLD)
+        world = sensors.new_world()
         travel = bench.travel
         motor = bench.encoder.motor_number
         values = {
-            ks.W_COUNTS_PER_RAD: bench.encoder.counts_per_rev / (2.0 * math.pi),
-            ks.W_ENCODER_MOTOR: motor,
-            ks.W_ENCODER_CHANNEL: _channel(motor),
-            ks.W_TORQUE_PER_DAC: bench.drive.torque_per_dac_Nm,
-            ks.W_PLIM: travel.max_mm / MM_PER_M + _END_SWITCH_m,
-            ks.W_MLIM: travel.min_mm / MM_PER_M - _END_SWITCH_m,
-            ks.W_HOME: travel.min_mm / MM_PER_M + _HOME_SWITCH_m,
-            ks.W_ENCODER_SIGN: 1.0,
-            ks.W_COUNTS_PER_REV: bench.encoder.counts_per_rev,
-            ks.W_CYCLE_MS: bench.servo_period_s * MS_PER_S,
+            sensors.W_COUNTS_PER_RAD: bench.encoder.counts_per_rev / (2.0 * math.pi),
+            sensors.W_ENCODER_MOTOR: motor,
+            sensors.W_ENCODER_CHANNEL: _channel(motor),
+            sensors.W_TORQUE_PER_DAC: bench.drive.torque_per_dac_Nm,
+            sensors.W_PLIM: travel.max_mm / MM_PER_M + _END_SWITCH_m,
+            sensors.W_MLIM: travel.min_mm / MM_PER_M - _END_SWITCH_m,
+            sensors.W_HOME: travel.min_mm / MM_PER_M + _HOME_SWITCH_m,
+            sensors.W_ENCODER_SIGN: 1.0,
+            sensors.W_COUNTS_PER_REV: bench.encoder.counts_per_rev,
+            sensors.W_CYCLE_MS: bench.servo_period_s * MS_PER_S,
         }
         if bench.scale is not None:
-            values[ks.W_SCALE_MOTOR] = bench.scale.motor_number
-            values[ks.W_SCALE_CHANNEL] = _channel(bench.scale.motor_number)
-            values[ks.W_COUNTS_PER_M] = UM_PER_M / bench.scale.resolution_um
+            values[sensors.W_SCALE_MOTOR] = bench.scale.motor_number
+            values[sensors.W_SCALE_CHANNEL] = _channel(bench.scale.motor_number)
+            values[sensors.W_COUNTS_PER_M] = UM_PER_M / bench.scale.resolution_um
         for index, value in values.items():
             world[index] = value
         return world
@@ -153,9 +153,9 @@ class Servo(Motors):
         self.plant.reset(0.0)
         reading = getattr(self.plant, "reading", None)
         angle, table = reading() if reading is not None else (0.0, 0.0)
-        self.world[ks.W_ANGLE] = angle
-        self.world[ks.W_TABLE] = table
-        self.world[ks.W_KIND] = 1.0 if isinstance(self.plant, BallscrewPlant) else 0.0
+        self.world[sensors.W_ANGLE] = angle
+        self.world[sensors.W_TABLE] = table
+        self.world[sensors.W_KIND] = 1.0 if isinstance(self.plant, BallscrewPlant) else 0.0
 
     # --- time -----------------------------------------------------------------------------------
 
@@ -202,10 +202,10 @@ class Servo(Motors):
             cycles = self._run_kernel(chunk)
             done += cycles
             self._ran += cycles
-            if self.world[ks.W_KIND] == 0.0:
-                angle, table = self.plant.step(float(self.world[ks.W_TORQUE]))
-                self.world[ks.W_ANGLE] = angle
-                self.world[ks.W_TABLE] = table
+            if self.world[sensors.W_KIND] == 0.0:
+                angle, table = self.plant.step(float(self.world[sensors.W_TORQUE]))
+                self.world[sensors.W_ANGLE] = angle
+                self.world[sensors.W_TABLE] = table
             if self._head[ks.H_EVENTS]:
                 self._answer_events()
         return done
@@ -294,7 +294,7 @@ class Servo(Motors):
 
     def set_machine_input(self, *, high: bool) -> None:
         """Level of machine input MI2, which starts GATHER TRIGGER."""
-        self.world[ks.W_INPUT] = 1.0 if high else 0.0
+        self.world[sensors.W_INPUT] = 1.0 if high else 0.0
 
     # --- events ---------------------------------------------------------------------------------
 
@@ -312,7 +312,7 @@ class Servo(Motors):
             self._spread_fault(event.motor)
         elif event.kind == ks.EV_SERVO_FAULT:
             self.kill(event.motor)
-        elif event.kind == ks.EV_LIMIT:
+        elif event.kind in (ks.EV_LIMIT, ks.EV_DESIRED_LIMIT):
             # An open loop beyond a limit is closed and stopped (p. 95).
             self.abort(event.motor)
         elif event.kind == ks.EV_HARD_LIMIT:

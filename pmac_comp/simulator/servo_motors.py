@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.simulator import encoder, sensors
 from pmac_comp.simulator import kernel_servo as ks
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator import trajectory as traj
@@ -41,7 +42,7 @@ class Motors:
         self.queue = traj.MotionQueue()
         self.motor_memory: FloatArray = np.zeros((33, ks.N_MOTOR_MEMORY))
         self.history: IntArray = np.zeros((33, 16), dtype=np.int64)
-        self.world: FloatArray = np.zeros(ks.N_WORLD)
+        self.world: FloatArray = sensors.new_world()
         self._after_trigger: dict[int, float] = {}
 
     @property
@@ -350,9 +351,10 @@ class Motors:
         self.motor_memory[motor, ks.K_BACKLASH_EXTREME] -= units
 
     def _arm(self, motor: int) -> None:
-        world = self.world
-        count = world[ks.W_ANGLE] * world[ks.W_COUNTS_PER_RAD] * world[ks.W_ENCODER_SIGN]
-        self.motor_memory[motor, ks.K_COUNT] = count
+        self.motor_memory[motor, ks.K_COUNT] = self.world[sensors.W_COUNT]
+        channel = int(self.memory.x[reg.motor_base(motor) + reg.M_IXX25_IXX24]) & 0x7FFFF
+        # The captured position is read, which makes ready for the next trigger (p. 223).
+        self.memory.x[channel] &= ~encoder.CAPTURED & 0xFFFFFF
         self.motor_memory[motor, ks.K_ARMED] = 1.0
 
     def _disarm(self, motor: int) -> None:

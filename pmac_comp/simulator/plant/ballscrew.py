@@ -33,6 +33,10 @@ _DAMPING_s = 7.3e-5
 # Width of the stick zone where no presliding was asked for: far below any sensor.
 _SHARP_GUIDE_m = 0.2e-6
 _SHARP_ROTARY_rad = 1.0e-4
+# Mechanical stops: a rubber buffer a little behind the end switches.
+_STOP_BEHIND_TRAVEL_m = 10e-3
+_STOP_STIFFNESS_N_per_m = 5e6
+_STOP_DAMPING = 0.3  # of critical, with the table on it
 _STEP_TIMES_OMEGA = 0.45  # largest elastic phase per fine step; leapfrog is stable below 2
 _FRICTION_SPREAD = 0.15
 
@@ -301,6 +305,7 @@ def _kernel_parameters(bench: Bench, truth: DriveTruth) -> FloatArray:
     }
     for index, value in values.items():
         par[index] = value
+    _set_stops(par, bench)
     # Damping of the sharp stick zone, a third of critical, so that a stuck axis does not ring.
     par[k.P_GUIDE_DAMPING] = 0.6 * math.sqrt(
         truth.guide_coulomb_N / _SHARP_GUIDE_m * truth.table_mass_kg
@@ -312,6 +317,16 @@ def _kernel_parameters(bench: Bench, truth: DriveTruth) -> FloatArray:
         truth.nut_coulomb_Nm / _SHARP_ROTARY_rad * truth.screw_inertia_kgm2
     )
     return par
+
+
+def _set_stops(par: FloatArray, bench: Bench) -> None:
+    """Stops behind the travel of the bench, at the latest where the nut would leave the screw."""
+    high_m = bench.travel.max_mm / MM_PER_M + _STOP_BEHIND_TRAVEL_m
+    low_m = bench.travel.min_mm / MM_PER_M - _STOP_BEHIND_TRAVEL_m
+    par[k.P_STOP_HIGH] = min(high_m, par[k.P_LENGTH] - par[k.P_ORIGIN])
+    par[k.P_STOP_LOW] = max(low_m, -par[k.P_ORIGIN])
+    par[k.P_STOP_K] = _STOP_STIFFNESS_N_per_m
+    par[k.P_STOP_C] = 2.0 * _STOP_DAMPING * math.sqrt(_STOP_STIFFNESS_N_per_m * par[k.P_M_TABLE])
 
 
 def modal_frequencies_Hz(par: FloatArray, table_position_m: float) -> FloatArray:

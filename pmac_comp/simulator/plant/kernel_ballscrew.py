@@ -108,8 +108,12 @@ from pmac_comp.base.arrays import FloatArray
     P_FORCE,
     P_FORCE_OMEGA,
     P_FORCE_PHASE,
+    P_STOP_LOW,  # table position where the mechanical stops begin, m
+    P_STOP_HIGH,
+    P_STOP_K,  # N/m; 0 = no stops
+    P_STOP_C,  # N s/m
     N_PARAMETERS,
-) = range(86)
+) = range(90)
 
 # Maxwell-slip elements of the guide (GMS without the slip transient): break-away distances and
 # shares of the level; at the stated distance 63 % of the level are built up.
@@ -148,6 +152,7 @@ _HISTORY = 32
 ) = range(26)
 S_GMS = S_HISTORY + _HISTORY
 N_STATES = S_GMS + _GMS
+_STOP_NEAR_m = 2e-3
 # Hysteresis of the reversal detector: well below any dip length, above round-off.
 _TURN_RAD = 1e-4
 
@@ -179,6 +184,18 @@ def lead_error(par: FloatArray, angle_rad: float, time_s: float) -> tuple[float,
         error_m += par[P_WOBBLE] * (math.cos(phase) - math.cos(par[P_WOBBLE_PHASE]))
         per_rad -= par[P_WOBBLE] * order * math.sin(phase)
     return error_m, per_rad
+
+
+@njit(cache=True)
+def _stop_force(par: FloatArray, table_m: float, speed: float) -> float:
+    """Force of the stops at the ends of the travel, which only push the table back, in N."""
+    if table_m > par[P_STOP_HIGH]:
+        force = par[P_STOP_K] * (table_m - par[P_STOP_HIGH]) + par[P_STOP_C] * speed
+        return float(-max(force, 0.0))
+    if table_m < par[P_STOP_LOW]:
+        force = par[P_STOP_K] * (par[P_STOP_LOW] - table_m) - par[P_STOP_C] * speed
+        return float(max(force, 0.0))
+    return 0.0
 
 
 @njit(cache=True)
@@ -310,6 +327,9 @@ def ballscrew_step(
     hertz = par[P_HERTZ]
     nonlinear_nut = gap > 0.0 or soft > 0.0 or hertz > 0.0
     flexible_base = par[P_BASE_MASS] > 0.0
+    # Looked at once per period: no table covers a millimetre in it.
+    free = par[P_STOP_LOW] + _STOP_NEAR_m < state[S_TABLE] < par[P_STOP_HIGH] - _STOP_NEAR_m
+    stops = par[P_STOP_K] > 0.0 and not free
 
     th_m = state[S_TH_MOTOR]
     w_m = state[S_W_MOTOR]
@@ -455,6 +475,8 @@ def ballscrew_step(
             bearing = k_ax * (u + beta * v_u)
             a_u = (f_n - bearing) * inv_m_axial
             a_t = (load - f_n - f_g) * inv_m_table
+            if stops:
+                a_t += _stop_force(par, xt, v) * inv_m_table
             if flexible_base:
                 a_b = bearing + f_g - par[P_BASE_K] * xb - par[P_BASE_C] * v_b
                 a_b /= par[P_BASE_MASS]
