@@ -4,6 +4,7 @@ What lives here: the order of the steps and the words for people. What may not: 
 law (``physics.compensate``), registers, conversations.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,30 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import (
-    ConfigError,
-)
-from pmac_comp.base.units import UM_PER_M, US_PER_S
+from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import read_capture
+from pmac_comp.files.capture import Capture, read_capture
 from pmac_comp.machine.controller import law_upload
 from pmac_comp.physics.compensate.design import design_law, model_loop
-from pmac_comp.physics.compensate.exact import Learning, exact_correction
+from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
-from pmac_comp.physics.compensate.lead import lead_map
+from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.trim import trimmed_law
-from pmac_comp.workflow.compensation_file import (
-    Compensation,
-    check_route,
-    write_compensation,
-)
-from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.backlash import has_backlash
+from pmac_comp.workflow.cam import render_cam
+from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.program import draw_motion
+from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.static_map import Limit, covered_m, static_map
+from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
-LATENCY_CYCLES = {"law": 1, "servo": 0, "table": 0, "cam": 0, "program": 0}
-TORQUE_ROUTES = ("law", "servo")
-MOTION_ROUTES = ("cam", "program")  # for one known motion
 _CHEAP_SHARE = 0.25
 
 
@@ -43,16 +40,41 @@ def compute_compensation(
     model: Any,
     *,
     route: str,
-    slow: tuple[Any, ...] = (),
-    captures: tuple[Any, ...] = (),
+    slow: tuple[Capture, ...] = (),
+    captures: tuple[Capture, ...] = (),
     motion: Motion | None = None,
     provenance: dict[str, Any] | None = None,
+    limit: Limit = Limit.REFUSE,
     progress: Progress | None = None,
 ) -> Compensation:
-    """Law and lead map of a model and slow runs for a route.
+    """Law, lead map and backlash of a model and slow runs for a route.
 
-    ``cam`` is for one ``motion``. With ``captures`` (relaxed runs without
-    compensation) the law's offset terms are corrected by what the model leaves of them.
+    Parameters
+    ----------
+    bench, model
+        What is known, and the identified drive.
+    route : str
+        One of ``ROUTES``.
+    slow : tuple of Capture
+        Slow runs in both directions; none means no table.
+    captures : tuple of Capture
+        Relaxed runs without compensation: the law's offset terms are corrected by what the model
+        leaves of them.
+    motion : Motion or None
+        The one motion of ``cam`` and ``program``.
+    provenance : dict, optional
+        Where the figures come from.
+    limit : Limit
+        What to do where slow runs do not cover the travel.
+    progress : callable, optional
+        Called with a step and a fraction.
+
+    Raises
+    ------
+    ConfigError
+        ``cam`` or ``program`` without a motion.
+    NotIdentifiable
+        The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
     law = design_law(
@@ -63,18 +85,10 @@ def compute_compensation(
         provenance=provenance,
         progress=progress,
     )
-    # The lead runs are read without torque and without lead time: only the static part counts.
-    lead = lead_map(slow, law.with_values(lead_s=0.0, lead2_s2=0.0)) if slow else None
-    if motion is not None and route == "cam":
-        exact = _exact(bench, model, motion.position_m)
-        return Compensation(
-            route,
-            law,
-            lead,
-            motion_time_s=motion.trajectory.time_s,
-            motion_position_m=motion.position_m,
-            motion_correction_m=exact.correction_m,
-        )
+    lead = static_map(bench, route, slow, law, limit) if slow else None
+    backlash = lead is not None and has_backlash(lead)
+    if route in MOTION_ROUTES:
+        return _for_motion(bench, model, route, law, lead, motion, backlash=backlash)
     if captures:
         trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
         trim = {
@@ -84,7 +98,43 @@ def compute_compensation(
         }
         provenance = {**law.provenance, "trim": trim, "trim_explained": explained}
         law = replace(trimmed, provenance=provenance)
-    return Compensation(route, law, lead)
+        # What the captures moved into the law must not stay in the backlash table as well.
+        lead = static_map(bench, route, slow, law, limit) if slow else None
+        backlash = lead is not None and has_backlash(lead)
+    return Compensation(route, law, lead, backlash=backlash)
+
+
+def _for_motion(
+    bench: Bench,
+    model: Any,
+    route: str,
+    law: CompensationLaw,
+    lead: LeadMap | None,
+    motion: Motion | None,
+    *,
+    backlash: bool,
+) -> Compensation:
+    if motion is None:
+        raise ConfigError(
+            f"The route {route} needs the motion it is for.",
+            code="PC-DEP-011",
+            hint="Give it with --command: a CSV with time_s,commanded_position_mm, or a motion as "
+            "`capture --motion` takes it.",
+        )
+    limit_m = bench.safety.max_correction_um / UM_PER_M
+    exact = exact_correction(
+        model_loop(model), motion.position_m, bench.servo_period_s, limit_m=limit_m
+    )
+    said = {"total_um": list(exact.history_um), "motion": motion.name}
+    return Compensation(
+        route,
+        replace(law, provenance={**law.provenance, "exact": said}),
+        lead,
+        motion_time_s=motion.trajectory.time_s,
+        motion_position_m=motion.position_m,
+        motion_correction_m=exact.correction_m,
+        backlash=backlash,
+    )
 
 
 def compensate_files(
@@ -94,91 +144,52 @@ def compensate_files(
     *,
     route: str,
     slow: tuple[Path, ...] = (),
-    command: Path | None = None,
-    clip: bool = False,
+    captures: tuple[Path, ...] = (),
+    command: str = "",
+    limit: Limit = Limit.REFUSE,
     effects: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Compute a compensation from files and describe it."""
     from pmac_comp.workflow.identification import load_model
 
+    check_route(route)
     loaded = load_bench(bench)
     drive = load_model(model, loaded, effects=effects)
-    if route in {"cam", "program"}:
-        return _compensate_motion(loaded, drive, out, route, command)
-    captures = tuple(read_capture(path) for path in slow)
-    provenance = {
-        "bench_digest": loaded.digest,
-        "model": model.name,
-        "effects": list(drive.effects),
-    }
     compensation = compute_compensation(
-        loaded, drive, route=route, slow=captures, provenance=provenance, progress=progress
+        loaded,
+        drive,
+        route=route,
+        slow=tuple(read_capture(path) for path in slow),
+        captures=tuple(read_capture(path) for path in captures),
+        motion=parse_motion(command, loaded) if command else None,
+        provenance={
+            "bench_digest": loaded.digest,
+            "model": model.name,
+            "effects": list(drive.effects),
+        },
+        limit=limit,
+        progress=progress,
     )
-    cuts = _limits_report(loaded, compensation.law)
-    if cuts and not clip:
-        from pmac_comp.base.errors import AmplitudeExceeded
-
+    cuts = limits_report(loaded, compensation)
+    if cuts and limit is Limit.REFUSE:
         raise AmplitudeExceeded(
             "The correction passes the limits: " + "; ".join(cuts) + ".",
             code="PC-DEP-010",
             hint="Check the model, raise [safety] max_correction_um, or use --limit to clip.",
         )
+    tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
     write_compensation(out, compensation)
     return {
         "route": route,
         "file": out,
         "summary": describe(loaded, compensation),
-        "remarks": [*cuts, *cost_remarks(loaded, route)],
-        "law": compensation.law.as_mapping(),
-    }
-
-
-def _exact(bench: Bench, model: Any, position_m: FloatArray) -> Learning:
-    limit = bench.safety.max_correction_um / UM_PER_M
-    return exact_correction(model_loop(model), position_m, bench.servo_period_s, limit_m=limit)
-
-
-def _compensate_motion(
-    bench: Bench, drive: Any, out: Path, route: str, command: Path | None
-) -> dict[str, Any]:
-    from pmac_comp.workflow.commands import read_command
-
-    if command is None:
-        raise ConfigError(
-            f"The route {route} needs the motion it is for.",
-            code="PC-DEP-011",
-            hint="Give it with --command FILE (CSV with time_s,commanded_position_mm).",
-        )
-    time_s, position = read_command(command)
-    exact = _exact(bench, drive, position)
-    law = design_law(bench, model_loop(drive), latency_cycles=0, with_torque=False)
-    compensation = Compensation(
-        route,
-        law,
-        None,
-        motion_time_s=time_s,
-        motion_position_m=position,
-        motion_correction_m=exact.correction_m,
-    )
-    write_compensation(out, compensation)
-    summary = {
-        "route": route,
-        "motion": f"{time_s[-1] - time_s[0]:.3f} s, {position.size} samples",
-        "largest correction um": float(np.max(np.abs(exact.correction_m)) * UM_PER_M),
-        "total error before um rms": exact.history_um[0],
-        "total error after um rms (model)": exact.history_um[-1],
-        "passes": len(exact.history_um) - 1,
-    }
-    limit_um = bench.safety.max_correction_um
-    cut = float(np.mean(np.abs(exact.correction_m) * UM_PER_M > 0.999 * limit_um))
-    remarks = [f"{100.0 * cut:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"]
-    return {
-        "route": route,
-        "file": out,
-        "summary": summary,
-        "remarks": remarks if cut else [],
-        "law": None,
+        "remarks": [
+            *cuts,
+            *static_remarks(loaded, compensation),
+            *cost_remarks(loaded, route),
+        ],
+        "law": None if route in MOTION_ROUTES else compensation.law.as_mapping(),
     }
 
 
@@ -203,12 +214,47 @@ def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
         out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
     if compensation.route in TORQUE_ROUTES:
         out["friction torque Nm"] = law.torque_coulomb_Nm
-        out["torque lead ms"] = law.torque_lead_s * 1e3
-    rendered = compensation.table(bench)
-    if compensation.lead is not None and rendered is not None:
-        out |= {k.replace("_", " "): v for k, v in compensation.lead.summary().items()}
-        out["table entries"] = len(rendered.table.entries)
-        out["table rounding um"] = rendered.quantisation_um
+        out["look-ahead ms"] = law.lookahead_s * 1e3
+    if compensation.motion_position_m is not None:
+        out = _describe_motion(bench, compensation)
+    return out | _describe_static(bench, compensation)
+
+
+def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]:
+    """Figures of ``cam`` and ``program``."""
+    position, correction = compensation.motion_position_m, compensation.motion_correction_m
+    if position is None or correction is None:
+        return {}
+    exact = compensation.law.provenance.get("exact", {"total_um": [math.nan]})
+    out = {
+        "route": compensation.route,
+        "motion": f"{(position.size - 1) * bench.servo_period_s:.3f} s, {position.size} samples",
+        "largest correction um": float(np.max(np.abs(correction)) * UM_PER_M),
+        "total error before um rms": exact["total_um"][0],
+        "total error after um rms (model)": min(exact["total_um"]),
+        "passes": len(exact["total_um"]) - 1,
+    }
+    if compensation.route == "cam":
+        return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
+    drawn = draw_motion(compensation, bench)
+    return out | {
+        "shape error of the PVT segments um": drawn.shape_error_um,
+        "rounding of the program's positions um": drawn.rounding_um,
+    }
+
+
+def _describe_static(bench: Bench, compensation: Compensation) -> dict[str, Any]:
+    """Figures of the tables."""
+    rendered, back = compensation.table(bench), compensation.backlash_table(bench)
+    if compensation.lead is None or rendered is None:
+        return {}
+    out: dict[str, Any] = {k.replace("_", " "): v for k, v in compensation.lead.summary().items()}
+    out["table entries"] = len(rendered.table.entries)
+    out["table rounding um"] = rendered.quantisation_um
+    if back is not None:
+        entries_um = np.asarray(back.table.entries) / 16.0 * bench.motor_resolution_m * UM_PER_M
+        out["backlash um (from, to)"] = f"{entries_um.min():.2f}, {entries_um.max():.2f}"
+        out["backlash table rounding um"] = back.quantisation_um
     return out
 
 
@@ -218,15 +264,49 @@ def largest_correction_um(law: CompensationLaw) -> float:
     return UM_PER_M * (abs(law.inertia_s2) * a + abs(law.viscous_s) * v + abs(law.coulomb_m))
 
 
-def _limits_report(bench: Bench, law: CompensationLaw) -> list[str]:
-    limit = bench.safety.max_correction_um
+def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
+    """What of a compensation lies beyond the safety limits, in words; empty for nothing."""
+    limit_um = bench.safety.max_correction_um
+    correction = compensation.motion_correction_m
+    if correction is not None:
+        share = float(np.mean(np.abs(correction) * UM_PER_M > 0.999 * limit_um))
+        cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
+        return [cut] if share else []
+    law = compensation.law
     largest = largest_correction_um(law)
-    if largest <= limit:
+    if compensation.route not in TORQUE_ROUTES or largest <= limit_um:
         return []
     return [
         f"at {law.valid_acceleration_m_per_s2:.3g} m/s2 the correction would be {largest:.1f} um, "
-        f"the limit is {limit:g} um; it is clipped there"
+        f"the limit is {limit_um:g} um; it is clipped there"
     ]
+
+
+def static_remarks(bench: Bench, compensation: Compensation) -> list[str]:
+    """What the tables take away and what not, for people."""
+    lead = compensation.lead
+    if lead is None:
+        if compensation.route == "table":
+            return ["without slow runs (--slow) there is no table: this file corrects nothing"]
+        return []
+    mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
+    if compensation.backlash:
+        what = "all of it" if compensation.route == "table" else "what the law leaves of it"
+        out = [
+            f"the two directions differ by {mean_um:.2f} um in the mean; the backlash table takes "
+            f"{what} away"
+        ]
+    else:
+        out = [
+            f"the two directions differ by {mean_um:.2f} um in the mean: not worth a backlash table"
+        ]
+    covered = covered_m(bench, lead)
+    if covered is not None:
+        out.append(
+            f"the table corrects from {covered[0] * MM_PER_M:.1f} to {covered[1] * MM_PER_M:.1f} "
+            "mm only, where it was measured; beyond, the correction fades to zero"
+        )
+    return out
 
 
 def cost_remarks(bench: Bench, route: str) -> list[str]:

@@ -16,9 +16,9 @@ from pmac_comp.workflow.compensation_file import (
     Compensation,
     read_compensation,
 )
-from pmac_comp.workflow.computing import TORQUE_ROUTES
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
 
 
@@ -68,8 +68,8 @@ def _table_curves(
 
 def _law_rows(old: LawParameters | None, new: LawParameters) -> list[tuple[Any, ...]]:
     units = {
-        "A0": "ct/(ct/SC2)", "V0": "ct/(ct/SC)", "S0": "ct", "D1": "SC",
-        "TC": "DAC units", "TK": "DAC/(ct/SC3)", "TL": "SC",
+        "A0": "ct/(ct/SC2)", "V0": "ct/(ct/SC)", "S0": "ct", "L1": "SC",
+        "TC": "DAC units", "TK": "DAC/(ct/SC3)",
     }  # fmt: skip
     return [
         (name, None if old is None else getattr(old, name), getattr(new, name), unit)

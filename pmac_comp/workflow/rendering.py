@@ -1,7 +1,9 @@
 """The law and the lead map in counts and servo cycles: physics becomes controller data here."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -9,7 +11,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.comp_table import CompTable, Table
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -41,8 +43,8 @@ def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -
         X0=law.origin_m * K,
         S_INV=1.0 / (law.breakaway_m * K),
         J0=law.jerk_s3 / T**3,
-        D1=law.lead_s / T,
-        D2=law.lead2_s2 / T**2,
+        L1=law.lookahead_s / T,
+        L2=0.5 * (law.lookahead_s / T) ** 2,
         TJ=law.torque_inertia_Nm_s2_per_m / (K * T**2 * q),
         TK=law.torque_jerk_Nm_s3_per_m / (K * T**3 * q),
         TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
@@ -52,29 +54,31 @@ def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -
         TV_INV=1.0 / (law.excess_speed_m_per_s * K * T),
         T_INV=1.0 / (law.torque_breakaway_m * K),
         T0=law.torque_constant_Nm / q,
-        TL=law.torque_lead_s / T,
         T_LIMIT=law.torque_limit_Nm / q,
         REVISION=float(revision),
     )
 
 
+T_co = TypeVar("T_co", bound=Table, covariant=True)
+
+
 @dataclass(frozen=True)
-class RenderedTable:
-    """A lead map as a controller table.
+class RenderedTable(Generic[T_co]):
+    """A map as a controller table.
 
     Parameters
     ----------
-    table : CompTable
+    table : CompTable or BacklashTable
         What is uploaded.
     quantisation_um : float
         Largest rounding of an entry.
     """
 
-    table: CompTable
+    table: T_co
     quantisation_um: float
 
 
-def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> RenderedTable:
+def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> RenderedTable[CompTable]:
     """COMP table that takes a lead map away: entries are minus the error, in 1/16 count.
 
     The table spans the travel with one spacing to spare at each end; negative positions use its
@@ -86,33 +90,47 @@ def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> Rende
     ConfigError
         The travel needs more entries than fit.
     """
+    zero = lead.at(np.zeros(1))[0]
     scales = Scales.of(bench)
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
-    reach = max(abs(low), abs(high)) + 2.0 * lead.spacing_m
-    # The zero of the motor is knot 0; both signs get the same number of knots.
-    half = math.ceil(reach / lead.spacing_m)
-    if 2 * half > _MOST_ENTRIES:
-        raise ConfigError(
-            f"The travel needs {2 * half} entries of {lead.spacing_m * 1e3:g} mm.",
-            code="PC-LEAD-010",
-            hint="Use a larger spacing.",
-        )
-    spacing_ct = round(scales.counts(lead.spacing_m))
-    knots = np.arange(1, 2 * half + 1)
-    signed = np.where(knots <= half, knots, knots - 2 * half)
-    exact = -lead.at(signed * lead.spacing_m) / scales.motor_m_per_ct * _ENTRY_PER_CT
-    exact -= -lead.at(np.zeros(1))[0] / scales.motor_m_per_ct * _ENTRY_PER_CT
-    exact = _seam(exact, half, spacing_ct, bench, scales)
+    exact, span_ct = entries_over_travel(lambda x: zero - lead.at(x), lead.spacing_m, bench)
     entries = np.round(exact).astype(np.int64)
     entries[-1] = 0
     table = CompTable(
         motor=bench.encoder.motor_number,
         entries=tuple(int(e) for e in entries),
-        span_ct=2 * half * spacing_ct,
+        span_ct=span_ct,
         by_desired=by_desired,
     )
     rounding = float(np.max(np.abs(entries - exact))) / _ENTRY_PER_CT
     return RenderedTable(table, rounding * scales.motor_m_per_ct * UM_PER_M)
+
+
+def entries_over_travel(
+    value_m: Callable[[FloatArray], FloatArray], spacing_m: float, bench: Bench
+) -> tuple[FloatArray, int]:
+    """Unrounded entries in 1/16 count of a length (m at m) over the travel, and the span in counts.
+
+    Raises
+    ------
+    ConfigError
+        The travel needs more entries than fit.
+    """
+    scales = Scales.of(bench)
+    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    reach = max(abs(low), abs(high)) + 2.0 * spacing_m
+    # The zero of the motor is knot 0; both signs get the same number of knots.
+    half = math.ceil(reach / spacing_m)
+    if 2 * half > _MOST_ENTRIES:
+        raise ConfigError(
+            f"The travel needs {2 * half} entries of {spacing_m * 1e3:g} mm.",
+            code="PC-LEAD-010",
+            hint="Use a larger spacing.",
+        )
+    spacing_ct = round(scales.counts(spacing_m))
+    knots = np.arange(1, 2 * half + 1)
+    signed = np.where(knots <= half, knots, knots - 2 * half)
+    exact = value_m(signed * spacing_m) / scales.motor_m_per_ct * _ENTRY_PER_CT
+    return _seam(exact, half, spacing_ct, bench, scales), 2 * half * spacing_ct
 
 
 def _seam(
@@ -185,7 +203,7 @@ def cam_shape(n_samples: int, bench: Bench) -> CamShape:
     return CamShape(ct_per_cycle, moving, total - moving - CAM_RUN_UP_CYCLES, spacing)
 
 
-def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable:
+def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable[CompTable]:
     """COMP table of the time motor that adds a correction (m, at every servo cycle) to the axis.
 
     Outside the motion all entries are zero.

@@ -25,18 +25,19 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 (register D:$88, before any compensation)::
 
     x = r - X0           v = dr        a = dv        j = da        (differences over dn cycles)
-    u = v dn S_INV       s = (s + u) / (1 + |u|)          friction state, follows distance
-    w = v dn T_INV       t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
+    d = (v + L1 a + L2 j) dn                              way of a cycle L1 cycles later
+    u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
+    w = d T_INV          t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
     c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
-    y = c + D1 dc + D2 ddc                                 lead that undoes the loop's lag
-    correction = gain clamp(y)         is ADDED to the command (positive moves the motor up)
+    correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     q = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v| TV_INV)) t + T0
-    torque = gain limit(q + TL dq)     16-bit DAC units, added to the servo output
+    torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
-logic, holds its value at standstill and never overshoots. The torque's state fades within 0.2 s at
-rest: there friction holds the axis, and a torque that stays on would be wound up against by the
-integrator and be wrong at the next start.
+logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
+step at a reversal arrives with the axis in spite of latency, delay and current loop. The torque's
+state fades within 0.2 s at rest: there friction holds the axis, and a torque that stays on would
+be wound up against by the integrator and be wrong at the next start.
 """
 
 import zlib
@@ -94,9 +95,9 @@ class WorkIndex(IntEnum):
     ACCELERATION = 3  # a, counts/SC^2
     STATE = 4  # s
     TORQUE_STATE = 5  # t
-    LAW = 6  # c, counts
-    LAW_STEP = 7  # dc
-    TORQUE_LAW = 8  # q, DAC units
+    SPARE6 = 6
+    SPARE7 = 7
+    SPARE8 = 8
     CORRECTION = 9  # what was sent, counts
     TORQUE = 10  # what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
@@ -120,11 +121,11 @@ class BankIndex(IntEnum):
     TB = 10  # DAC units per (count/SC)
     TC = 11  # DAC units
     J0 = 12  # counts per (count/SC^3)
-    D1 = 13  # SC
-    D2 = 14  # SC^2
+    L1 = 13  # SC, look-ahead of the friction states
+    L2 = 14  # SC^2, half the square of it
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant
-    TL = 17  # SC, lead of the torque
+    SPARE17 = 17
     TS = 18  # DAC units, excess at low speed
     TV_INV = 19  # SC/count, inverse of the speed at which the excess is halved
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
@@ -204,11 +205,10 @@ class LawParameters:
     TB: float = 0.0
     TC: float = 0.0
     J0: float = 0.0
-    D1: float = 0.0
-    D2: float = 0.0
+    L1: float = 0.0
+    L2: float = 0.0
     T_INV: float = 0.0
     T0: float = 0.0
-    TL: float = 0.0
     TS: float = 0.0
     TV_INV: float = 0.0
     TE: float = 0.0
@@ -312,18 +312,16 @@ def evaluate(
     j = np.diff(a, prepend=0.0)
     x = r - p.X0
     start = dict(start_state or {})
-    s = _friction_state(v * p.S_INV, start.get("s", 0.0))
-    t = _friction_state(v * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
+    ahead = v + p.L1 * a + p.L2 * j
+    s = _friction_state(ahead * p.S_INV, start.get("s", 0.0))
+    t = _friction_state(ahead * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
-    dc = np.diff(c, prepend=c[0])
-    y = c + p.D1 * dc + p.D2 * np.diff(dc, prepend=dc[0])
     level = p.TC + p.TE * np.abs(a) + p.TS / (1.0 + np.abs(v) * p.TV_INV)
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0
-    torque = np.clip(q + p.TL * np.diff(q, prepend=q[0]), -p.T_LIMIT, p.T_LIMIT)
     return LawOutput(
-        correction_ct=gain * np.clip(y, -clamp_ct, clamp_ct),
-        torque_dac=gain * torque,
-        n_clamped=int(np.count_nonzero(np.abs(y) > clamp_ct)),
+        correction_ct=gain * np.clip(c, -clamp_ct, clamp_ct),
+        torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),
+        n_clamped=int(np.count_nonzero(np.abs(c) > clamp_ct)),
     )
 
 

@@ -39,7 +39,14 @@ STATIC_EFFECTS = frozenset(
         "scale_slope",
     }
 )
-_MECHANICAL_WEIGHT = 4.0  # the mechanical error is several times smaller than the control error
+# What a good law leaves: a tenth of the mechanical error or this much, a fifth of the total error.
+# Residuals count as shares of that, so that slow motions are not drowned by fast ones.
+_MECHANICAL_FRAC = 0.1
+_TOTAL_FRAC = 0.2
+_LEAST_MECHANICAL_m = 0.15e-6
+_LEAST_TOTAL_m = 1e-6
+_START_BREAKAWAY_m = 3e-6
+_DRIVE_DELAY_s = 5e-4  # of a current loop of 300 Hz: where the look-ahead starts from
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
 # Free coefficients with the size of a typical change.
@@ -52,8 +59,7 @@ _OFFSET_SCALES = {
     "coulomb_per_m": 1e-6,
     "jerk_s3": 1e-9,
     "breakaway_m": 1e-5,
-    "lead_s": 4e-4,
-    "lead2_s2": 2e-7,
+    "lookahead_s": 4e-4,
 }
 _TORQUE_SCALES = {
     "torque_inertia_Nm_s2_per_m": 0.02,
@@ -63,10 +69,9 @@ _TORQUE_SCALES = {
     "torque_load_Nm_s2_per_m": 0.02,
     "torque_excess_Nm": 0.1,
     "torque_breakaway_m": 1e-5,
-    "torque_lead_s": 1e-3,
     "torque_constant_Nm": 0.02,
 }
-_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6}
+_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6, "lookahead_s": 0.0}
 
 
 @dataclass(frozen=True)
@@ -194,6 +199,7 @@ def design_law(
     *,
     latency_cycles: int = 1,
     with_torque: bool = True,
+    every_cycles: int = 1,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
@@ -210,6 +216,8 @@ def design_law(
         Servo cycles by which the door delivers late (1 for PLC 0, 0 for the open servo).
     with_torque : bool
         Whether the route carries torque feed-forward.
+    every_cycles : int
+        Servo cycles between two passes of the law.
     motions : sequence of Trajectory, optional
         Where the coefficients are refined; ``design_motions`` if not given.
     provenance : dict, optional
@@ -226,6 +234,8 @@ def design_law(
     start = _start(bench, loop, chosen, latency_cycles, with_torque=with_torque)
     start = replace(
         start,
+        every_cycles=every_cycles,
+        lookahead_s=start.lookahead_s + (every_cycles - 1) * bench.servo_period_s,
         provenance=dict(provenance or {}),
         valid_speed_m_per_s=max(float(np.max(np.abs(m.velocity_m_per_s))) for m in chosen),
         valid_acceleration_m_per_s2=max(
@@ -256,7 +266,6 @@ def _start(
     matrix = np.concatenate(rows)
     offset, *_ = np.linalg.lstsq(matrix[:, :7], -np.concatenate(errors), rcond=None)
     torque, *_ = np.linalg.lstsq(matrix[:, [0, 2, 4, 6]], np.concatenate(torques), rcond=None)
-    late = (latency + 1) * period
     law = CompensationLaw(
         inertia_s2=float(offset[0]),
         inertia_per_m_s2_per_m=float(offset[1]),
@@ -264,7 +273,8 @@ def _start(
         viscous_per_m_s_per_m=float(offset[3]),
         coulomb_m=float(offset[4]),
         coulomb_per_m=float(offset[5]),
-        lead_s=late,
+        breakaway_m=_START_BREAKAWAY_m,
+        lookahead_s=(latency + 1) * period + _DRIVE_DELAY_s,
         origin_m=bench.mid_travel_m,
         amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,
     )
@@ -274,7 +284,7 @@ def _start(
         law,
         torque_jerk_Nm_s3_per_m=float(torque[3]),
         torque_coulomb_Nm=0.9 * float(torque[2]),
-        torque_lead_s=late,
+        torque_breakaway_m=_START_BREAKAWAY_m,
         torque_limit_Nm=0.9 * bench.drive.torque_limit_Nm,
     )
 
@@ -305,6 +315,7 @@ def _refined(
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size
     lowest = np.array([_LOWEST.get(name, -np.inf) for name in names]) / size
+    aims = [_aims(loop, motion) for motion in motions]
     count = 0
 
     def residual(point: FloatArray) -> FloatArray:
@@ -313,7 +324,8 @@ def _refined(
         if progress is not None:
             progress("computing the law", min(0.99, count / (8.0 * len(names))))
         law = start.with_values(**dict(zip(names, (point * size).tolist(), strict=True)))
-        return np.concatenate([_errors(law, loop, m, latency) for m in motions])
+        parts = zip(motions, aims, strict=True)
+        return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
 
     solved = least_squares(
         residual,
@@ -327,15 +339,32 @@ def _refined(
     return start.with_values(**dict(zip(names, (solved.x * size).tolist(), strict=True)))
 
 
-def _errors(law: CompensationLaw, loop: LoopRunner, motion: Trajectory, latency: int) -> FloatArray:
-    """Weighted residual mechanical error and total error in um of one motion."""
+def _aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:
+    """Mechanical and total error in m that would be a good result for a motion."""
+    before = loop(motion.position_m, None, None)
+    mechanical = float(np.std(before.table_position_m - before.motor_position_m))
+    total = float(np.std(before.table_position_m - motion.position_m))
+    return (
+        max(_MECHANICAL_FRAC * mechanical, _LEAST_MECHANICAL_m),
+        max(_TOTAL_FRAC * total, _LEAST_TOTAL_m),
+    )
+
+
+def _errors(
+    law: CompensationLaw,
+    loop: LoopRunner,
+    motion: Trajectory,
+    latency: int,
+    aims: tuple[float, float],
+) -> FloatArray:
+    """Residual mechanical error and total error of one motion as shares of the aims."""
     sent = evaluate_law(law, motion.position_m, motion.sample_period_s, latency_cycles=latency)
     desired = motion.position_m + sent.correction_m
     signals = loop(motion.position_m, desired, sent.torque_Nm)
     residual = signals.table_position_m - signals.motor_position_m + sent.correction_m
     total = signals.table_position_m - motion.position_m
-    both = np.concatenate([_MECHANICAL_WEIGHT * (residual - residual[0]), total - total[0]])
-    return np.asarray(both[::_DECIMATION] * UM_PER_M / math.sqrt(motion.n))
+    both = np.concatenate([(residual - residual[0]) / aims[0], (total - total[0]) / aims[1]])
+    return np.asarray(both[::_DECIMATION] / math.sqrt(motion.n))
 
 
 def promise(

@@ -7,14 +7,15 @@ coefficients (``design``). Imports ``base`` only.
 With ``r`` the commanded position, ``v a j`` its backward differences at the servo period and ``x``
 the distance from the law's origin::
 
-    s' = |v| (sgn v - s) / break-away distance         friction state, follows distance
-    c  = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
-    correction = c + D1 c' + D2 c''                     is added to the command
-    q  = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v|/v_half)) t + T0
-    torque = q + TL q'                                  is added to the controller's output
+    w  = v + L a + L^2/2 j                              speed expected L seconds later
+    s' = (|w| (sgn w - s)) / break-away distance        friction state, follows distance
+    correction = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j     added to the command
+    torque = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v|/v_half)) t + T0   to the output
 
 ``t`` is a second friction state with the break-away distance of the motor's friction; it fades at
-rest within 0.2 s.
+rest within 0.2 s. The look-ahead L covers the delay of door, drive and loop: at a reversal the
+friction's step must meet the axis on time, and a lead by derivatives makes a spike of a step that
+rings the first mode instead.
 """
 
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -25,6 +26,8 @@ from numba import njit
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
+
+_MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 
 
 @dataclass(frozen=True)
@@ -43,22 +46,22 @@ class CompensationLaw:
         J0 (m per m/s3), damping of the chain.
     breakaway_m, torque_breakaway_m : float
         Distances over which the friction states follow a reversal.
-    lead_s, lead2_s2 : float
-        D1 and D2, which undo latency and loop lag.
+    lookahead_s : float
+        L, from latency, delay and current loop to the motor's own reversal.
     torque_inertia_Nm_s2_per_m, torque_jerk_Nm_s3_per_m, torque_viscous_Nm_s_per_m : float
         TJ, TK, TB.
     torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_excess_Nm, torque_constant_Nm : float
         TC, TE, TS, T0.
     excess_speed_m_per_s : float
         Speed at which the excess TS is halved.
-    torque_lead_s : float
-        TL.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
         Clamps that the running law applies.
     valid_speed_m_per_s, valid_acceleration_m_per_s2 : float
         Range of motions that the coefficients were fitted on.
+    every_cycles : int
+        Servo cycles between two passes of the law; 2 halves what PLC 0 costs.
     provenance : dict
         Model digest, bench digest, effects, time of the fit.
     """
@@ -71,8 +74,7 @@ class CompensationLaw:
     coulomb_per_m: float = 0.0
     jerk_s3: float = 0.0
     breakaway_m: float = 10e-6
-    lead_s: float = 0.0
-    lead2_s2: float = 0.0
+    lookahead_s: float = 0.0
     torque_inertia_Nm_s2_per_m: float = 0.0
     torque_jerk_Nm_s3_per_m: float = 0.0
     torque_viscous_Nm_s_per_m: float = 0.0
@@ -82,12 +84,12 @@ class CompensationLaw:
     torque_constant_Nm: float = 0.0
     excess_speed_m_per_s: float = 5e-3
     torque_breakaway_m: float = 10e-6
-    torque_lead_s: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
     valid_speed_m_per_s: float = 0.0
     valid_acceleration_m_per_s2: float = 0.0
+    every_cycles: int = 1
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -97,6 +99,12 @@ class CompensationLaw:
             for name in ("breakaway_m", "torque_breakaway_m", "excess_speed_m_per_s")
             if getattr(self, name) <= 0.0
         ]
+        if not 1 <= self.every_cycles <= _MOST_CYCLES:
+            raise ModelError(
+                f"A law cannot run every {self.every_cycles} servo cycles.",
+                code="PC-LAW-021",
+                hint=f"Choose 1 to {_MOST_CYCLES}.",
+            )
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
@@ -134,8 +142,9 @@ TORQUE_NAMES = (
 
 
 def coefficient_names() -> tuple[str, ...]:
-    """Names of all numeric fields in order."""
-    return tuple(f.name for f in fields(CompensationLaw) if f.name != "provenance")
+    """Names of all coefficients in order."""
+    others = {"provenance", "every_cycles"}
+    return tuple(f.name for f in fields(CompensationLaw) if f.name not in others)
 
 
 @dataclass(frozen=True)
@@ -174,11 +183,15 @@ def evaluate_law(
     Returns
     -------
     LawSignals
-        What the servo receives in each cycle, clamped to the law's limits.
+        What the servo receives in each cycle, clamped to the law's limits; a law that runs every
+        second cycle holds its values for two.
     """
     position = finite_array("position_m", position_m)
     values = np.array([float(getattr(law, name)) for name in coefficient_names()])
-    correction, torque = _evaluate(values, position, period_s)
+    every = law.every_cycles
+    correction, torque = _evaluate(values, position[::every], every * period_s)
+    correction = np.repeat(correction, every)[: position.size]
+    torque = np.repeat(torque, every)[: position.size]
     clamped = np.abs(correction) > law.amplitude_limit_m
     correction = np.clip(correction, -law.amplitude_limit_m, law.amplitude_limit_m)
     torque = np.clip(torque, -law.torque_limit_Nm, law.torque_limit_Nm)
@@ -203,26 +216,21 @@ def _evaluate(p: FloatArray, r: FloatArray, period: float) -> tuple[FloatArray, 
     correction = np.empty(n)
     torque = np.empty(n)
     v = a = s = t = 0.0
-    c1 = dc1 = q1 = 0.0
     for k in range(n):
-        step = r[k] - r[k - 1] if k > 0 else 0.0
         v1, a1 = v, a
-        v = step / period
+        v = (r[k] - r[k - 1]) / period if k > 0 else 0.0
         a = (v - v1) / period
         j = (a - a1) / period
-        # Implicit Euler of the friction state: holds at standstill, never overshoots.
+        # Implicit Euler of the friction states: holds at standstill, never overshoots.
+        step = (v + p[8] * a + 0.5 * p[8] * p[8] * j) * period
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
-        w = step / p[18]
+        w = step / p[17]
         t = (t + w) / (1.0 + _FADE + abs(w))
-        x = r[k] - p[20]
-        c = (p[0] + p[1] * x) * a + (p[2] + p[3] * x) * v + (p[4] + p[5] * x) * s + p[6] * j
-        level = p[13] + p[14] * abs(a) + p[15] / (1.0 + abs(v) / p[17])
-        q = p[10] * a + p[11] * j + p[12] * v + level * t + p[16]
-        if k == 0:
-            c1, q1 = c, q
-        dc = (c - c1) / period
-        correction[k] = c + p[8] * dc + p[9] * (dc - dc1) / period
-        torque[k] = q + p[19] * (q - q1) / period
-        c1, dc1, q1 = c, dc, q
+        x = r[k] - p[18]
+        correction[k] = (
+            (p[0] + p[1] * x) * a + (p[2] + p[3] * x) * v + (p[4] + p[5] * x) * s + p[6] * j
+        )
+        level = p[12] + p[13] * abs(a) + p[14] / (1.0 + abs(v) / p[16])
+        torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[15]
     return correction, torque

@@ -22,8 +22,7 @@ LAW = CompensationLaw(
     coulomb_per_m=0.8e-6,
     jerk_s3=1e-9,
     breakaway_m=5e-6,
-    lead_s=6e-4,
-    lead2_s2=1e-7,
+    lookahead_s=1.8e-3,
     torque_inertia_Nm_s2_per_m=0.01,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_viscous_Nm_s_per_m=0.1,
@@ -31,7 +30,6 @@ LAW = CompensationLaw(
     torque_load_Nm_s2_per_m=0.005,
     torque_excess_Nm=0.1,
     torque_constant_Nm=0.01,
-    torque_lead_s=1.5e-3,
     origin_m=0.02,
     torque_limit_Nm=17.0,
 )

@@ -32,11 +32,10 @@ LAW = CompensationLaw(
     coulomb_m=0.9e-6,
     coulomb_per_m=0.8e-6,
     breakaway_m=2e-6,
-    lead_s=8e-4,
+    lookahead_s=1.8e-3,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_coulomb_Nm=0.45,
     torque_breakaway_m=5e-6,
-    torque_lead_s=1e-3,
     torque_limit_Nm=10.0,
 )
 X = np.arange(-0.3, 0.3005, 1e-3)
