@@ -43,6 +43,7 @@ from pmac_comp.simulator.plant.door import Plant
 from pmac_comp.simulator.plcs import Plcs
 from pmac_comp.simulator.ports import Port
 from pmac_comp.simulator.programs import Program, ProgramStore, parse_program
+from pmac_comp.simulator.ring_hold import RingHold
 from pmac_comp.simulator.rotary import RotaryBuffers
 from pmac_comp.simulator.servo import Servo, ServoEvent
 from pmac_comp.simulator.servo_tuning import pmac_gains
@@ -111,6 +112,7 @@ class Card:
         self.servo.on_event = self._servo_event
         self.tables = self.servo.tables
         self.gathering = self.servo.gathering
+        self.ring_hold = RingHold(self.memory)
         self.status = Answers(self.memory, self.servo)
         self.programs = ProgramStore(self.memory)
         self.plcs = Plcs(self)

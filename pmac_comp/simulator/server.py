@@ -81,7 +81,8 @@ class ServeOptions:
     host : str
         Address to listen on.
     speed : str
-        ``real``, a factor, or ``max``.
+        ``real``, a factor, or ``max``; faster than real time the card waits for a host that empties
+        the gather ring (`ring_hold`).
     force : Path or None
         CSV file with ``time_s,force_N``.
     pace : HostPace or None
@@ -372,9 +373,11 @@ class SimulatorServer:
         factor = self.options.factor
         if factor == float("inf"):
             while True:
-                self._run_chunk(_MAX_CHUNK_CYCLES)
+                cycles = min(_MAX_CHUNK_CYCLES, self._allowed())
+                if cycles:
+                    self._run_chunk(cycles)
                 self._announce()
-                await asyncio.sleep(0)
+                await asyncio.sleep(0 if cycles else _IDLE_s)
         loop = asyncio.get_running_loop()
         period_s = self.card.bench.servo_period_s / factor
         start_s, start_cycles = loop.time(), self.card.cycles
@@ -386,10 +389,17 @@ class SimulatorServer:
                 slipped = behind - int(_LONGEST_LAG_s / period_s)
                 start_cycles -= slipped
                 behind -= slipped
+            if factor > 1.0 and behind > (allowed := self._allowed()):
+                start_cycles -= behind - allowed
+                behind = allowed
             if behind > 0:
                 self._run_chunk(behind)
             self._announce()
             await asyncio.sleep(0 if behind > self._chunk_cycles else _TICK_s)
+
+    def _allowed(self) -> int:
+        """Cycles that a host which empties the gather ring can follow."""
+        return self.card.ring_hold.allowance(self.card.cycles, time.perf_counter())
 
     def _run_chunk(self, wanted: int) -> None:
         """Run at most as many cycles as keep clients waiting for ``_LONGEST_CHUNK_s``.

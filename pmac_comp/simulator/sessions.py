@@ -205,6 +205,7 @@ class EthernetSession:
     def _get_memory(self, request: Request) -> bytes:
         size = min(request.length, MAX_REPLY)
         self._check_window(request.value, size)
+        self.card.ring_hold.look(request.value, size)
         return self.card.memory.read_bytes(request.value, size)
 
     def _set_memory(self, request: Request) -> bytes:
