@@ -1,100 +1,161 @@
-"""Report of a diagnosis: verdict, evidence, where the residual lives, growth path."""
+"""Report of a diagnosis: verdict, where the residual lives, evidence, growth path."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pmac_comp import __version__
-from pmac_comp.report import figures
+from pmac_comp.physics.diagnose import Diagnosis
+from pmac_comp.physics.diagnose.result import Evidence
+from pmac_comp.report import diagnosis_figures as figures
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome
+
+_TITLES = {
+    "named": "Missing physics named",
+    "none": "Nothing is missing",
+    "unknown": "Something is missing that has no name here",
+    "tie": "Look-alikes that these runs cannot separate",
+}
+_MOST_COORDINATES = 4
+_MOST_TRACES = 6
+_LEAST_SHARE = 0.02
 
 
 def write_diagnosis_report(outcome: DiagnosisOutcome, path: Path) -> Path:
     """Report of a diagnosis as one page."""
     d = outcome.diagnosis
-    title = {"named": "Missing physics named", "none": "Nothing is missing",
-             "unknown": "Something is missing that has no name here",
-             "tie": "Look-alikes that these runs cannot separate"}[d.verdict]  # fmt: skip
+    sections = [
+        _words(outcome),
+        *_separation(d),
+        _where(d),
+        _evidence(d),
+        _growth(d),
+        _traces(d),
+    ]
     page = Page(
-        title=title,
+        title=_TITLES[d.verdict],
         subtitle=", ".join(d.named) or "no effect named",
-        notice="Gaps are measured minus simulated on captures that were not used for fitting; the "
-        "simulation runs closed loop from the commanded trajectory alone.",
-        headline=[
-            (f"{d.gap_before_um:.3f} → {d.gap_after_um:.3f} um", f"gap, {d.gap_channel}, rms"),
-            (f"{d.noise_floor_um:.3f} um", "noise floor"),
-            (d.verdict, "verdict"),
-        ],
-        sections=[
-            _words(outcome),
-            _evidence(outcome),
-            _where(outcome),
-            _traces(outcome),
-        ],
-        facts={"pmac-comp": __version__, "bench digest": outcome.bench.digest},
+        notice=f"{outcome.provenance} Gaps are measured minus simulated on captures that were not "
+        "used for fitting; the simulation runs closed loop from the commanded trajectory alone.",
+        headline=_headline(d),
+        sections=sections,
+        facts={
+            "pmac-comp": __version__,
+            "bench": outcome.bench.name,
+            "bench digest": outcome.bench.digest,
+        },
     )
     return write_page(page, path)
+
+
+def _headline(d: Diagnosis) -> list[tuple[str, str]]:
+    shown = [
+        (d.verdict, "verdict"),
+        (f"{d.gap_before_um:.3g} → {d.gap_after_um:.3g} um", f"gap, {d.gap_channel}, rms"),
+        (f"{d.noise_floor_um:.3g} um", "noise floor"),
+    ]
+    if d.torque_gap_before_Nm is not None and d.torque_gap_after_Nm is not None:
+        text = f"{d.torque_gap_before_Nm:.3g} → {d.torque_gap_after_Nm:.3g} N m"
+        shown.append((text, "torque gap, rms"))
+    return shown
 
 
 def _words(outcome: DiagnosisOutcome) -> Section:
     d = outcome.diagnosis
     rows = [(e.name, e.value, e.unit, e.std, e.lower95, e.upper95) for e in d.estimates]
-    tables = []
-    if rows:
-        tables.append(
-            Table(("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %"), rows)
-        )
-    if d.path:
-        path = [(" + ".join(g.added) or "base", g.gap_um, g.torque_gap_Nm) for g in d.path]
-        tables.append(Table(("added", "gap um", "torque gap N m"), path, "Growth path"))
-    text = [*d.statements, *(f.text for f in d.findings)]
-    if d.separating_experiment is not None:
-        text.append(f"To separate look-alikes: {d.separating_experiment.text}")
-    return Section("What was found", text=text, tables=tables)
+    columns = ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %")
+    tables = [Table(columns, rows)] if rows else []
+    return Section("What was found", text=[*d.statements, *outcome.findings()], tables=tables)
 
 
-def _evidence(outcome: DiagnosisOutcome) -> Section:
-    rows = [
-        (e.round, e.name, e.status, e.heldout_gain, e.bic_gain, e.p_value, e.gap_um)
-        for e in outcome.diagnosis.evidence
+def _separation(d: Diagnosis) -> list[Section]:
+    """What would tell look-alikes apart, with commands that can be pasted."""
+    experiment = d.separating_experiment
+    if experiment is None:
+        return []
+    title = "The run that would separate " + " and ".join(experiment.effects)
+    if d.verdict != "tie":
+        title = "The run that would tell most"
+    motions = [(f'--motion "{m}"',) for m in experiment.motions]
+    tables = [Table(("option of pmac-comp capture",), motions)] if motions else []
+    return [Section(title, text=[experiment.text], tables=tables)]
+
+
+def _where(d: Diagnosis) -> Section:
+    """Residual against the coordinates in which it lives, base and grown model."""
+    chosen = [r for r in d.where if r.channel == d.gap_channel and r.share >= _LEAST_SHARE]
+    shapes = []
+    for region in chosen[:_MOST_COORDINATES]:
+        image = figures.coordinate_figure(d.traces, region.coordinate)
+        if image is not None:
+            shapes.append((image, f"Base model, all captures: {region.describe()}."))
+    spectrum = figures.spectrum_figure(d.traces)
+    if spectrum is not None:
+        shapes.append((spectrum, "Residual over frequency, captures not used for fitting."))
+    left = [f"Left after growth: {r.describe()}." for r in d.residual] or [
+        "What is left after growth is noise."
     ]
-    columns = ("round", "candidate", "status", "held-out gain", "BIC gain", "p", "gap um")
+    return Section("Where simulation and measurement disagree", text=left, figures=shapes)
+
+
+def _evidence(d: Diagnosis) -> Section:
+    refitted = [e for e in d.evidence if e.status != "screened"]
+    rows = [
+        (
+            e.name,
+            e.round,
+            e.status,
+            *map(_finite, (e.heldout_gain, e.bic_gain, e.p_value)),
+            e.gap_um,
+        )
+        for e in refitted
+    ]
+    columns = ("candidate", "round", "status", "held-out gain", "BIC gain", "p", "gap um")
+    image = figures.candidates_figure(d.evidence)
     return Section(
         "Candidates and their evidence",
-        text=["Held-out gain: drop of the whitened sum of squares per thousand samples."],
-        tables=[Table(columns, [tuple(_finite(v) for v in row) for row in rows])],
+        text=[
+            "Every candidate is refitted jointly with the parameters it could hide behind. The "
+            "p-value is that of a block sign-flip test, corrected for the number of candidates; "
+            "half the BIC gain is the logarithm of the Bayes factor, near enough.",
+            *_screened(d.evidence),
+        ],
+        tables=[Table(columns, rows)] if rows else [],
+        figures=[] if image is None else [(image, "Candidates that got a full refit.")],
     )
 
 
-def _finite(value: object) -> object:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def _screened(evidence: Sequence[Evidence]) -> list[str]:
+    """Candidates that a linearised refit ruled out, in one sentence per round."""
+    said = []
+    for number in sorted({e.round for e in evidence}):
+        names = [e.name for e in evidence if e.round == number and e.status == "screened"]
+        if names:
+            said.append(
+                f"Round {number}: a linearised joint refit gave these too little to be refitted "
+                f"in full: {', '.join(names)}."
+            )
+    return said
 
 
-def _where(outcome: DiagnosisOutcome) -> Section:
-    d = outcome.diagnosis
-    shapes = [
-        (
-            figures.region_figure(
-                np.array(r.centres), np.array(r.means_um), f"{r.coordinate} {r.unit}"
-            ),
-            r.describe(),
-        )
-        for r in d.where[:4]
-        if r.centres
-    ]
-    left = [f"Left after growth: {r.describe()}" for r in d.residual] or [
-        "What is left after growth is noise."
-    ]
-    return Section("Where the base model disagrees", text=left, figures=shapes)
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
-def _traces(outcome: DiagnosisOutcome) -> Section:
+def _growth(d: Diagnosis) -> Section:
+    path = [(" + ".join(g.added) or "base", g.gap_um, g.torque_gap_Nm) for g in d.path]
+    image = figures.growth_figure(d.path, d.noise_floor_um)
+    return Section(
+        "Growth path",
+        tables=[Table(("added", "gap um", "torque gap N m"), path)],
+        figures=[(image, "Gap after every step, each model refitted.")],
+    )
+
+
+def _traces(d: Diagnosis) -> Section:
     images = [
-        (
-            figures.pair_figure(t.time_s, t.before_um, t.after_um),
-            f"{t.name}: measured minus simulated, base and grown model.",
-        )
-        for t in outcome.diagnosis.traces[:6]
+        (figures.trace_figure(t), f"{t.name}: residual over time.") for t in d.traces[:_MOST_TRACES]
     ]
     return Section("Residuals on captures not used for fitting", figures=images)

@@ -223,30 +223,3 @@ def save_difference_plot(result: Mapping[str, Any], path: Path) -> None:
         axis.legend()
         figure.savefig(path)
         plt.close(figure)
-
-
-def region_figure(centres: FloatArray, means_um: FloatArray, label: str) -> str:
-    """Mean residual along a coordinate."""
-
-    def draw(figure: Figure) -> None:
-        axis = figure.subplots()
-        axis.axhline(0.0, color="#77776f", lw=0.6)
-        axis.plot(centres, means_um, "o-", color=BEFORE, ms=2.5, lw=0.9)
-        axis.set_xlabel(label.replace("_", " "))
-        axis.set_ylabel("mean residual um")
-
-    return svg(draw, 7.2, 2.1)
-
-
-def pair_figure(time_s: FloatArray, before_um: FloatArray, after_um: FloatArray) -> str:
-    """Residual over time with the base and with the grown model."""
-
-    def draw(figure: Figure) -> None:
-        axis = figure.subplots()
-        axis.plot(*thin_pair(time_s, np.nan_to_num(before_um)), color=BEFORE, lw=0.7, label="base")
-        axis.plot(*thin_pair(time_s, np.nan_to_num(after_um)), color=AFTER, lw=0.7, label="grown")
-        axis.set_xlabel("time s")
-        axis.set_ylabel("um")
-        axis.legend(loc="upper right", ncols=2)
-
-    return svg(draw, 7.2, 2.1)
