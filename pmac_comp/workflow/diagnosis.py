@@ -1,7 +1,7 @@
 """Diagnosis of capture files: the contract's JSON, the grown model, words for people."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +9,7 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model
 from pmac_comp.workflow.identification import check_period, load_model, user_effects
+from pmac_comp.workflow.same_axis import check_channels, check_not_twice, check_same_axis
 
 if TYPE_CHECKING:
     from pmac_comp.physics.diagnose import Diagnosis
@@ -25,11 +26,27 @@ class DiagnosisOutcome:
     diagnosis: "Diagnosis"
     model: ModelFile
     model_path: Path | None
+    bench_name: str = "BENCH"
+    sources: tuple[str, ...] = ()
+    remark: str = ""
+
+    @property
+    def provenance(self) -> str:
+        """Where the captures come from, in a sentence; a simulation is never called measured."""
+        known = [source for source in self.sources if source]
+        return f"Source of the captures: {'; '.join(known) or 'not stated'}."
+
+    def findings(self) -> list[str]:
+        """What was found beside the effects, in sentences."""
+        remarks = [self.remark] if self.remark else []
+        return remarks + [f"Finding: {finding.text}." for finding in self.diagnosis.findings]
 
     def as_result(self) -> dict[str, Any]:
         """The contract's mapping, with ``model_file`` (path) and the model itself."""
         return {
             **self.diagnosis.to_json(),
+            "sources": list(self.sources),
+            "remark": self.remark,
             "model_file": None if self.model_path is None else str(self.model_path),
             "model": self.model.model_dump(mode="json"),
         }
@@ -39,22 +56,13 @@ class DiagnosisOutcome:
         d = self.diagnosis
         out = [f"verdict: {d.verdict}" + (f" - {', '.join(d.named)}" if d.named else "")]
         out += [f"  {line}" for line in d.statements]
-        out.append(
-            f"gap ({d.gap_channel}, captures not used for fitting): {d.gap_before_um:.3f} -> "
-            f"{d.gap_after_um:.3f} um rms, noise floor {d.noise_floor_um:.3f} um"
-        )
-        out += [
-            f"  {e.name} = {e.value:.4g} {e.unit} (95 %: {e.lower95:.4g} .. {e.upper95:.4g})"
-            for e in d.estimates
-        ]
-        out += [f"tied: {' / '.join(group)}" for group in d.tied]
+        out += [f"  {line}" for line in self.findings()]
         if d.separating_experiment is not None:
-            out.append(f"to separate them: {d.separating_experiment.text}")
+            out.append(f"the run that would tell more: {d.separating_experiment.text}")
             out += [
-                f"  pmac-comp capture ... --motion {m}" for m in d.separating_experiment.motions
+                f'  pmac-comp capture URL --bench {self.bench_name} --motion "{m}"'
+                for m in d.separating_experiment.motions
             ]
-        out += [f"left over: {region.describe()}" for region in d.residual]
-        out += [f"finding: {finding.text}" for finding in d.findings]
         if self.model_path is not None:
             out.append(f"grown model: {self.model_path}")
         return out
@@ -88,7 +96,10 @@ def diagnose_captures(
         effects={**effect_library(), **own} if own else None,
         progress=told,
     )
-    return DiagnosisOutcome(bench, found, _model_file(found, bench, data), None)
+    sources = dict.fromkeys(str(c.attributes.get("source", "")) for c in [*captures, *validate])
+    return DiagnosisOutcome(
+        bench, found, _model_file(found, bench, data), None, bench.name, tuple(sources)
+    )
 
 
 def diagnose_files(
@@ -103,22 +114,25 @@ def diagnose_files(
 ) -> DiagnosisOutcome:
     """Diagnose capture files; the grown model goes to ``model_out`` where one is named."""
     loaded = load_bench(bench)
-    read = {path: read_capture(path) for path in [*captures, *validate]}
+    digests = {path: file_digest(path) for path in [*captures, *validate]}
+    check_not_twice({str(p): digests[p] for p in captures}, {str(p): digests[p] for p in validate})
+    read = {path: read_capture(path) for path in digests}
     for path, capture in read.items():
         check_period(capture, loaded, path.name)
+        check_same_axis(capture, loaded, path.name)
+    remark = check_channels({path.name: capture for path, capture in read.items()}, loaded)
     outcome = diagnose_captures(
         [read[path] for path in captures],
         loaded,
         validate=[read[path] for path in validate],
         model=None if model is None else load_model(model, loaded, effects=effects),
         effects=effects,
-        data=[(path.name, file_digest(path)) for path in captures],
+        data=[(path.name, digests[path]) for path in captures],
         progress=progress,
     )
-    if model_out is None:
-        return outcome
-    write_model(model_out, outcome.model)
-    return DiagnosisOutcome(loaded, outcome.diagnosis, outcome.model, model_out)
+    if model_out is not None:
+        write_model(model_out, outcome.model)
+    return replace(outcome, bench_name=bench, model_path=model_out, remark=remark)
 
 
 def _model_file(found: "Diagnosis", bench: Bench, data: Sequence[tuple[str, str]]) -> ModelFile:

@@ -1,0 +1,133 @@
+"""Whether captures belong together and to a bench: sensors, screw, controller, channels.
+
+What lives here: refusals before any computing. What may not: anything that changes data.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pmac_comp.base.errors import CaptureError, ConfigError
+from pmac_comp.files.bench import Bench, parse_bench
+from pmac_comp.files.capture import Capture
+
+# What a capture depends on. Inertias and stiffnesses are not in it: they are being refined.
+_OF_THE_AXIS = ("screw.pitch_mm", "encoder.counts_per_rev", "scale.resolution_um")
+
+
+def check_same_axis(capture: Capture, bench: Bench, name: str) -> None:
+    """Refuse a capture whose own bench text tells of another axis or other gains.
+
+    Parameters
+    ----------
+    capture : Capture
+        May carry the text of the bench file it was made with.
+    bench : Bench
+        The bench file that was given.
+    name : str
+        Of the capture, for the error.
+
+    Raises
+    ------
+    ConfigError
+        Screw, sensors or control law differ.
+    """
+    text = str(capture.attributes.get("bench_text", ""))
+    if not text:
+        return
+    try:
+        own = parse_bench(text, name=f"bench text in {name}")
+    except ConfigError:
+        return  # of an older version; the period is checked in any case
+    differences = _differences(_axis_of(own), _axis_of(bench))
+    if differences:
+        raise ConfigError(
+            f"{name} was captured on another axis or under other gains than the bench file "
+            f"states: {'; '.join(differences)}.",
+            code="PC-DIA-010",
+            hint="Give the bench file of this capture. If its stored text is wrong, take the "
+            f"samples without it: `pmac-comp convert {name} {Path(name).stem}.csv`.",
+        )
+
+
+def _axis_of(bench: Bench) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for path in _OF_THE_AXIS:
+        table, key = path.split(".")
+        found[path] = getattr(getattr(bench, table), key, None)
+    law = bench.controller
+    found["controller.kind"] = law.kind
+    found |= {f"controller.ivariables.{k}": v for k, v in _gains(bench).items()}
+    stated = {"si": law.si, "cascade": law.cascade}.get(law.kind)
+    if stated is not None:
+        found |= {f"controller.{law.kind}.{k}": v for k, v in stated.model_dump().items()}
+    return found
+
+
+def _gains(bench: Bench) -> Mapping[str, float]:
+    """I-variables of the motor's servo law, Ixx30 to Ixx39 and Ixx68."""
+    if bench.controller.kind != "pmac":
+        return {}
+    motor = bench.encoder.motor_number
+    names = [f"I{motor * 100 + tail}" for tail in (*range(30, 40), 68)]
+    held = bench.controller.ivariables
+    return {name: held[name] for name in names if name in held}
+
+
+def _differences(own: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{key} {_shown(own.get(key))} in the capture, {_shown(given.get(key))} in the bench file"
+        for key in dict.fromkeys([*own, *given])
+        if own.get(key) != given.get(key)
+    ]
+
+
+def _shown(value: Any) -> str:
+    return "not stated" if value is None else f"{value:g}" if isinstance(value, float) else value
+
+
+def check_channels(captures: Mapping[str, Capture], bench: Bench) -> str:
+    """Refuse captures of which only some hold the table; gives back a remark where none does.
+
+    Raises
+    ------
+    CaptureError
+        The table is missing in some captures only.
+    """
+    without = [name for name, c in captures.items() if c.table_position_m is None]
+    if bench.scale is None or not without:
+        return ""
+    if len(without) < len(captures):
+        raise CaptureError(
+            f"The column table_position_mm is missing in {', '.join(without)}, the others have it.",
+            code="PC-DIA-011",
+            hint="Leave these captures out, or capture them again with the scale.",
+        )
+    return (
+        "No capture holds table_position_mm although the bench file states a scale: only what the "
+        "motor shows is judged."
+    )
+
+
+def check_not_twice(fit: Mapping[str, str], judge: Mapping[str, str]) -> None:
+    """Refuse a capture that would fit and judge at once.
+
+    Parameters
+    ----------
+    fit, judge : Mapping of str to str
+        Name to digest.
+
+    Raises
+    ------
+    CaptureError
+        The same samples stand on both sides.
+    """
+    digests = {digest: name for name, digest in fit.items()}
+    twice = [f"{name} ({digests[d]})" for name, d in judge.items() if d in digests]
+    if twice:
+        raise CaptureError(
+            f"Given for fitting and for judging alike: {', '.join(twice)}.",
+            code="PC-DIA-012",
+            hint="A model must be judged on captures it has not seen; leave --validate out to let "
+            "some be held back.",
+        )

@@ -1,0 +1,61 @@
+"""Captures that do not belong to the bench, or not together, are refused before any computing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import CaptureError, ConfigError
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.workflow.same_axis import check_channels, check_not_twice, check_same_axis
+
+BENCH = load_bench("paper")
+
+
+def capture(text: str = "") -> Capture:
+    time = BENCH.servo_period_s * np.arange(100)
+    attributes = {"bench_text": text} if text else {}
+    return Capture(
+        time, np.zeros(100), np.zeros(100), table_position_m=np.zeros(100), attributes=attributes
+    )
+
+
+def test_a_capture_of_this_axis_and_one_without_a_text_pass():
+    check_same_axis(capture(BENCH.text), BENCH, "a.h5")
+    check_same_axis(capture(), BENCH, "a.h5")
+    check_same_axis(capture("no bench file"), BENCH, "a.h5")
+
+
+def test_refined_inertias_and_stiffnesses_are_no_other_axis():
+    text = BENCH.text.replace("table_mass_kg = 122.86", "table_mass_kg = 130.0")
+    assert text != BENCH.text
+    check_same_axis(capture(text), BENCH, "a.h5")
+
+
+def test_another_encoder_is_named_with_both_values():
+    with pytest.raises(ConfigError, match=r"encoder\.counts_per_rev 40000 .* 10000") as caught:
+        check_same_axis(capture(load_bench("paper_x4").text), BENCH, "a.h5")
+    assert "pmac-comp convert a.h5" in str(caught.value.hint)
+
+
+def test_other_gains_are_refused():
+    text = BENCH.text.replace("I130 = 139449", "I130 = 100000")
+    with pytest.raises(ConfigError, match="I130"):
+        check_same_axis(capture(text), BENCH, "a.h5")
+
+
+def test_a_table_channel_missing_in_some_captures_is_refused_and_in_all_said():
+    whole = capture()
+    blind = replace(whole, table_position_m=None)
+    assert check_channels({"a": whole, "b": whole}, BENCH) == ""
+    with pytest.raises(CaptureError, match=r"table_position_mm is missing in b\.h5"):
+        check_channels({"a.h5": whole, "b.h5": blind}, BENCH)
+    assert "only what the motor shows" in check_channels({"a": blind}, BENCH)
+    assert check_channels({"a": blind}, load_bench("emps")) == ""
+
+
+def test_a_capture_cannot_fit_and_judge():
+    check_not_twice({"a.h5": "1"}, {"b.h5": "2"})
+    with pytest.raises(CaptureError, match=r"copy\.h5 \(a\.h5\)"):
+        check_not_twice({"a.h5": "1"}, {"copy.h5": "1"})
