@@ -40,13 +40,23 @@ def compensate(
     route: RouteOption = "law",
     slow: Annotated[
         list[Path] | None,
-        typer.Option("--slow", help="Slow bidirectional run for the lead table (repeatable)"),
+        typer.Option(
+            "--slow", help="Slow bidirectional run for lead and backlash table (repeatable)"
+        ),
+    ] = None,
+    captures: Annotated[
+        list[Path] | None,
+        typer.Option("--captures", help="Calibration run that trims the law (repeatable)"),
     ] = None,
     command: Annotated[
-        Path | None, typer.Option("--command", "-c", help="The motion for cam and program (CSV)")
-    ] = None,
+        str,
+        typer.Option(
+            "--command", "-c", help="The motion of cam and program: CSV, or as `capture --motion`"
+        ),
+    ] = "",
     limit: Annotated[
-        bool, typer.Option("--limit", help="Clip to the safety limits and list what was cut")
+        bool,
+        typer.Option("--limit", help="Clip to the limits and to the measured travel, and say so"),
     ] = False,
     effects: Annotated[
         Path | None, typer.Option("--effects", help="Python file with effects of your own")
@@ -55,17 +65,22 @@ def compensate(
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
     from pmac_comp.workflow.computing import compensate_files
+    from pmac_comp.workflow.static_map import Limit
 
+    progress = ProgressLines()
     result = compensate_files(
         bench,
         model,
         output.checked_target(out),
         route=route,
         slow=tuple(slow or ()),
+        captures=tuple(captures or ()),
         command=command,
-        clip=limit,
+        limit=Limit.CLIP if limit else Limit.REFUSE,
         effects=effects,
+        progress=progress,
     )
+    progress.close()
 
     def show() -> None:
         output.table("compensation", ("item", "value"), result["summary"].items())

@@ -73,7 +73,7 @@ class Cam:
     """
 
     motion: Motion
-    table: RenderedTable
+    table: RenderedTable[CompTable]
     program: Program
     shape: CamShape
 
@@ -334,12 +334,3 @@ def cam_axis(axis: Axis, compensation: Compensation) -> tuple[CamAxis, Sequence[
     """The axis that runs a cam, and its one motion."""
     cam = render_cam(compensation, axis.bench)
     return CamAxis(axis.link, axis.bench, axis.identity, cam=cam), (cam.motion,)
-
-
-def tables_of(compensation: Compensation, bench: Bench) -> tuple[CompTable, ...]:
-    """Tables of a compensation: the lead table of the axis and the cam of the time motor."""
-    rendered = compensation.table(bench)
-    found = () if rendered is None else (rendered.table,)
-    if compensation.route != "cam":
-        return found
-    return (*found, render_cam(compensation, bench).table.table)

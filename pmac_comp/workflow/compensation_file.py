@@ -13,8 +13,10 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.backlash import backlash_table, forward_part
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
 
 _VERSION = 1
@@ -33,6 +35,8 @@ class Compensation:
         The dynamic law; for ``table`` it is only what was removed from the lead runs.
     lead : LeadMap or None
         Static part, None if it was not measured.
+    backlash : bool
+        Whether the difference of both directions goes into a backlash table.
     motion_time_s, motion_position_m : ndarray or None
         The one motion of ``cam`` and ``program``.
     motion_correction_m : ndarray or None
@@ -45,21 +49,36 @@ class Compensation:
     motion_time_s: FloatArray | None = None
     motion_position_m: FloatArray | None = None
     motion_correction_m: FloatArray | None = None
+    backlash: bool = False
 
     def __post_init__(self) -> None:
         check_route(self.route)
 
-    def table(self, bench: Bench) -> RenderedTable | None:
+    def table(self, bench: Bench) -> RenderedTable[CompTable] | None:
         """Compensation table of the static part, None without one."""
-        return None if self.lead is None else lead_table(self.lead, bench)
+        if self.lead is None:
+            return None
+        return lead_table(forward_part(self.lead) if self.backlash else self.lead, bench)
+
+    def backlash_table(self, bench: Bench) -> RenderedTable[BacklashTable] | None:
+        """Backlash table of the direction-dependent part, None without one."""
+        return None if self.lead is None or not self.backlash else backlash_table(self.lead, bench)
 
     def table_correction(self, bench: Bench) -> Callable[[FloatArray], FloatArray] | None:
-        """Correction in m that the table adds at a position in m."""
-        rendered = self.table(bench)
+        """Correction in m that the tables add at a position in m, mean of both directions."""
+        rendered, back = self.table(bench), self.backlash_table(bench)
         if rendered is None:
             return None
         table, count_m = rendered.table, bench.motor_resolution_m
-        return lambda position_m: table.correction_ct(position_m / count_m) * count_m
+        if back is None:
+            return lambda position_m: table.correction_ct(position_m / count_m) * count_m
+        backlash = back.table
+
+        def both(position_m: FloatArray) -> FloatArray:
+            at = position_m / count_m
+            return (table.correction_ct(at) - 0.5 * backlash.backlash_ct(at)) * count_m
+
+        return both
 
 
 def check_route(route: str) -> str:
@@ -90,6 +109,7 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
             "reversal_m": lead.reversal_m.tolist(),
             "noise_m": lead.noise_m,
         },
+        "backlash": compensation.backlash,
         **arrays,
     }
     atomic_write_text(path, json.dumps(document, indent=1) + "\n")
@@ -161,6 +181,7 @@ def _from_mapping(data: dict[str, Any]) -> Compensation:
         motion_time_s=_array(data, "motion_time_s"),
         motion_position_m=_array(data, "motion_position_m"),
         motion_correction_m=_array(data, "motion_correction_m"),
+        backlash=data.get("backlash", False) is True,
     )
 
 

@@ -163,7 +163,7 @@ def run_demo(
     plant : str or None
         ``FILE[:FACTORY]`` of a drive of the user's own.
     route : str
-        ``law``, ``servo``, ``table`` or ``cam``.
+        One of ``ROUTES``.
     seed : int
         Draws the verification motions, after the upload.
     progress : callable, optional

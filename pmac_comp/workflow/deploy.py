@@ -6,7 +6,7 @@ computing (``computing``).
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,26 +24,30 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.machine.controller import law_upload, motors
-from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.program_upload import rollback_program
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
+from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.transaction import Context, UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.variables import verify_many
+from pmac_comp.machine.controller.variables import verify_many, write_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.backlash import take_up_variables
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
     deploy_program,
     render_cam,
-    tables_of,
 )
 from pmac_comp.workflow.compensation_file import (
     Compensation,
 )
-from pmac_comp.workflow.computing import TORQUE_ROUTES
+from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
@@ -116,15 +120,18 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     parts: list[UploadResult] = []
     notes: list[str] = []
     tables = tables_of(compensation, axis.bench)
+    stale = stale_tables(axis, compensation, tables)
+    raise_all(double_corrections(axis, context, compensation), "The upload")
+    _set_take_up(axis, tables)
     if compensation.route == "cam":
         parts.append(_deploy_cam(axis, compensation, context, tables))
         notes.append(
             f"the motion is PROG {CAM_PROGRAM}; motor #{axis.bench.controller.cam_motor_number} "
             "counts its time"
         )
-    elif tables:
+    elif tables or stale:
         stand_at_zero(axis)
-        with TableUpload(axis.link, context, tables) as upload:
+        with TableUpload(axis.link, context, tables, without=stale) as upload:
             upload.prepare()
             parts.append(upload.execute())
     if compensation.route == "law":
@@ -146,14 +153,61 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         else:
             notes.append("the law is loaded and disarmed: the loop is open")
     if compensation.route == "program":
-        from pmac_comp.workflow.program import deploy_motion
-
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
 
 
+def stale_tables(
+    axis: Axis, compensation: Compensation, tables: Sequence[Table]
+) -> tuple[tuple[TableKind, int], ...]:
+    """Backlash tables on the card that the new compensation must not stand beside."""
+    key = (TableKind.BLCOMP, axis.motor)
+    new = any((table.kind, table.motor) == key for table in tables)
+    if new or (compensation.lead is None and compensation.route not in TORQUE_ROUTES):
+        return ()
+    return () if read_table(axis.link, *key) is None else (key,)
+
+
+def double_corrections(
+    axis: Axis, context: Context, compensation: Compensation
+) -> list[SafetyRefusal]:
+    """What on the card corrects already what the new compensation corrects."""
+    refusals: list[SafetyRefusal] = []
+    carries = compensation.backlash or compensation.route in MOTION_ROUTES
+    if compensation.route not in TORQUE_ROUTES and carries:
+        head = law_upload.read_law_head(axis.link, context.block)
+        if head.is_armed:
+            refusals.append(
+                SafetyRefusal(
+                    f"A law acts on the controller: the route {compensation.route} would correct "
+                    "friction and elasticity a second time.",
+                    code="PC-DEP-060",
+                    hint="Take the law back first: `pmac-comp rollback`.",
+                )
+            )
+    number = axis.bench.controller.cam_motor_number
+    cam = read_table(axis.link, TableKind.COMP, number) if number != axis.motor else None
+    aims = isinstance(cam, CompTable) and cam.target == axis.motor
+    if compensation.route != "cam" and aims:
+        refusals.append(
+            SafetyRefusal(
+                f"Motor #{number} has a cam on this axis: its motion would be corrected twice.",
+                code="PC-DEP-061",
+                hint="Take the cam back first: `pmac-comp rollback`.",
+            )
+        )
+    return refusals
+
+
+def _set_take_up(axis: Axis, tables: Sequence[Table]) -> None:
+    """Backlash take-up before a backlash table comes: without a table it does nothing."""
+    for table in tables:
+        if isinstance(table, BacklashTable):
+            write_many(axis.link, take_up_variables(table, axis.bench))
+
+
 def _deploy_cam(
-    axis: Axis, compensation: Compensation, context: Context, tables: tuple[CompTable, ...]
+    axis: Axis, compensation: Compensation, context: Context, tables: tuple[Table, ...]
 ) -> UploadResult:
     """Program with the time axis, then its table; the program goes if the table does not come."""
     stand_at_zero(axis)
@@ -246,7 +300,7 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
             law_upload.arm(axis.link, context)
         else:
             law_upload.disarm(axis.link, context)
-    if compensation.lead is not None or compensation.route == "cam":
+    if tables_of(compensation, axis.bench):
         axis.link.command(f"I51={int(on)}")
         verify_many(axis.link, {"I51": int(on)})
 

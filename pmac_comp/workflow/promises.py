@@ -13,8 +13,8 @@ from pmac_comp.physics.compensate.design import MotionPromise, promise
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.outcome import error_signals
+from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.simulated import Truth
 
 

@@ -11,10 +11,10 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import TORQUE_ROUTES
 from pmac_comp.workflow.deploy import switch
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.program import program_axis, run_drawn
+from pmac_comp.workflow.routes import TORQUE_ROUTES
 
 Run = Callable[[Motion], Capture]
 

@@ -27,16 +27,17 @@ from pmac_comp.workflow.cam import (
     release_time_motor,
     render_cam,
     rest_time_motor,
-    tables_of,
 )
 from pmac_comp.workflow.compensation_file import (
     Compensation,
     read_compensation,
 )
-from pmac_comp.workflow.computing import TORQUE_ROUTES, cost_remarks, largest_correction_um
+from pmac_comp.workflow.computing import cost_remarks, largest_correction_um
 from pmac_comp.workflow.deploy import LAST_UPLOAD, Progress, context_of, deploy, stand_at_zero
 from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.tables import tables_of
 
 
 @contextmanager

@@ -1,0 +1,65 @@
+"""The direction-dependent part of the lead error as a backlash table, and its set-up on the card.
+
+What lives here: whether there is a part worth a table, its entries, the take-up variables. What may
+not: the map itself (``physics.compensate.lead``), the transaction (``machine.controller``).
+
+The card subtracts the backlash while the last motion was negative (Software Reference Manual p.
+301). So the position table holds the error of the forward direction and the backlash table the
+difference of both: forward error less backward error, sign reversed. The table value at position
+zero is not zero, so it is loaded with I30 = 1 (p. 53), and Ixx86 stays zero.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.machine.controller.comp_table import BacklashTable
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.rendering import RenderedTable, entries_over_travel
+
+_LEAST_um = 0.25  # rms of the difference of both directions; less is not worth a table
+_NOISES = 3.0
+_HYSTERESIS_um = 1.0  # a reversal of the command less than this does not turn the backlash
+_SIXTEENTHS = 16.0
+
+
+def has_backlash(lead: LeadMap) -> bool:
+    """Whether the two directions differ by more than their noise and than is worth a table."""
+    rms_m = float(np.sqrt(np.mean(np.square(lead.reversal_m))))
+    return rms_m > max(_LEAST_um / UM_PER_M, _NOISES * lead.noise_m)
+
+
+def forward_part(lead: LeadMap) -> LeadMap:
+    """Map of the forward direction alone: what the position table takes away beside a backlash."""
+    return replace(lead, error_m=lead.error_m + 0.5 * lead.reversal_m)
+
+
+def backlash_table(lead: LeadMap, bench: Bench) -> RenderedTable[BacklashTable]:
+    """Backlash table of a map; entries in 1/16 count over the same span as the position table."""
+
+    def backlash_m(position_m: np.ndarray) -> np.ndarray:
+        return -np.asarray(np.interp(position_m, lead.position_m, lead.reversal_m))
+
+    exact, span_ct = entries_over_travel(backlash_m, lead.spacing_m, bench)
+    entries = np.round(exact).astype(np.int64)
+    table = BacklashTable(
+        bench.encoder.motor_number, tuple(int(e) for e in entries), span_ct, wrap=True
+    )
+    rounding_ct = float(np.max(np.abs(entries - exact))) / _SIXTEENTHS
+    return RenderedTable(table, rounding_ct * bench.motor_resolution_m * UM_PER_M)
+
+
+def take_up_variables(table: BacklashTable, bench: Bench) -> dict[str, float]:
+    """Ixx85-87: taken up within two background cycles, but never faster than the enable step."""
+    motor = bench.encoder.motor_number
+    per_um = _SIXTEENTHS / (bench.motor_resolution_m * UM_PER_M)
+    largest = max(abs(entry) for entry in table.entries)
+    fastest = math.floor(bench.safety.max_enable_step_um * per_um)
+    return {
+        f"I{motor}85": float(max(1, min(math.ceil(largest / 2), fastest))),
+        f"I{motor}86": 0.0,
+        f"I{motor}87": float(math.ceil(_HYSTERESIS_um * per_um)),
+    }

@@ -1,0 +1,88 @@
+"""The static map of slow runs for a route: which dynamic part is removed, how far it may reach."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import Enum
+
+import numpy as np
+
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap, lead_map
+from pmac_comp.workflow.routes import TORQUE_ROUTES
+
+_HELD_FRAC = 0.02  # of the travel at each end: there the last measured value is held
+_FADE_m = 0.01
+
+
+class Limit(Enum):
+    """What to do where a correction passes a limit."""
+
+    REFUSE = "refuse"
+    CLIP = "clip"
+
+
+def static_map(
+    bench: Bench, route: str, slow: Sequence[Capture], law: CompensationLaw, limit: Limit
+) -> LeadMap:
+    """Lead map of slow runs, cut to what was measured if the runs do not cover the travel.
+
+    A route with a dynamic law carries the friction's wind-up itself; for the others it is part of
+    the difference of the two directions and goes into the backlash table.
+
+    Raises
+    ------
+    NotIdentifiable
+        The runs cover a part of the travel only, and ``limit`` is to refuse.
+    """
+    removed = law if route in TORQUE_ROUTES else law.with_values(coulomb_m=0.0, coulomb_per_m=0.0)
+    lead = lead_map(slow, removed)
+    covered = covered_m(bench, lead)
+    if covered is None:
+        return lead
+    low, high = (1e3 * value for value in covered)
+    if limit is Limit.REFUSE:
+        raise NotIdentifiable(
+            f"The slow runs cover {low:.1f} to {high:.1f} mm of the travel "
+            f"{bench.travel.min_mm:g} to {bench.travel.max_mm:g} mm: a table over the travel would "
+            "be a guess.",
+            code="PC-LEAD-011",
+            hint="Capture the whole travel: `pmac-comp capture --campaign lead`; or correct only "
+            "what was measured with --limit.",
+        )
+    return _faded(bench, lead)
+
+
+def covered_m(bench: Bench, lead: LeadMap) -> tuple[float, float] | None:
+    """Range in m that was measured, None if that is the travel but for little at its ends."""
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    known = np.flatnonzero((lead.error_m != 0.0) | (lead.reversal_m != 0.0))
+    if known.size == 0:
+        return None
+    first, last = lead.position_m[known[0]], lead.position_m[known[-1]]
+    most = _HELD_FRAC * (high - low) + lead.spacing_m
+    inside = first - low <= most and high - last <= most
+    return None if inside else (float(first), float(last))
+
+
+def _faded(bench: Bench, lead: LeadMap) -> LeadMap:
+    """The map over the whole travel; beyond what was measured it runs to zero within 10 mm."""
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    spacing, first, last = lead.spacing_m, lead.position_m[0], lead.position_m[-1]
+    before = np.arange(1, max(1, round((first - low) / spacing)) + 1)[::-1]
+    after = np.arange(1, max(1, round((high - last) / spacing)) + 1)
+    fades = [np.clip(1.0 - steps * spacing / _FADE_m, 0.0, 1.0) for steps in (before, after)]
+
+    def extended(values: np.ndarray) -> np.ndarray:
+        return np.concatenate([values[0] * fades[0], values, values[-1] * fades[1]])
+
+    position = np.concatenate([first - before * spacing, lead.position_m, last + after * spacing])
+    return replace(
+        lead,
+        position_m=position,
+        error_m=extended(lead.error_m),
+        reversal_m=extended(lead.reversal_m),
+    )
