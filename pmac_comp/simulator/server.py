@@ -123,6 +123,7 @@ class _StreamClient(asyncio.Protocol):
         self.session: Session | None = None
         self.transport: asyncio.Transport | None = None
         self.timer: asyncio.TimerHandle | None = None
+        self.late: asyncio.TimerHandle | None = None
         self.work: deque[Iterator[bytes]] = deque()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -156,6 +157,11 @@ class _StreamClient(asyncio.Protocol):
             if answer is None:
                 self.work.popleft()
                 continue
+            delay_s = self.server.card.link_faults.delay_s
+            if delay_s and answer:
+                transport.pause_reading()
+                self.late = loop.call_later(delay_s, self._send_late, answer)
+                return
             transport.write(answer)  # one send per answer: clients read it with one receive
             if transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
                 self.work.clear()
@@ -169,6 +175,12 @@ class _StreamClient(asyncio.Protocol):
         if self.session.closed:
             transport.close()
         self._watch_half_request()
+
+    def _send_late(self, answer: bytes) -> None:
+        """Send an answer that a commanded fault held back, then go on."""
+        if self.transport is not None:
+            self.transport.write(answer)
+            self._serve()
 
     def _watch_half_request(self) -> None:
         if self.timer is not None:
@@ -193,8 +205,9 @@ class _StreamClient(asyncio.Protocol):
         """Forget the client."""
         del exc
         self.work.clear()
-        if self.timer is not None:
-            self.timer.cancel()
+        for handle in (self.timer, self.late):
+            if handle is not None:
+                handle.cancel()
         if self.session is not None:
             self.session.close()
         self.server.clients.discard(self)
@@ -223,8 +236,13 @@ class _DatagramPort(asyncio.DatagramProtocol):
             oldest = next(iter(self.sessions))
             self.sessions.pop(oldest).close()
         if self.transport is not None:
+            wait_s = self.server.card.link_faults.delay_s
             for answer in answers:
-                self.transport.sendto(answer, addr)
+                if wait_s:
+                    loop = asyncio.get_running_loop()
+                    loop.call_later(wait_s, self.transport.sendto, answer, addr)
+                else:
+                    self.transport.sendto(answer, addr)
 
 
 class _PseudoTerminal:

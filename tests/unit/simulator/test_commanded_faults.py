@@ -1,10 +1,15 @@
 """Faults that tests may command: off by default, and each does what it says."""
 
+import time
+
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench
+from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.wire import ethernet as wire
 from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.server import ServeOptions, running_server
 from pmac_comp.simulator.sessions import EthernetSession
 
 from .conftest import Ask
@@ -66,5 +71,89 @@ def test_power_failure_and_spoiled_flash(session: EthernetSession) -> None:
 def test_flag_and_unknown_words(session: EthernetSession) -> None:
     ask_packet(session, b'FAULT"FLAG $800"')
     assert int(ask_packet(session, b"???")[:6], 16) & 0x800
-    for text in (b'FAULT""', b'FAULT"TEAPOT"', b'FAULT"CUT X"', b'FAULT"AMPLIFIER 99"'):
+    for text in (
+        b'FAULT""',
+        b'FAULT"TEAPOT"',
+        b'FAULT"CUT X"',
+        b'FAULT"AMPLIFIER 99"',
+        b'FAULT"LIMIT 2"',
+        b'FAULT"NOISE NAN"',
+        b'FAULT"NOISE -1"',
+        b'FAULT"DELAY 1E9"',
+    ):
         assert ask_packet(session, text) == b"\x07ERR003\r"
+
+
+def moving(session: EthernetSession) -> Card:
+    """Card whose motor 1 jogs at 10 mm/s."""
+    card = session.card
+    ask_packet(session, b"#1J/I122=10")
+    card.run_cycles(100)
+    ask_packet(session, b"J+")
+    card.run_cycles(1000)
+    return card
+
+
+def test_lost_encoder_ends_in_a_fatal_following_error(session: EthernetSession) -> None:
+    card = moving(session)
+    before = card.servo.position(1)
+    ask_packet(session, b'FAULT"ENCODER"')
+    card.run_cycles(1)
+    assert card.servo.position(1) == pytest.approx(before, abs=5.0)
+    table_m = card.servo.plant.reading()[1]  # type: ignore[attr-defined]
+    for _ in range(1000):
+        if not card.servo.is_killed(1):
+            card.run_cycles(2)
+    # The loop pushes against a counter that does not move until the error limit trips.
+    assert card.servo.is_killed(1)
+    assert int(ask_packet(session, b"#1?")[6:12], 16) & 4
+    assert card.servo.plant.reading()[1] > table_m + 1e-3  # type: ignore[attr-defined]
+
+
+def test_stuck_and_noisy_scale(session: EthernetSession) -> None:
+    card = moving(session)
+    ask_packet(session, b'FAULT"SCALE"')
+    card.run_cycles(1)
+    stuck = card.servo.position(2)
+    card.run_cycles(500)
+    assert card.servo.position(2) == stuck
+    ask_packet(session, b'FAULT"HEAL"')
+    ask_packet(session, b"#1K")
+    card.run_cycles(5000)
+    rest = [noisy_position(card) for _ in range(200)]
+    assert np.ptp(rest) < 2.0
+    ask_packet(session, b'FAULT"NOISE 0.5"')
+    noisy = [noisy_position(card) for _ in range(2000)]
+    # 0.5 um are four counts of 0.125 um.
+    assert np.std(noisy) == pytest.approx(4.0, rel=0.08)
+    assert np.mean(noisy) == pytest.approx(np.mean(rest), abs=0.8)
+
+
+def noisy_position(card: Card) -> float:
+    card.run_cycles(1)
+    return card.servo.position(2)
+
+
+def test_forced_limit_switch_stops_motion_to_its_side(session: EthernetSession) -> None:
+    ask_packet(session, b"I124=1")
+    card = moving(session)
+    ask_packet(session, b'FAULT"LIMIT 1"')
+    card.run_cycles(2000)
+    word1, word2 = (int(ask_packet(session, b"#1?")[k : k + 6], 16) for k in (0, 6))
+    assert word1 & 1 << 21
+    assert word2 & 1 << 11
+    assert card.servo.velocity(1) == pytest.approx(0.0, abs=0.1)
+    assert not card.servo.is_killed(1)
+
+
+def test_late_answers_are_late_and_whole(bench: Bench) -> None:
+    card = Card(bench, faults=True)
+    with (
+        running_server(card, ServeOptions(tcp=0)) as endpoints,
+        Commander.open(endpoints["tcp"], timeout_s=5.0) as link,
+    ):
+        card.link_faults.delay_s = 0.15
+        start = time.perf_counter()
+        assert link.query("VER") == ["1.947  "]
+        assert 0.14 < time.perf_counter() - start < 2.0
+        card.link_faults.delay_s = 0.0
