@@ -182,10 +182,10 @@ def _experiment(
     library: Mapping[str, Effect],
 ) -> SeparatingExperiment | None:
     if tied:
-        return separating_experiment(tied[0], library)
+        return separating_experiment(tied[0], library, grown.final.model.bench)
     if left.unexplained and grown.rounds and grown.rounds[-1].contenders:
         rivals = [c.effect for c in grown.rounds[-1].contenders[:2]]
-        return separating_experiment(rivals, library)
+        return separating_experiment(rivals, library, grown.final.model.bench)
     return None
 
 

@@ -4,8 +4,11 @@ What lives here: groups and experiments. The effects' own words come from the li
 ``physics.model`` and ``result``.
 """
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
+from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.result import SeparatingExperiment
 from pmac_comp.physics.model.effect import Effect
 
@@ -22,39 +25,150 @@ _GROUPS = (
     *_TWINS,
 )
 
-# Motions in the words of the capture command's campaign, per pair.
-_EXPERIMENTS: Mapping[frozenset[str], tuple[str, tuple[str, ...]]] = {
+_SLOW_mm_per_s = 40.0
+_STROKE_s = 2.0
+
+
+@dataclass(frozen=True)
+class _Room:
+    """What the bench allows: travel in mm, speed in mm/s, acceleration in m/s2."""
+
+    low_mm: float
+    high_mm: float
+    pitch_mm: float
+    speed_mm_per_s: float
+    acceleration_m_per_s2: float
+
+    @classmethod
+    def of(cls, bench: Bench) -> "_Room":
+        speed = bench.safety.max_speed_mm_per_s
+        if bench.known.rated_speed_rpm is not None:
+            speed = min(speed, bench.known.rated_speed_rpm / 60.0 * bench.screw.pitch_mm)
+        return cls(
+            bench.travel.min_mm,
+            bench.travel.max_mm,
+            bench.screw.pitch_mm,
+            speed,
+            bench.safety.max_acceleration_m_per_s2,
+        )
+
+    @property
+    def span_mm(self) -> float:
+        """Length of the travel."""
+        return self.high_mm - self.low_mm
+
+    def place(self, share: float) -> float:
+        """Position at a share of the travel from its middle, -0.5 to 0.5."""
+        return 0.5 * (self.low_mm + self.high_mm) + share * self.span_mm
+
+    def stroke(self, share: float, speed_mm_per_s: float) -> str:
+        """There and back over a share of the travel."""
+        distance = share * self.span_mm
+        speed = min(speed_mm_per_s, 0.9 * self.speed_mm_per_s)
+        acceleration = min(2.0, 0.4 * self.acceleration_m_per_s2)
+        return (
+            f"trapezoid:distance_mm={distance:.4g},speed_mm_per_s={speed:.4g},"
+            f"acceleration_m_per_s2={acceleration:.4g},start_mm={self.place(-0.5 * share):.4g}"
+        )
+
+    def sine(self, amplitude_mm: float, frequency_Hz: float, share: float, cycles: int) -> str:
+        """Sinusoid within speed and acceleration."""
+        omega = 2.0 * math.pi * frequency_Hz
+        amplitude = min(
+            amplitude_mm,
+            0.08 * self.span_mm,
+            0.8 * self.speed_mm_per_s / omega,
+            800.0 * self.acceleration_m_per_s2 / omega**2,
+        )
+        return (
+            f"sine:amplitude_mm={amplitude:.4g},frequency_Hz={frequency_Hz:.4g},"
+            f"cycles={cycles},centre_mm={self.place(share):.4g}"
+        )
+
+    def triangle(self, amplitude_mm: float, speed_mm_per_s: float, share: float = 0.0) -> str:
+        """Back and forth at one slow speed."""
+        amplitude = min(amplitude_mm, 0.08 * self.span_mm)
+        acceleration = min(0.5, 0.4 * self.acceleration_m_per_s2)
+        return (
+            f"triangle:amplitude_mm={amplitude:.4g},speed_mm_per_s={speed_mm_per_s:.4g},cycles=2,"
+            f"centre_mm={self.place(share):.4g},acceleration_m_per_s2={acceleration:.4g}"
+        )
+
+
+_Motions = Callable[[_Room], tuple[str, ...]]
+
+
+def _map(room: _Room) -> tuple[str, ...]:
+    return (room.stroke(0.98, min(_SLOW_mm_per_s, 0.3 * room.speed_mm_per_s)),)
+
+
+def _speeds(room: _Room) -> tuple[str, ...]:
+    top = room.speed_mm_per_s
+    longest = _STROKE_s / room.span_mm
+    speeds = [share * top for share in (0.01, 0.05, 0.2, 0.5, 0.9)]
+    return tuple(room.stroke(min(0.5, longest * speed), speed) for speed in speeds)
+
+
+def _turns(room: _Room) -> tuple[str, ...]:
+    return (room.triangle(1.5 * room.pitch_mm, 5.0), room.stroke(0.9, 0.8 * room.speed_mm_per_s))
+
+
+def _tones(room: _Room) -> tuple[str, ...]:
+    return tuple(room.sine(0.02, f, 0.0, int(2 * f)) for f in (20.0, 40.0, 80.0))
+
+
+def _loads(room: _Room) -> tuple[str, ...]:
+    return (
+        room.triangle(0.05, 0.5),
+        room.triangle(0.2, 0.5),
+        room.sine(0.02 * room.span_mm, 2.0, 0.0, 8),
+        room.sine(0.02 * room.span_mm, 5.0, 0.0, 16),
+    )
+
+
+def _both_ends(room: _Room) -> tuple[str, ...]:
+    return tuple(room.sine(0.05 * room.span_mm, 2.0, share, 8) for share in (-0.4, 0.4))
+
+
+def _survey(room: _Room) -> tuple[str, ...]:
+    """What tells most where no pair is in question: slow, fast, both ends, whole travel."""
+    return (*_map(room), room.triangle(2.0, 2.0), *_both_ends(room), room.sine(5.0, 5.0, 0.0, 16))
+
+
+# Words and motions, in the options of the capture command, per pair.
+_EXPERIMENTS: Mapping[frozenset[str], tuple[str, _Motions]] = {
     frozenset({"lead_linear", "scale_slope"}): (
-        "Measure the table against a laser or a second scale, or repeat the slow map at another "
-        "temperature: the slope of a scale grows 8-11 um/m per K, that of the screw with the "
+        "Measure the table against a laser or a second scale, or run the slow map once cold and "
+        "once warm: the slope of a scale grows 8-11 um/m per K, that of the screw with the "
         "screw's own temperature. No motion of this axis alone separates them.",
-        ("staircase over the whole travel, cold", "staircase over the whole travel, warm"),
+        _map,
     ),
     frozenset({"bias_force", "friction_asymmetry"}): (
-        "Run a speed staircase in both directions: a bias shifts the torque by the same amount "
-        "at every speed, an asymmetry grows with speed.",
-        ("speed_staircase 1-300 mm/s both directions",),
+        "Run the same stroke at several speeds in both directions: a bias shifts the torque by "
+        "the same amount at every speed, an asymmetry grows with speed.",
+        _speeds,
     ),
     frozenset({"encoder_eccentricity", "lead_cyclic"}): (
-        "Run the same stroke slowly and at several revolutions per second: an eccentric encoder "
+        "Run slowly over a few turns and fast over the travel: an eccentric encoder "
         "moves the motor through the servo and fades above the bandwidth, lead does not. Or turn "
         "the encoder on its shaft by 180 degrees: only the eccentricity turns with it.",
-        ("triangle 2 mm/s over 3 revolutions", "triangle 300 mm/s over the travel"),
+        _turns,
     ),
     frozenset({"actuator_delay", "current_bandwidth"}): (
-        "Excite torque to 400 Hz: the phase of a delay grows in proportion to frequency, that of "
-        "a current loop levels off.",
-        ("chirp 5-400 Hz, small amplitude",),
+        "Excite the torque at rising frequencies: the phase of a delay grows in proportion to "
+        "frequency, that of a current loop levels off.",
+        _tones,
     ),
     frozenset({"backlash", "preload_loss"}): (
-        "Push the table by the loading screws at standstill, both ways and in steps: a gap gives "
-        "way without force, a lost preload with a lower stiffness.",
-        ("standstill load steps -500 to 500 N", "nested_reversals 5-100 um"),
+        "Reverse gently and hard: a gap takes its full width at any force, a lost preload gives "
+        "way more the larger the force. Or push the table by the loading screws at standstill, "
+        "both ways and in steps: a gap gives way without force.",
+        _loads,
     ),
     frozenset({"channel_skew", "viscous"}): (
         "Repeat one sinusoid at both ends of the travel: viscous deformation grows along the "
         "screw, skew does not. Or swap the latch order of the two channels.",
-        ("sinusoid 25 mm 2 Hz near the bearing", "sinusoid 25 mm 2 Hz far from the bearing"),
+        _both_ends,
     ),
 }
 
@@ -77,7 +191,7 @@ def exact_twins(name: str, library: Mapping[str, Effect]) -> tuple[str, ...]:
 
 
 def separating_experiment(
-    effects: Iterable[str], library: Mapping[str, Effect]
+    effects: Iterable[str], library: Mapping[str, Effect], bench: Bench
 ) -> SeparatingExperiment:
     """The run that would tell the effects apart.
 
@@ -87,15 +201,19 @@ def separating_experiment(
         A group of look-alikes.
     library : Mapping of str to Effect
         Effects with their own experiments.
+    bench : Bench
+        Travel and limits that the motions keep to.
 
     Returns
     -------
     SeparatingExperiment
-        The pair's own experiment where there is one, else those of the effects.
+        The pair's own experiment where there is one, else those of the effects with a survey of
+        slow and fast motions at several places. Motions are options of ``pmac-comp capture``.
     """
     group = tuple(dict.fromkeys(effects))
+    room = _Room.of(bench)
     for pair, (text, motions) in _EXPERIMENTS.items():
         if pair <= set(group):
-            return SeparatingExperiment(group, text, motions)
+            return SeparatingExperiment(group, text, motions(room))
     words = [f"{name}: {library[name].separating_experiment}" for name in group if name in library]
-    return SeparatingExperiment(group, "; ".join(words))
+    return SeparatingExperiment(group, "; ".join(words), _survey(room))

@@ -1,0 +1,65 @@
+"""Experiments that a diagnosis proposes are motions that the capture command takes."""
+
+import itertools
+import math
+
+import pytest
+
+from pmac_comp.files.bench import Bench, load_bench, parse_bench
+from pmac_comp.physics.diagnose.lookalikes import separating_experiment
+from pmac_comp.physics.model.effect import effect_library
+from pmac_comp.workflow.motions import parse_motion
+
+
+def small() -> Bench:
+    """A bench with little travel that is not centred and hardly accelerates."""
+    text = load_bench("paper").text
+    for old, new in (
+        ("min_mm = -300.0", "min_mm = 5.0"),
+        ("max_mm = 300.0", "max_mm = 45.0"),
+        ("max_speed_mm_per_s = 500.0", "max_speed_mm_per_s = 60.0"),
+        ("max_acceleration_m_per_s2 = 12.0", "max_acceleration_m_per_s2 = 0.5"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    return parse_bench(text)
+
+
+BENCHES = {
+    "paper": load_bench("paper"),
+    "paper_x4": load_bench("paper_x4"),
+    "emps": load_bench("emps"),
+    "small": small(),
+}
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_every_experiment_runs_within_travel_and_limits(name: str) -> None:
+    library, bench = effect_library(), BENCHES[name]
+    groups = {
+        tuple(sorted((effect.name, other)))
+        for effect in library.values()
+        for other in (*effect.look_alikes, "lead_linear")
+        if other != effect.name
+    }
+    texts = set(
+        itertools.chain.from_iterable(
+            separating_experiment(group, library, bench).motions for group in groups
+        )
+    )
+    assert len(texts) >= 15
+    for text in texts:
+        motion = parse_motion(text, bench)  # refuses what leaves the travel or the limits
+        assert 0.3 < motion.duration_s < 120.0, text
+        moved = float(motion.position_m.max() - motion.position_m.min())
+        assert math.isfinite(moved)
+        assert moved > 1e-6, text
+
+
+def test_the_speeds_of_a_level_and_a_slope_differ_widely() -> None:
+    found = separating_experiment(
+        ("bias_force", "friction_asymmetry"), effect_library(), BENCHES["paper"]
+    )
+    assert "every speed" in found.text
+    speeds = [parse_motion(text, BENCHES["paper"]).row()[4] for text in found.motions]
+    assert max(speeds) > 50.0 * min(speeds)
