@@ -359,6 +359,14 @@ class Card:
         """Whether the motor's coordinate system runs a program that is not in feed hold."""
         return any(s.running and not s.holding and motor in s.axes for s in self.systems.values())
 
+    def leave_hold_point(self, motor: int) -> bool:
+        """Whether a motor about to be moved is in feed hold; its trajectory is then kept."""
+        for system in self.systems.values():
+            if system.running and system.holding and motor in system.axes:
+                system.hold_point.leave(motor)
+                return True
+        return False
+
     def any_program_runs(self) -> bool:
         """Whether any motion program runs."""
         return any(s.running for s in self.systems.values())

@@ -17,6 +17,7 @@ from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator import vm
 from pmac_comp.simulator.axes import AxisDefinition
 from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.hold_point import HoldPoint
 from pmac_comp.simulator.language.statements import Statement
 from pmac_comp.simulator.machine import Context
 from pmac_comp.simulator.memory import read_float48, write_float48
@@ -79,6 +80,9 @@ class CoordinateSystem:
         self.single = False
         self.stopping = False
         self.holding = False
+        self.hold_point = HoldPoint(card, number)
+        self._quitted = False
+        self._fresh = False  # the next move is the first after a stop: I11
         self.planner: Planner | None = None
         self.targets: dict[str, float] = {}
         self.velocities: dict[str, float] = {}
@@ -166,6 +170,7 @@ class CoordinateSystem:
         frame = self._frame(program)
         frame.context.state[vm.S_PC] = program.assembled.labels[label]
         self.frames = [frame]
+        self.hold_point.forget()
         self.pointer = (number, label)
         self._load_defaults()
 
@@ -212,11 +217,13 @@ class CoordinateSystem:
                 return
             raise CardError(1)
         self._check_ready()
+        self.hold_point.return_to()
         self.match()
         self.planner = Planner(self._commanded())
         self._units = {motor: self.card.servo.unit(motor) for motor in self.motors}
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
+        self._quitted, self._fresh = False, True
         self._queued = []
         self._set_status()
         self.card.background_needed()
@@ -254,6 +261,7 @@ class CoordinateSystem:
         for motor in self.motors:
             if self.card.servo.is_open_loop(motor):
                 raise CardError(12)
+        self.hold_point.return_to()
         self.holding = False
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
 
@@ -265,13 +273,14 @@ class CoordinateSystem:
     def quit(self) -> None:
         """Q: no further move is calculated."""
         if self.running and not self.stopping:
-            self.stopping = True
+            self.stopping = self._quitted = True
             self.waiting = None
             self._settle()
 
     def stop_now(self) -> None:
         """Abort or fault: the program stops where it is, trajectories are replaced outside."""
         self.running = self.stopping = self.holding = self.single = False
+        self.hold_point.forget()
         self.waiting = None
         self.planner = None
         self._units = {}
@@ -308,7 +317,7 @@ class CoordinateSystem:
 
     def tick(self) -> None:
         """Background: what waits for a condition, and the end of the program."""
-        if not self.running:
+        if not self.running or self.hold_point.is_left:
             return
         if self.waiting is not None:
             if not self.waiting():
@@ -320,6 +329,8 @@ class CoordinateSystem:
 
     def _ended(self) -> None:
         self._units = {}
+        if self._quitted:
+            self.hold_point.stopped(self.motors)
         self.running = self.stopping = self.single = False
         self.planner = None
         self._queued = []
@@ -536,6 +547,7 @@ class CoordinateSystem:
                 return False
             for letter, value in values.items():
                 self.rename(letter, value)
+            self._fresh = True
             return True
 
         self.waiting = renamed
@@ -571,6 +583,7 @@ class CoordinateSystem:
             targets[letter] = start + value if letter in self.modal.incremental else value
             if has_velocity:
                 rates[letter] = next(values) / self._isx(90)
+        self._calculation_time()
         tag = self._next_tag()
         mode = self.modal.mode
         if mode == "pvt":
@@ -583,6 +596,15 @@ class CoordinateSystem:
             segments = self._linear(targets, tag)
         self.targets = targets
         self._accept(segments, tag)
+
+    def _calculation_time(self) -> None:
+        """I11: the first move after R, DWELL, PSET or WAIT starts that many ms later (p. 43)."""
+        wait_ms = self.card.variables.int_i(11)
+        if self._fresh and wait_ms and self.planner is not None:
+            cycles, flags = self._cycles(wait_ms), traj.TIMED | traj.REAL_TIME
+            position = self.planner.position
+            self._push({m: [traj.Segment(cycles, (position[m],), flags)] for m in self.motors})
+        self._fresh = False
 
     def _accept(self, segments: Segments, tag: int) -> None:
         self._write_targets()
@@ -738,7 +760,7 @@ class CoordinateSystem:
         cycles = self._cycles(min(max(arguments[0], 0.0), 8388607.0))
         # DWELL0 still takes one cycle, so that its tag is seen.
         segments = self.planner.dwell(max(cycles, 1.0), tag)
-        self.velocities = {}
+        self.velocities, self._fresh = {}, True
         self._accept(segments, tag)
 
     def _do_delay(self, _statement: Statement, arguments: tuple[float, ...]) -> None:

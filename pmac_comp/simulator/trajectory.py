@@ -123,6 +123,12 @@ class MotionQueue:
             row = (int(self.index[motor, I_HEAD]) + i) % DEPTH
             self.segments[motor, row, Q_C0] += offset
 
+    def ignore_time_base(self, motor: int) -> None:
+        """Let what is queued run at 100 % whatever the time base does (jogs in feed hold)."""
+        for i in range(int(self.index[motor, I_COUNT])):
+            row = self.segments[motor, (int(self.index[motor, I_HEAD]) + i) % DEPTH]
+            row[Q_FLAGS] = int(row[Q_FLAGS]) | REAL_TIME
+
     def pending(self, motor: int) -> int:
         """Number of segments that are executing or waiting."""
         return int(self.index[motor, I_COUNT])

@@ -59,7 +59,14 @@ def _movable(context: LineContext) -> int:
     motor = context.modal.motor
     if context.card.program_moves(motor):
         raise CardError(1)
+    context.card.leave_hold_point(motor)
     return motor
+
+
+def _started(context: LineContext, motor: int) -> None:
+    """A jog or search has been planned: in feed hold it does not wait for the time base."""
+    if context.card.leave_hold_point(motor):
+        context.card.servo.queue.ignore_time_base(motor)
 
 
 @command("J")
@@ -78,6 +85,7 @@ def _jog(context: LineContext) -> None:
         context.check(servo.jog_round(motor))
     else:
         _jog_to(context, motor, form)
+    _started(context, motor)
 
 
 def _jog_to(context: LineContext, motor: int, form: str) -> None:
@@ -104,7 +112,9 @@ def _home_zero(context: LineContext) -> None:
 
 @command("HM", "HOME")
 def _home(context: LineContext) -> None:
-    context.check(context.card.servo.home(_movable(context)))
+    motor = _movable(context)
+    context.check(context.card.servo.home(motor))
+    _started(context, motor)
 
 
 @command("K")

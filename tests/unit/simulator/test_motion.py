@@ -198,6 +198,68 @@ def test_feed_hold_and_resume(card: Card, ask: Ask) -> None:
     assert ask("&1%") == "0"
 
 
+def test_jog_in_feed_hold_must_come_back_before_resume(card: Card, ask: Ask) -> None:
+    # SRM p. 325, 335: jogging is allowed in feed hold; J= goes back; away from it R is ERR017.
+    prepare(ask, "LINEAR INC TA20 TS0 TM500", "X5000", "X1000")
+    ask("I5195=200000")
+    card.run_cycles(20)
+    ask("&1B1R")
+    card.run_cycles(500)
+    ask("&1H")
+    assert ask("#1J:100") == "ERR001"  # still slowing down
+    card.run_cycles(300)
+    held = read_long(card.memory.x, card.memory.y, 0x88)
+    assert ask("#1J:300") == ""
+    card.run_cycles(1500)
+    assert read_long(card.memory.x, card.memory.y, 0x88) - held == 300 * 3072
+    assert ask("&1R") == "ERR017"
+    assert int(ask("&1??")[12:], 16) & 4  # program resume error
+    assert ask("#1J=") == ""
+    card.run_cycles(1500)
+    assert read_long(card.memory.x, card.memory.y, 0x88) == held
+    assert ask("&1R") == ""
+    assert not int(ask("&1??")[12:], 16) & 4
+    position = record(card, 3000)
+    assert position[-1] == pytest.approx(6000, abs=1e-3)
+    # The rest of the move goes on as it was, with the ramp of the time base.
+    assert np.abs(np.diff(position, 2)).max() < 1.0
+
+
+def test_resume_after_quit_needs_the_stopped_position(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR INC TA20 TS0 TM100", "WHILE(P1<9)", "X100", "P1=P1+1", "ENDWHILE")
+    card.run_cycles(20)
+    ask("P1=0 &1B1R")
+    card.run_cycles(400)
+    ask("&1Q")
+    card.run_cycles(2000)
+    assert ask("#1J:500") == ""
+    card.run_cycles(2000)
+    assert ask("&1R") == "ERR017"
+    assert ask("#1J=") == ""
+    card.run_cycles(2000)
+    assert ask("&1R") == ""
+    card.run_cycles(4000)
+    assert ask("P1") == "9"
+    assert float(ask("#1P")) == pytest.approx(900, abs=2)
+
+
+def test_first_move_waits_for_its_calculation_time(card: Card, ask: Ask) -> None:
+    # I11 (SRM p. 43): after R and after a DWELL, not between blended moves.
+    prepare(ask, "LINEAR INC TA20 TS0 TM100", "X100", "X100", "DWELL50", "X100")
+    starts = {}
+    for wait_ms in (0, 200):
+        ask(f"I11={wait_ms} #1J=0")
+        card.run_cycles(3000)
+        position = run(card, ask, 2500)
+        moving = np.flatnonzero(np.diff(position) > 1e-6)
+        pause = np.flatnonzero(np.diff(moving) > 1)
+        starts[wait_ms] = (moving[0], moving[pause + 1][0], pause.size)
+    wait = 200 / card.servo.cycle_ms
+    assert starts[200][0] - starts[0][0] == pytest.approx(wait, abs=1)
+    assert starts[200][1] - starts[0][1] == pytest.approx(2 * wait, abs=2)
+    assert starts[0][2] == starts[200][2] == 1
+
+
 def test_program_start_errors(card: Card, ask: Ask) -> None:
     assert ask("&1R") == "ERR014"
     prepare(ask, "LINEAR INC TA20 TS0 TM500", "X5000")
