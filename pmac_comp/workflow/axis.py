@@ -12,15 +12,15 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import (
     CaptureError,
     CommandRefused,
     MotorNotSafe,
     PmacCompError,
-    SampleGap,
 )
-from pmac_comp.base.units import UM_PER_M
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Attribute, Capture
 from pmac_comp.files.resources import firmware_path
@@ -29,6 +29,7 @@ from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.supervision import SensorFault, SensorWatch
 from pmac_comp.machine.controller.variables import read_many, write_many
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
@@ -41,8 +42,10 @@ _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _SETTLE_s = 0.3
 _START_ATTEMPTS = 10
+_LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
-_MISMATCH_m = 2e-3  # encoder and scale further apart than this: something slipped
+_MISMATCH_m = 0.5e-3  # encoder and scale further apart than any elasticity or lead error
+_LOOP_BLIND = frozenset({SensorFault.ENCODER_DEAD.name, SensorFault.SLIP.name})
 
 
 @dataclass
@@ -164,8 +167,14 @@ class Axis:
         """Stop the axis where whoever watches it has gone: Ctrl-C, or an error in the run."""
         try:
             yield
-        except (KeyboardInterrupt, PmacCompError):
+        except KeyboardInterrupt:
             self.halt()
+            raise
+        except PmacCompError as error:
+            self.halt()
+            if error.context.get("fault") in _LOOP_BLIND:
+                with suppress(PmacCompError):
+                    self.kill()
             raise
 
     def halt(self) -> None:
@@ -176,7 +185,12 @@ class Axis:
         """
         with suppress(PmacCompError):
             self.link.flush()
-        for text in ("&1A", f"#{self.motor}J/", "ENDGATHER"):
+        stops = ["&1A", "ENDGATHER"]
+        with suppress(PmacCompError):
+            # J/ would close the loop of a killed motor again.
+            if not motors.read_motor(self.link, self.motor).status.is_killed:
+                stops.insert(1, f"#{self.motor}J/")
+        for text in stops:
             with suppress(PmacCompError):
                 self.link.command(text)
 
@@ -226,6 +240,7 @@ class Axis:
                 self.scales.period_s,
                 during=start,
                 keep_going=going_on,
+                on_block=self._watch(),
             )
         else:
             result = self._gather_ram(plan, duration_s, start)
@@ -250,12 +265,44 @@ class Axis:
     ) -> GatherResult:
         n_samples = 1 + int(np.ceil(duration_s / (self.scales.period_s * plan.period_cycles)))
         words = plan.layout.long_words * n_samples + gather.HEADER_LONG_WORDS
+        self._require_room(plan, words)
         with gather.prepared(self.link, plan, words):
             self.link.command("GATHER")
             start()
-            self.link.clock.sleep_s(duration_s + 0.05)
+            self._watch_positions(duration_s + 0.05)
             self.link.command("ENDGATHER")
             return gather.read_ram(self.link, plan, n_samples)
+
+    def _require_room(self, plan: GatherPlan, words: int) -> None:
+        """Refuse a run that the card's own buffer cannot hold; SIZE is what is free (p. 396)."""
+        free = int(self.link.query("SIZE")[0])
+        if words <= free:
+            return
+        held_s = (free - gather.HEADER_LONG_WORDS) / plan.layout.long_words * self.scales.period_s
+        raise CaptureError(
+            f"The run needs {words} long words of the controller's memory, {free} are free: it "
+            f"holds {max(0.0, held_s - _START_TIME_s - _TAIL_s):.1f} s of motion.",
+            code="PC-AXI-005",
+            hint="Name shorter motions with --motion, or connect by Ethernet to a card with "
+            "dual-ported RAM.",
+        )
+
+    def _watch_positions(self, duration_s: float) -> None:
+        """Wait for a run that is gathered on the card; its sensors are compared by questions."""
+        scale = self.bench.scale
+        deadline = Deadline.after(self.link.clock, duration_s)
+        watch = SensorWatch(_MISMATCH_m)
+        while not deadline.expired():
+            self.link.clock.sleep_s(min(_LOOK_s, max(0.0, deadline.remaining_s())))
+            if scale is None or deadline.expired():
+                continue
+            found = motors.read_motors(self.link, [self.motor, scale.motor_number])
+            motor, table = (found[n].position_ct for n in (self.motor, scale.motor_number))
+            places = (
+                np.array([motor * self.scales.motor_m_per_ct]),
+                np.array([table * self.scales.scale_m_per_ct]),
+            )
+            self._require(watch.feed(*places))
 
     def _check_alive(self) -> None:
         status = motors.read_motor(self.link, self.motor).status
@@ -319,18 +366,35 @@ class Axis:
             },
         )
 
+    def _watch(self) -> Callable[[dict[str, IntArray]], None] | None:
+        """Watch on encoder and scale for the blocks of a run; none without a scale."""
+        if self.bench.scale is None:
+            return None
+        watch = SensorWatch(_MISMATCH_m)
+
+        def look(block: dict[str, IntArray]) -> None:
+            motor, table = self.scales.motor_m(block["actual"]), self.scales.table_m(block["scale"])
+            self._require(watch.feed(motor, table))
+
+        return look
+
     def _check_sensors(self, motor: FloatArray, table: FloatArray) -> None:
-        """Refuse a run in which encoder and scale disagree by more than any elasticity."""
-        apart = table - motor
-        worst = float(np.max(np.abs(apart - apart[0])))
-        if worst > _MISMATCH_m:
-            index = int(np.argmax(np.abs(apart - apart[0])))
-            raise SampleGap(
-                f"Encoder and scale disagree by {worst * UM_PER_M:.0f} um at sample {index}.",
-                code="PC-AXI-003",
-                hint="A slipped coupling, a dead or reversed scale, or a wrong resolution in the "
-                "bench file.",
-            )
+        """The same watch on a whole run."""
+        self._require(SensorWatch(_MISMATCH_m).feed(motor, table))
+
+    def _require(self, fault: SensorFault) -> None:
+        """End a run whose sensors part; the axis is killed where its loop cannot be trusted."""
+        if fault is SensorFault.NONE:
+            return
+        state = "killed" if fault.name in _LOOP_BLIND else "stopped in closed loop"
+        raise MotorNotSafe(
+            f"{fault.value[0].upper()}{fault.value[1:]}: they parted by more than "
+            f"{_MISMATCH_m * MM_PER_M:g} mm. The axis was {state}.",
+            code="PC-AXI-003",
+            hint="Look at coupling, scale head and cables, and at the resolutions in the bench "
+            "file, before anything moves again.",
+            context={"fault": fault.name},
+        )
 
     def _attributes(self, motion: Motion) -> dict[str, Attribute]:
         return {

@@ -38,7 +38,7 @@ SOURCES_MAX: Final = 48
 PACKET_BYTES: Final = 1400
 LIST_LONG_WORDS: Final = 1600  # per question: 100 lines, some 21 kB
 POLL_FRACTION: Final = 0.25  # of the time in which the ring fills
-POLL_LONGEST_s: Final = 0.1
+POLL_LONGEST_s: Final = 0.02  # whoever watches the blocks stops the axis within this
 HEADER_LONG_WORDS: Final = 47  # allowed for in RAM, as the maker's client does
 
 
@@ -376,11 +376,14 @@ class RingReader:
         Plan in ring mode.
     log : CaptureLog, optional
         Where every block is stored at once.
+    on_block : callable, optional
+        Given the raw columns of every new block; what it raises ends the reading.
     """
 
     link: Link
     plan: GatherPlan
     log: CaptureLog | None = None
+    on_block: Callable[[dict[str, IntArray]], None] | None = None
     _read: int = 0  # next sample slot of the ring
     _blocks: list[dict[str, IntArray]] = field(default_factory=list)
     _counter: Unwrapper = field(init=False)
@@ -439,6 +442,8 @@ class RingReader:
                 self.log.gap(gap.index, gap.n_missing, "servo counter")
             self._n_gaps_logged = len(self._counter.gaps)
             self.log.append(values)
+        if self.on_block is not None:
+            self.on_block(values)
         return len(values[COUNTER_NAME])
 
     def _storage_slot(self) -> int:
@@ -478,6 +483,7 @@ def gather_ring(
     log: CaptureLog | None = None,
     during: Callable[[], None] | None = None,
     keep_going: Callable[[], bool] | None = None,
+    on_block: Callable[[dict[str, IntArray]], None] | None = None,
 ) -> GatherResult:
     """Samples of a duration through the DPRAM ring, as long as wanted.
 
@@ -497,13 +503,15 @@ def gather_ring(
         Called once, as soon as gathering runs: starts the motion.
     keep_going : callable, optional
         Called at every poll; False ends the run early, the result then says so.
+    on_block : callable, optional
+        Given the raw columns of every new block; what it raises ends the run.
 
     Raises
     ------
     StorageFull, LinkError
         Gathering is stopped on the card first where the link allows it.
     """
-    reader = RingReader(link, plan, log)
+    reader = RingReader(link, plan, log, on_block)
     wait_s = ring_poll_s(plan, servo_period_s)
     complete, reason = True, "complete"
     with prepared(link, plan):

@@ -17,6 +17,7 @@ from pmac_comp.machine.controller.motors import read_motors
 
 LEAST_TRAVEL_FACTOR: Final = 4.0  # travel in limits before a ratio means anything
 DEAD: Final = 0.02
+AGREED: Final = 0.2  # of the limit
 RATIO_BAND: Final = 0.2
 
 
@@ -65,7 +66,16 @@ class SensorWatch:
         self._scale.append(seen)
         if float(np.max(np.abs(moved - seen))) <= self.limit:
             return SensorFault.NONE
-        return diagnose_sensors(np.concatenate(self._motor), np.concatenate(self._scale))
+        return _parted(np.concatenate(self._motor), np.concatenate(self._scale), self.limit)
+
+
+def _parted(moved: FloatArray, seen: FloatArray, limit: float) -> SensorFault:
+    """A sensor that dies shows since both last agreed, anything else over the whole run."""
+    agreed = np.flatnonzero(np.abs(moved - seen) <= AGREED * limit)
+    since = int(agreed[-1]) if agreed.size else 0
+    late = diagnose_sensors(moved[since:] - moved[since], seen[since:] - seen[since])
+    dead = {SensorFault.SCALE_DEAD, SensorFault.ENCODER_DEAD}
+    return late if late in dead else diagnose_sensors(moved, seen)
 
 
 def diagnose_sensors(moved: FloatArray, seen: FloatArray) -> SensorFault:

@@ -1,0 +1,97 @@
+"""A sensor that fails in a run stops the axis while it runs, and the fault is named (F25)."""
+
+import pytest
+
+from pmac_comp.base.errors import CaptureError, MotorNotSafe
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.machine.controller import motors
+from pmac_comp.physics.signals.trajectory import trapezoid
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.simulated import embedded
+
+BENCH = load_bench("paper")
+FAIL_AT_m = 0.012
+
+
+class FailingDrive:
+    """The bench's drive; a sensor fails where the table first passes a position."""
+
+    def __init__(self, bench: Bench, fault: str) -> None:
+        self.drive = make_plant(bench)
+        self.fault = fault
+        self.held: tuple[float, float] | None = None
+        self.slipped_m = 0.0
+
+    def reset(self, table_position_m: float = 0.0) -> None:
+        self.drive.reset(table_position_m)
+        self.held = None
+
+    def step(self, torque_command_Nm: float) -> tuple[float, float]:
+        angle, table = self.drive.step(torque_command_Nm)
+        if self.held is None:
+            self.held = (angle, table) if table > FAIL_AT_m else None
+            return angle, table
+        if self.fault == "SCALE_DEAD":
+            return angle, self.held[1]
+        if self.fault == "ENCODER_DEAD":
+            return self.held[0], table
+        self.slipped_m = min(self.slipped_m + 2e-6, 2e-3)
+        return angle, table - self.slipped_m
+
+
+def run_until_failure(
+    bench: Bench, fault: str, motion: Motion, said: tuple[str, ...] = ()
+) -> motors.MotorStatus:
+    """Status of the motor after a run that must fail by the fault."""
+    with embedded(Card(bench, plant=FailingDrive(bench, fault))) as link:
+        axis = Axis(link, bench)
+        axis.set_up()
+        axis.enable()
+        with pytest.raises(MotorNotSafe) as failure:
+            axis.run(motion)
+        assert failure.value.context["fault"] in (said or (fault,))
+        link.clock.sleep_s(0.3)
+        return motors.read_motor(link, axis.motor).status
+
+
+@pytest.mark.parametrize("fault", ["SCALE_DEAD", "ENCODER_DEAD", "SLIP"])
+def test_f25_a_failing_sensor_stops_the_axis(fault: str) -> None:
+    motion = parse_motion("sine:amplitude_mm=25,frequency_Hz=0.8,cycles=3", BENCH)
+    status = run_until_failure(BENCH, fault, motion)
+    # A loop whose encoder may lie is not held; with a dead scale it decelerates and holds.
+    assert status.is_killed is (fault != "SCALE_DEAD")
+    assert status.is_killed or status.is_commanded_still
+
+
+def test_f25_without_dual_ported_ram_positions_are_asked_for() -> None:
+    controller = BENCH.controller.model_copy(update={"dpram": "none"})
+    bench = BENCH.model_copy(update={"controller": controller})
+    shape = trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=0.05,
+        speed_m_per_s=0.3,
+        acceleration_m_per_s2=8.0,
+        dwell_s=0.02,
+    )
+    # A few places tell that the sensors part, hardly why.
+    said = ("SCALE_DEAD", "UNIT")
+    status = run_until_failure(bench, "SCALE_DEAD", Motion("short", shape), said)
+    assert status.is_closed_loop
+    assert status.is_commanded_still
+
+
+def test_a_motion_that_the_card_cannot_hold_says_how_long_it_may_be() -> None:
+    controller = BENCH.controller.model_copy(update={"dpram": "none"})
+    bench = BENCH.model_copy(update={"controller": controller})
+    motion = parse_motion("sine:amplitude_mm=5,frequency_Hz=1,cycles=5", bench)
+    with embedded(Card(bench)) as link:
+        axis = Axis(link, bench)
+        axis.set_up()
+        axis.enable()
+        with pytest.raises(CaptureError, match=r"holds .* s") as refused:
+            axis.run(motion)
+        assert refused.value.code == "PC-AXI-005"
+        assert motors.read_motor(link, axis.motor).status.is_commanded_still
