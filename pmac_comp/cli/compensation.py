@@ -113,13 +113,15 @@ def diff(
     if plot is not None:
         from pmac_comp.report.figures import save_difference_plot
 
-        save_difference_plot(result, output.checked_target(plot))
+        save_difference_plot(result.curves, output.checked_target(plot))
 
     def show() -> None:
-        output.table("old against new", ("quantity", "old", "new", "unit"), result["rows"])
-        output.echo(f"largest change of the table: {result['largest_change_um']:.3f} um")
+        output.table("old against new", ("quantity", "old", "new", "unit"), result.rows)
+        output.echo_all(result.lines())
+        if plot is not None:
+            output.echo(f"plot: {plot}")
 
-    output.finish(result, json_target, show)
+    output.finish(result.as_result(), json_target, show)
 
 
 def upload(
@@ -138,23 +140,23 @@ def upload(
 ) -> None:
     """Upload a compensation as one transaction; ends in OLD, NEW or DISABLED."""
     from pmac_comp.workflow.compensation_file import check_bench
-    from pmac_comp.workflow.upload_flow import plan_upload, upload_file
+    from pmac_comp.workflow.upload_flow import upload_file
+    from pmac_comp.workflow.upload_plan import plan_upload
 
     check_bench(new, bench)
     plan = plan_upload(url, bench, new)
 
     def show_plan() -> None:
-        for line in plan["plan"]:
-            output.echo(line)
+        output.echo_all(plan.text)
         if dry_run:
-            for line in plan["lines"]:
-                output.echo(line)
+            output.echo_all(plan.lines)
 
     if dry_run:
-        output.finish(plan, json_target, show_plan)
+        output.finish(plan.as_result(), json_target, show_plan)
         return
     if json_target != "-":
         show_plan()
+    plan.require_allowed()
     confirmed(f"Upload {new} to {url}?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = upload_file(url, bench, new, journal, persist=persist, progress=progress)

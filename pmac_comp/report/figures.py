@@ -17,6 +17,7 @@ import numpy as np  # isort: skip
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.difference import Curve
 from pmac_comp.workflow.outcome import ErrorSignals
 
 BEFORE, AFTER, PROMISE = "#b3452c", "#1f6f5c", "#3b5b92"
@@ -212,14 +213,19 @@ def scatter_figure(x: FloatArray, y: FloatArray, xlabel: str, ylabel: str, title
     return svg(draw, 7.2, 2.4)
 
 
-def save_difference_plot(result: Mapping[str, Any], path: Path) -> None:
-    """Old against new table correction over position, as SVG or PNG by the suffix."""
+def save_difference_plot(curves: Sequence[Curve], path: Path) -> None:
+    """Old against new, one panel per curve, as SVG or PNG by the suffix."""
     with mpl.rc_context(dict(_STYLE)):
-        figure, axis = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
-        axis.plot(result["position_mm"], result["old_um"], color=BEFORE, label="on the controller")
-        axis.plot(result["position_mm"], result["new_um"], color=AFTER, label="new")
-        axis.set_xlabel("table position mm")
-        axis.set_ylabel("correction um")
-        axis.legend()
+        size = (7.2, 0.8 + 2.0 * max(1, len(curves)))
+        figure = plt.figure(figsize=size, layout="constrained")
+        panels = np.atleast_1d(figure.subplots(max(1, len(curves)), 1))
+        for axis, curve in zip(panels, curves, strict=False):
+            axis.plot(*thin_pair(curve.along, curve.old), color=BEFORE, label="on the controller")
+            axis.plot(*thin_pair(curve.along, curve.new), color=AFTER, label="new")
+            what = "table position" if curve.along_unit == "mm" else "time"
+            axis.set_xlabel(f"{what} {curve.along_unit}")
+            axis.set_ylabel(curve.unit)
+            axis.set_title(curve.name, fontsize=8.5, loc="left")
+        panels[0].legend(loc="upper right", ncols=2)
         figure.savefig(path)
         plt.close(figure)

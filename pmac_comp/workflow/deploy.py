@@ -23,7 +23,7 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.base.units import UM_PER_M
-from pmac_comp.machine.controller import law_upload, motors
+from pmac_comp.machine.controller import law_upload, motors, programs
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.program_upload import rollback_program
@@ -52,7 +52,7 @@ from pmac_comp.workflow.tables import tables_of
 Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
 LAST_UPLOAD = "last_upload.json"
-_SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
+SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
 _NOT_MOVED = "PC-SGN-005"
 
 
@@ -155,6 +155,22 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     if compensation.route == "program":
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
+
+
+def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
+    """PLC programs that an upload of a law would write; none where they stand already."""
+    if route != "law":
+        return []
+    wanted = (
+        law_upload.law_program(context.block, axis.motor),
+        law_upload.guard_program(context.block),
+    )
+    missing = [p for p in wanted if not programs.is_present(axis.link, p)]
+    return [
+        line
+        for program in missing
+        for line in (f"OPEN {program.name} CLEAR", *program.lines, "CLOSE")
+    ]
 
 
 def stale_tables(
@@ -263,15 +279,13 @@ def _checked_sign(axis: Axis, context: Context) -> list[str]:
 
 def _sign_against_friction(axis: Axis) -> SignResult:
     """Sign test with an offset that grows until it moves the motor against its friction."""
-    for offset_um in _SIGN_OFFSETS_um[:-1]:
+    for offset_um in SIGN_OFFSETS_um[:-1]:
         try:
             return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, offset_um))
         except PmacCompError as error:
             if error.code != _NOT_MOVED:
                 raise
-    return check_master_sign(
-        axis.link, axis.motor, offset_ct=_offset_ct(axis, _SIGN_OFFSETS_um[-1])
-    )
+    return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, SIGN_OFFSETS_um[-1]))
 
 
 def _offset_ct(axis: Axis, offset_um: float) -> float:

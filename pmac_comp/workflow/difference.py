@@ -1,77 +1,262 @@
-"""Old against new: the compensation on a controller beside one in a file, as numbers and curves."""
+"""Old against new: the compensation on a controller beside one in a file, as numbers and curves.
 
+Tables are compared over the travel in both directions, laws along a reference motion that takes
+the axis to its usual speed and acceleration, a known motion over its time. All of it is computed by
+the host's own reading of what the card holds; nothing moves.
+"""
+
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
+from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller import law_upload
-from pmac_comp.machine.controller.comp_table import TableKind
-from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
+from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import (
-    Compensation,
-    read_compensation,
-)
+from pmac_comp.workflow.campaigns import usable_speed
+from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
-from pmac_comp.workflow.routes import TORQUE_ROUTES
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.tables import tables_of
+
+_POINTS = 1201
+_REFERENCE_m_per_s2 = 5.0
+_SIXTEENTHS = 16.0
+
+_COLUMNS = ("quantity", "old", "new", "unit")
+
+Row = tuple[str, Any, Any, str]
 
 
-def difference(url: str, bench: str, new: Path) -> dict[str, Any]:
-    """Old against new on the controller, as rows and as curves over position."""
+@dataclass(frozen=True)
+class Curve:
+    """One quantity before and after over a coordinate, all shape (n,)."""
+
+    name: str
+    unit: str
+    along: FloatArray
+    along_unit: str
+    old: FloatArray
+    new: FloatArray
+
+    @property
+    def largest_change(self) -> float:
+        """Largest difference in the unit of the curve."""
+        return float(np.max(np.abs(self.new - self.old))) if self.new.size else 0.0
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "along": self.along,
+            "along_unit": self.along_unit,
+            "old": self.old,
+            "new": self.new,
+            "largest_change": self.largest_change,
+        }
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Rows of numbers (quantity, old, new, unit) and the curves behind them."""
+
+    rows: tuple[Row, ...]
+    curves: tuple[Curve, ...]
+
+    @property
+    def largest_change_um(self) -> float:
+        """Largest change of any correction of position."""
+        return max((c.largest_change for c in self.curves if c.unit == "um"), default=0.0)
+
+    def lines(self) -> list[str]:
+        """The largest changes, for people."""
+        return [f"largest change of {c.name}: {c.largest_change:.3g} {c.unit}" for c in self.curves]
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {
+            "rows": [
+                dict(zip(("quantity", "old", "new", "unit"), r, strict=True)) for r in self.rows
+            ],
+            "curves": [curve.as_result() for curve in self.curves],
+            "largest_change_um": self.largest_change_um,
+        }
+
+
+def difference(url: str, bench: str, new: Path) -> Difference:
+    """Old against new on a controller; nothing is changed."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        context = context_of(axis)
-        tables = read_tables(axis.link, [(TableKind.COMP, axis.motor)])
-        head = law_upload.read_law_head(axis.link, context.block)
-        bank = law_upload.read_bank(axis.link, context.block, head.bank)
-        position, old_um, new_um = _table_curves(axis, compensation, list(tables))
-        rows: list[tuple[Any, ...]] = [
-            ("table entries", sum(len(t.entries) for t in tables), _entries(compensation, axis), "")
-        ]
-        if compensation.route in TORQUE_ROUTES:
-            rows += _law_rows(bank, law_parameters(compensation.law, axis.scales))
-    return {
-        "rows": rows,
-        "position_mm": position * MM_PER_M,
-        "old_um": old_um,
-        "new_um": new_um,
-        "largest_change_um": float(np.max(np.abs(new_um - old_um))) if position.size else 0.0,
-    }
+        return difference_on(axis, context_of(axis), compensation)
 
 
-def _entries(compensation: Compensation, axis: Axis) -> int:
-    rendered = compensation.table(axis.bench)
-    return 0 if rendered is None else len(rendered.table.entries)
+def difference_on(axis: Axis, context: Context, compensation: Compensation) -> Difference:
+    """Old against new on a connected axis."""
+    bench = axis.bench
+    cam_motor = bench.controller.cam_motor_number
+    keys = [(TableKind.COMP, axis.motor), (TableKind.BLCOMP, axis.motor)]
+    cam_keys = [] if cam_motor == axis.motor else [(TableKind.COMP, cam_motor)]
+    there = list(read_tables(axis.link, [*keys, *cam_keys]))
+    meant = list(tables_of(compensation, bench))
+    acts = float(axis.link.query("I51")[0]) != 0.0
+    old = there if acts else []
+    kept = [t for t in old if _is_kept(t, meant, compensation)]
+    rows = _table_rows(axis, old, [*meant, *kept])
+    curves = _table_curves(axis, old, [*meant, *kept])
+    head = law_upload.read_law_head(axis.link, context.block)
+    bank = law_upload.read_bank(axis.link, context.block, head.bank) if head.is_armed else None
+    fresh = None
+    if compensation.route in TORQUE_ROUTES:
+        fresh = law_parameters(compensation.law, axis.scales)
+    after = bank if fresh is None else fresh
+    if after is not None:
+        clamp = compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct
+        rows += law_rows(axis, bank, after)
+        curves += _law_curves(axis, (bank, head.clamp_ct), (after, clamp))
+    if compensation.route in MOTION_ROUTES:
+        curves += [_motion_curve(compensation, bench, old)]
+    return Difference(tuple(rows), tuple(curves))
 
 
-def _table_curves(
-    axis: Axis, compensation: Compensation, tables: list[Any]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _is_kept(table: Table, meant: list[Table], compensation: Compensation) -> bool:
+    """Whether a table on the card stays beside the new ones."""
+    replaced = any((t.kind, t.motor) == (table.kind, table.motor) for t in meant)
+    without = table.kind is TableKind.BLCOMP and compensation.lead is not None
+    return not replaced and not without
+
+
+def _of_axis(axis: Axis, tables: list[Table]) -> list[Table]:
+    return [t for t in tables if t.motor == axis.motor]
+
+
+def _table_rows(axis: Axis, old: list[Table], new: list[Table]) -> list[Row]:
+    rows: list[Row] = []
+    to_um = axis.scales.motor_m_per_ct * UM_PER_M / _SIXTEENTHS
+    for kind, name in ((TableKind.COMP, "lead table"), (TableKind.BLCOMP, "backlash table")):
+        pair = [next((t for t in _of_axis(axis, s) if t.kind is kind), None) for s in (old, new)]
+        if pair == [None, None]:
+            continue
+        values = [np.zeros(1) if t is None else np.asarray(t.entries) * to_um for t in pair]
+        counts = [0 if t is None else len(t.entries) for t in pair]
+        rows.append((f"{name}, entries", counts[0], counts[1], ""))
+        low, high = [float(v.min()) for v in values], [float(v.max()) for v in values]
+        rows.append((f"{name}, lowest", low[0], low[1], "um"))
+        rows.append((f"{name}, highest", high[0], high[1], "um"))
+    return rows
+
+
+def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]:
     travel = axis.bench.travel
-    position = np.linspace(travel.min_mm, travel.max_mm, 1201) / MM_PER_M
-    counts = position / axis.scales.motor_m_per_ct
+    position = np.linspace(travel.min_mm, travel.max_mm, _POINTS)
+    counts = position / MM_PER_M / axis.scales.motor_m_per_ct
     to_um = axis.scales.motor_m_per_ct * UM_PER_M
-    old = np.zeros(position.size)
-    for table in tables:
-        if hasattr(table, "correction_ct"):
-            old += table.correction_ct(counts) * to_um
-    correction = compensation.table_correction(axis.bench)
-    new = np.zeros(position.size) if correction is None else correction(position) * UM_PER_M
-    return position, old, new
 
+    def given(tables: list[Table], *, forward: bool) -> FloatArray:
+        total = np.zeros(position.size)
+        for table in _of_axis(axis, tables):
+            if isinstance(table, CompTable):
+                total += table.correction_ct(counts) * to_um
+            elif isinstance(table, BacklashTable) and not forward:
+                total -= table.backlash_ct(counts) * to_um
+        return total
 
-def _law_rows(old: LawParameters | None, new: LawParameters) -> list[tuple[Any, ...]]:
-    units = {
-        "A0": "ct/(ct/SC2)", "V0": "ct/(ct/SC)", "S0": "ct", "L1": "SC",
-        "TC": "DAC units", "TK": "DAC/(ct/SC3)",
-    }  # fmt: skip
-    return [
-        (name, None if old is None else getattr(old, name), getattr(new, name), unit)
-        for name, unit in units.items()
+    if not _of_axis(axis, old) and not _of_axis(axis, new):
+        return []
+    both = [
+        Curve(
+            f"the tables' correction, {'upwards' if up else 'downwards'}",
+            "um",
+            position,
+            "mm",
+            given(old, forward=up),
+            given(new, forward=up),
+        )
+        for up in (True, False)
     ]
+    one_way = not any(isinstance(t, BacklashTable) for t in (*old, *new))
+    return both[:1] if one_way else both
+
+
+def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[Row]:
+    """Coefficients of two laws in units a person knows; None acts as no law."""
+    scales = axis.scales
+    period, m = scales.period_s, scales.motor_m_per_ct
+    torque = scales.torque_Nm_per_dac
+    units: list[tuple[str, str, float, str]] = [
+        ("law, per acceleration", "A0", period**2 * UM_PER_M, "um/(m/s2)"),
+        ("law, per speed", "V0", period * UM_PER_M, "um/(m/s)"),
+        ("law, friction (each side)", "S0", m * UM_PER_M, "um"),
+        ("law, look-ahead", "L1", period * US_PER_S, "us"),
+        ("torque, per acceleration", "TJ", torque / m * period**2, "Nm/(m/s2)"),
+        ("torque, per speed", "TB", torque / m * period, "Nm/(m/s)"),
+        ("torque, friction", "TC", torque, "Nm"),
+        ("torque, constant", "T0", torque, "Nm"),
+    ]
+    return [
+        (
+            name,
+            None if old is None else getattr(old, key) * factor,
+            getattr(new, key) * factor,
+            unit,
+        )
+        for name, key, factor, unit in units
+    ]
+
+
+def reference_motion(bench: Bench) -> tr.Trajectory:
+    """Move there and back at the usual speed and acceleration, in the middle of the travel."""
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    return tr.trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=0.3 * (high - low),
+        speed_m_per_s=0.6 * usable_speed(bench),
+        acceleration_m_per_s2=min(_REFERENCE_m_per_s2, bench.safety.max_acceleration_m_per_s2),
+        s_curve_s=0.015,
+        start_m=low + 0.35 * (high - low),
+    )
+
+
+def _law_curves(
+    axis: Axis, old: tuple[LawParameters | None, float], new: tuple[LawParameters, float]
+) -> list[Curve]:
+    motion = reference_motion(axis.bench)
+    counts = motion.position_m / axis.scales.motor_m_per_ct
+    nothing = np.zeros(counts.size)
+    sides: list[tuple[FloatArray, FloatArray]] = []
+    for bank, clamp_ct in (old, new):
+        if bank is None:
+            sides.append((nothing, nothing))
+            continue
+        out = evaluate(bank, counts, clamp_ct=clamp_ct)
+        to_um = axis.scales.motor_m_per_ct * UM_PER_M
+        sides.append((out.correction_ct * to_um, out.torque_dac * axis.scales.torque_Nm_per_dac))
+    names = (("the law's correction on a reference move", "um"), ("its torque", "Nm"))
+    return [
+        Curve(name, unit, motion.time_s, "s", sides[0][k], sides[1][k])
+        for k, (name, unit) in enumerate(names)
+    ]
+
+
+def _motion_curve(compensation: Compensation, bench: Bench, old: list[Table]) -> Curve:
+    """Correction of the known motion over time; what an earlier cam gave is shown beside it."""
+    drawn = draw_motion(compensation, bench)
+    new = (drawn.drawn.position_m - drawn.motion.position_m) * UM_PER_M
+    before = np.zeros(new.size)
+    cam = next((t for t in old if t.motor == bench.controller.cam_motor_number), None)
+    if isinstance(cam, CompTable) and compensation.route == "cam":
+        place = np.arange(new.size) / max(1, new.size - 1) * cam.span_ct
+        before = cam.correction_ct(place) * bench.motor_resolution_m * UM_PER_M
+    time_s = drawn.motion.trajectory.time_s
+    return Curve("the correction of the known motion", "um", time_s, "s", before, new)

@@ -15,29 +15,19 @@ from pmac_comp.base.errors import (
     ControllerState,
     ForeignChange,
 )
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.machine.controller import law_upload, recovery
-from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.program_upload import rollback_program
 from pmac_comp.machine.controller.transaction import Context, UploadResult
-from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
-    CAM_PROGRAM,
     release_time_motor,
-    render_cam,
     rest_time_motor,
 )
 from pmac_comp.workflow.compensation_file import (
-    Compensation,
     read_compensation,
 )
-from pmac_comp.workflow.computing import cost_remarks, largest_correction_um
 from pmac_comp.workflow.deploy import LAST_UPLOAD, Progress, context_of, deploy, stand_at_zero
-from pmac_comp.workflow.rendering import law_parameters
-from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.tables import tables_of
 
 
 @contextmanager
@@ -46,67 +36,6 @@ def _ready(
 ) -> Iterator[tuple[Axis, Context]]:
     with open_axis(url, bench) as axis:
         yield axis, context_of(axis, journal, progress)
-
-
-def plan_upload(url: str, bench: str, new: Path) -> dict[str, Any]:
-    """What an upload would do, for a person to look at; nothing is changed."""
-    compensation = read_compensation(new)
-    with open_axis(url, bench) as axis:
-        context = context_of(axis)
-        lines: list[str] = []
-        text = [f"plan for {url}, route {compensation.route}:"]
-        tables = tables_of(compensation, axis.bench)
-        if tables:
-            upload = TableUpload(axis.link, context, tables)
-            plan = upload.prepare()
-            lines += plan.lines
-            text += _table_plan_lines(plan, axis)
-        if compensation.route == "cam":
-            text += _cam_plan_lines(axis, compensation)
-        if compensation.route in TORQUE_ROUTES:
-            parameters = law_parameters(compensation.law, axis.scales)
-            text += _law_plan_lines(axis, context, compensation, parameters)
-            first = context.block.bank(1)
-            lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
-        text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route)]
-        return {"url": url, "route": compensation.route, "plan": text, "lines": lines}
-
-
-def _table_plan_lines(plan: UploadPlan, axis: Axis) -> list[str]:
-    change_um = plan.largest_change_ct * axis.scales.motor_m_per_ct * UM_PER_M
-    n = plan.new.n_entries
-    out = [
-        f"  tables: {n} entries, largest change {change_um:.2f} um",
-        f"  all tables are off (I51 = 0) while {n} entries are written and read back, some "
-        f"{0.5 + n / 400.0:.1f} s",
-    ]
-    return out + [f"  refused: {refusal.message}" for refusal in plan.refusals]
-
-
-def _cam_plan_lines(axis: Axis, compensation: Compensation) -> list[str]:
-    cam = render_cam(compensation, axis.bench)
-    table = cam.table.table
-    largest_um = max(map(abs, table.entries)) / 16.0 * axis.scales.motor_m_per_ct * UM_PER_M
-    return [
-        f"  cam: motor #{table.motor} counts time at {cam.shape.ct_per_cycle} counts per servo "
-        f"cycle, {len(table.entries)} entries, largest {largest_um:.2f} um, rounding "
-        f"{cam.table.quantisation_um:.3f} um",
-        f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, other "
-        "motions stay uncompensated",
-    ]
-
-
-def _law_plan_lines(
-    axis: Axis, context: Context, compensation: Compensation, parameters: LawParameters
-) -> list[str]:
-    head = law_upload.read_law_head(axis.link, context.block)
-    state = "armed" if head.is_armed else "disarmed"
-    return [
-        f"  law: largest correction {largest_correction_um(compensation.law):.2f} um, clamp "
-        f"{compensation.law.amplitude_limit_m * UM_PER_M:g} um, digest {parameters.digest:08x}",
-        f"  the law on the card is {head.form.name.lower()}, {state}; nothing is off meanwhile: "
-        "the idle bank is filled, read back and taken over by one write",
-    ]
 
 
 def upload_file(

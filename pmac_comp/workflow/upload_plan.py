@@ -1,0 +1,185 @@
+"""What an upload would do, for a person to look at before it is done; nothing is changed.
+
+What changes and by how much at most, what is off meanwhile and for how long, what the axis does,
+and everything that forbids it.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pmac_comp.base.errors import PmacCompError, SafetyRefusal
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
+from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
+from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.computing import cost_remarks
+from pmac_comp.workflow.deploy import (
+    SIGN_OFFSETS_um,
+    context_of,
+    double_corrections,
+    program_lines,
+    stale_tables,
+)
+from pmac_comp.workflow.difference import Difference, difference_on
+from pmac_comp.workflow.program import draw_motion
+from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.routes import TORQUE_ROUTES
+from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.tables import tables_of
+
+_ENABLE_STEP = "PC-SAF-004"
+_SERIAL_CHARACTERS_PER_s = 0.1  # of the baud rate: ten bits each
+_PACKETS_CHARACTERS_PER_s = 1e5
+_STEPS_s = 0.5  # questions, seal and switch
+_BOTH_WAYS = 2.0  # written and read back
+_DEFAULT_BAUD = 38400.0
+
+
+@dataclass(frozen=True)
+class UploadPreview:
+    """A plan in words, the lines that would be sent, and what forbids it."""
+
+    url: str
+    route: str
+    text: tuple[str, ...]
+    lines: tuple[str, ...]
+    refusals: tuple[SafetyRefusal, ...]
+    change: Difference
+
+    def require_allowed(self) -> None:
+        """Raise all refusals together, if there are any; nothing was changed."""
+        raise_all(self.refusals, "The upload")
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {
+            "url": self.url,
+            "route": self.route,
+            "plan": list(self.text),
+            "lines": list(self.lines),
+            "largest_change_um": self.change.largest_change_um,
+            "refusals": [refusal.message for refusal in self.refusals],
+        }
+
+
+def plan_upload(url: str, bench: str, new: Path) -> UploadPreview:
+    """Preview of an upload."""
+    compensation = read_compensation(new)
+    with open_axis(url, bench) as axis:
+        context = context_of(axis)
+        return preview(axis, context, compensation, url)
+
+
+def preview(axis: Axis, context: Context, compensation: Compensation, url: str) -> UploadPreview:
+    """Preview on a connected axis."""
+    lines: list[str] = []
+    refusals = double_corrections(axis, context, compensation)
+    change = difference_on(axis, context, compensation)
+    text = [f"plan for {url}, route {compensation.route}:"]
+    text += [f"  {line}" for line in change.lines()]
+    tables = tables_of(compensation, axis.bench)
+    stale = stale_tables(axis, compensation, tables)
+    if tables or stale:
+        upload = TableUpload(axis.link, context, tables, without=stale)
+        plan = upload.prepare()
+        lines += plan.lines
+        refusals += [r for r in plan.refusals if not _settled_by_moving(r, axis)]
+        text += _table_lines(plan, url)
+        text += _motion_lines(axis)
+    if compensation.route == "cam":
+        text += _cam_lines(axis, compensation)
+        lines += render_cam(compensation, axis.bench).program.lines
+    if compensation.route == "program":
+        text += _program_lines(axis, compensation)
+        lines += draw_motion(compensation, axis.bench).program.lines
+    if compensation.route in TORQUE_ROUTES:
+        parameters = law_parameters(compensation.law, axis.scales)
+        text += _law_lines(axis, compensation)
+        lines += program_lines(axis, context, compensation.route)
+        first = context.block.bank(1)
+        lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
+    text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route)]
+    text += ["  nothing is saved to flash: after a reset the controller comes up as before"]
+    text += [f"  refused: {refusal.message}" for refusal in refusals]
+    return UploadPreview(
+        url, compensation.route, tuple(text), tuple(lines), tuple(refusals), change
+    )
+
+
+def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:
+    """Whether a step on enabling goes away because the axis first moves to its zero."""
+    return refusal.code == _ENABLE_STEP and refusal.context.get("motor") == axis.motor
+
+
+def _table_lines(plan: UploadPlan, url: str) -> list[str]:
+    names = ", ".join(f"{t.kind.value} of motor #{t.motor} ({len(t.entries)})" for t in plan.new)
+    off_s = _off_s(url, sum(len(line) + 1 for line in plan.lines))
+    others = ", ".join(f"#{m}" for m in plan.old.motors if m not in plan.new.motors)
+    was = "act now" if plan.enabled_old else "are off now"
+    return [
+        f"  tables afterwards (entries): {names or 'none'}; tables {was}",
+        f"  all tables of the controller are off (I51 = 0) for about {off_s:.1f} s while they are "
+        "written and read back"
+        + (f"; that concerns {', '.join(others)} as well" if others else ""),
+    ]
+
+
+def _off_s(url: str, characters: int) -> float:
+    endpoint = parse_url(url)
+    rate = _PACKETS_CHARACTERS_PER_s
+    if endpoint.scheme == "serial":
+        baud = float(dict(endpoint.options).get("baud", _DEFAULT_BAUD))
+        rate = baud * _SERIAL_CHARACTERS_PER_s
+    return _STEPS_s + _BOTH_WAYS * characters / rate
+
+
+def _motion_lines(axis: Axis) -> list[str]:
+    reading = motors.read_motor(axis.link, axis.motor)
+    if not reading.status.is_closed_loop:
+        return ["  the motor's loop is open: nothing moves"]
+    return ["  the axis moves to its zero first, where every table corrects nothing"]
+
+
+def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:
+    cam = render_cam(compensation, axis.bench)
+    table = cam.table.table
+    largest_um = max(map(abs, table.entries)) / 16.0 * axis.scales.motor_m_per_ct * UM_PER_M
+    return [
+        f"  cam: motor #{table.motor} counts time at {cam.shape.ct_per_cycle} counts per servo "
+        f"cycle, {len(table.entries)} entries, largest {largest_um:.2f} um, rounding "
+        f"{cam.table.quantisation_um:.3f} um",
+        f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, other "
+        "motions stay uncompensated",
+    ]
+
+
+def _program_lines(axis: Axis, compensation: Compensation) -> list[str]:
+    drawn = draw_motion(compensation, axis.bench)
+    return [
+        f"  motion: {drawn.program.name}, {drawn.motion.duration_s:.2f} s, "
+        f"{len(drawn.program.lines)} lines, largest correction {drawn.largest_um:.2f} um, shape "
+        f"error {drawn.shape_error_um:.3f} um, rounding {drawn.rounding_um:.4f} um",
+        "  run this program; other motions stay uncompensated. Nothing is off meanwhile",
+    ]
+
+
+def _law_lines(axis: Axis, compensation: Compensation) -> list[str]:
+    law = compensation.law
+    out = [
+        f"  the law goes into the idle bank, is read back and taken over by one write: nothing is "
+        f"off meanwhile; its correction is clamped to {law.amplitude_limit_m * UM_PER_M:g} um"
+    ]
+    if not motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
+        return [*out, "  the motor's loop is open: the law is loaded and not armed"]
+    if compensation.route == "law":
+        out.append(
+            f"  before it is armed a guarded test moves the motor by {SIGN_OFFSETS_um[0]:g} to "
+            f"{SIGN_OFFSETS_um[-1]:g} um to measure the sign of the correction"
+        )
+    return [*out, "  its gain then ramps up from 0 to 1"]
