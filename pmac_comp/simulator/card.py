@@ -119,6 +119,7 @@ class Card:
         self.rotary = RotaryBuffers(self)
         self.systems = {n: CoordinateSystem(self, n) for n in range(1, r.COORDINATE_SYSTEMS + 1)}
         self.flash = Flash(flash)
+        self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
         self.listeners: list[Listener] = []
         self.ip_address = bytes((192, 6, 94, 5))
         self._queue: deque[tuple[str, Modal, str]] = deque()
@@ -227,6 +228,7 @@ class Card:
                 first = False
         except CardError:
             self.rotary.drop_line()
+            self.programs.drop_line()
             raise
         if self.rotary.is_open_on(context.owner):
             self.rotary.end_line(context.modal.cs)
@@ -611,6 +613,7 @@ class Card:
         for system in self.systems.values():
             system.axes.clear()
         self.memory.clear()
+        self.clock_shift_s = 0.0
         self._queue.clear()
         self.programs.clear_all()
         self.rotary.delete_all()
@@ -692,6 +695,7 @@ class Card:
     def _after_restore(self) -> None:
         self.programs.update_memory()
         self.servo.boot()
+        self._power_up_motors()
         for system in self.systems.values():
             for motor in system.axes:
                 self._write_assignment(motor)
@@ -699,6 +703,12 @@ class Card:
             self.plcs.reload(number)
         self.plcs.enable_all()
         self.memory.touch()
+
+    def _power_up_motors(self) -> None:
+        """Ixx80 bit 0: close the loop at power-up (p. 271-275)."""
+        for motor in self.servo.active_motors():
+            if self.variables.int_i(100 * motor + 80) & 1:
+                self.servo.enable(motor)
 
     def _factory_reset(self) -> None:
         for system in self.systems.values():

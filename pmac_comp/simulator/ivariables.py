@@ -241,7 +241,6 @@ def _cs_table(cs: int) -> dict[int, IVariable]:
         11: IVariable(I_X, b + r.C_TIMERS, signed=True, quiet=True),
         12: IVariable(I_Y, b + r.C_TIMERS, signed=True, quiet=True),
         13: _x(b + r.C_INTERNAL, 8, quiet=True),
-        53: IVariable(I_Y, b + r.C_ISX91_BITS, offset=20, width=1, quiet=True),
         87: _y(b + r.C_ISX88_ISX87, 23, quiet=True),
         88: _x(b + r.C_ISX88_ISX87, 23, default=50, quiet=True),
         89: _float(b + r.C_ISX89, 1000.0),

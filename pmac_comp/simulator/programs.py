@@ -128,6 +128,7 @@ class ProgramStore:
         self.open_owner: object = None
         self.password = ""
         self.unlocked = True
+        self._line_entered = 0  # statements of the line being read
 
     # --- opening and closing --------------------------------------------------------------------
 
@@ -143,6 +144,7 @@ class ProgramStore:
         program = table.setdefault(number, Program(kind, number))
         self.open_program, self.open_owner = program, owner
         program.assembled = None
+        self._line_entered = 0
         self._mark_open(is_open=True)
         self.update_memory()
         return program
@@ -177,12 +179,25 @@ class ProgramStore:
         if free < 0:
             raise CardError(6)
         program.statements.append(statement)
+        self._line_entered += 1
         # The entries of programs behind this one move when it is closed.
         self.memory.y[r.PROGRAM_END] += statement.words
         self._update_status(free)
 
+    def drop_line(self) -> None:
+        """A line was refused: no part of it stays in the buffer."""
+        program = self.open_program
+        if program is None:
+            return
+        while program.statements and self._line_entered:
+            statement = program.statements.pop()
+            self.memory.y[r.PROGRAM_END] -= statement.words
+            self._line_entered -= 1
+        self._line_entered = 0
+
     def end_line(self) -> None:
         """Close the text line being entered, which ends inline IF and WHILE actions."""
+        self._line_entered = 0
         program = self.open_program
         if program is None or program.kind != MOTION or not program.statements:
             return

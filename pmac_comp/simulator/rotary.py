@@ -112,6 +112,7 @@ class RotaryBuffers:
         if self._line and cs in self.buffers:
             self.buffers[cs].lines.append(self._line)
             self._line = []
+            self.report_fill(self.card.systems[cs])
             self.card.wake(cs)
 
     def drop_line(self) -> None:
@@ -142,8 +143,16 @@ class RotaryBuffers:
         program = Program(MOTION, 0, buffer.lines.popleft())
         program.assembled = assemble(program.statements, MOTION)
         system.replace_program(program)
-        self._request(system, wants=len(buffer.lines) < self.card.variables.int_i(16))
+        self.report_fill(system)
         return True
+
+    def report_fill(self, system: CoordinateSystem) -> None:
+        """Request bit: on below I16 lines, off above I17 (p. 45-46)."""
+        lines = len(self.buffers[system.number].lines)
+        if lines < self.card.variables.int_i(16):
+            self._request(system, wants=True)
+        elif lines > self.card.variables.int_i(17):
+            self._request(system, wants=False)
 
     def _request(self, system: CoordinateSystem, *, wants: bool) -> None:
         words, cell = self.card.memory.y, system.base + r.C_STATUS2_ADDRESS

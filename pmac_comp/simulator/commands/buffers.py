@@ -233,7 +233,7 @@ def _delete(context: LineContext) -> None:
         context.check(card.gathering.delete())
         card.rotary.delete_all()
         card.tables.delete_all()
-    elif scanner.take("LOOKAHEAD", "CCBUF", "TBUF", "TRACE"):
+    elif scanner.take("LOOKAHEAD", "CCBUFFER", "CCBUF", "TBUF"):
         # None of these can exist here; deleting what is not there changes nothing.
         return
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta
 
 from pmac_comp.simulator import registers as r
@@ -12,6 +13,8 @@ FIRMWARE = "1.947"
 CARD_ID = "603382"  # 3U Turbo PMAC2 (UMAC), which clients know
 _START = datetime(2000, 1, 1, tzinfo=UTC)  # clock option absent: time counts from here
 _LOCK_SHIFT = 4
+_TIME = re.compile(r"(\d\d?):(\d\d):(\d\d)")
+_DATE = re.compile(r"(\d\d?)/(\d\d?)/(\d{4})")
 
 
 def _constant_answer(text: str, *keywords: str) -> None:
@@ -32,16 +35,50 @@ _constant_answer("02/24/2014", "DATE", "DAT")
 
 @command("TODAY")
 def _today(context: LineContext) -> None:
-    context.answer(_now(context).strftime("%a %m/%d/%Y").upper())
+    now = _now(context)
+    given = _setting(context, _DATE)
+    if given is None:
+        context.answer(now.strftime("%a %m/%d/%Y").upper())
+        return
+    month, day, year = given
+    _set_clock(context, now, year=year, month=month, day=day)
 
 
 @command("TIME")
 def _time(context: LineContext) -> None:
-    context.answer(_now(context).strftime("%H:%M:%S"))
+    now = _now(context)
+    given = _setting(context, _TIME)
+    if given is None:
+        context.answer(now.strftime("%H:%M:%S"))
+        return
+    hour, minute, second = given
+    _set_clock(context, now, hour=hour, minute=minute, second=second)
 
 
 def _now(context: LineContext) -> datetime:
-    return _START + timedelta(seconds=context.card.time_s)
+    shift = timedelta(seconds=context.card.clock_shift_s)
+    return _START + timedelta(seconds=context.card.time_s) + shift
+
+
+def _setting(context: LineContext, form: re.Pattern[str]) -> list[int] | None:
+    """Numbers behind ``TIME=`` or ``TODAY=``, None for a question."""
+    scanner = context.scanner
+    if not scanner.take("="):
+        return None
+    scanner.skip_blanks()
+    match = form.match(scanner.text, scanner.position)
+    if match is None:
+        raise CardError(3)
+    scanner.position = match.end()
+    return [int(text) for text in match.groups()]
+
+
+def _set_clock(context: LineContext, now: datetime, **parts: int) -> None:
+    try:
+        moved = now.replace(**parts)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise CardError(3) from error
+    context.card.clock_shift_s += (moved - now).total_seconds()
 
 
 @command("CHECKSUM", "CHKS")

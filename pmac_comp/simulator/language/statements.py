@@ -7,6 +7,7 @@ they are entered. Source: Turbo PMAC Software Reference Manual p. 405-485.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -181,10 +182,21 @@ class StatementParser(ExpressionParser):
             parts.append((letter, timed))
         if not parts:
             return None
+        if self.scanner.peek() in ("I", "J", "K", "R") and not self._is_word_or_assignment():
+            raise CardError(3, "arc moves are not supported")
         count = sum(2 if timed else 1 for _, timed in parts)
         return Statement("move", code, count, code.text, code.text, tuple(parts))
 
 
+    def _is_word_or_assignment(self) -> bool:
+        """Whether what stands here goes on as a program word (``RAPID``) or ``I5=2``."""
+        if program_word(self.scanner) is not None:
+            return True
+        match = _ASSIGNED.match(self.scanner.text, self.scanner.position)
+        return match is not None
+
+
+_ASSIGNED = re.compile(r"\s*I\s*(?:[\d\s]+=|\()")
 Reader = Callable[[StatementParser, str], Statement | None]
 _KEYWORDS: dict[str, Reader] = {}
 _MOTION_NAMES: dict[str, list[str]] = {}

@@ -104,7 +104,7 @@ def test_every_unsupported_ivariable_keeps_its_default_and_refuses_others(
 ) -> None:
     fixed = [n for n, v in TABLE.items() if v.fixed]
     assert len(fixed) > 4000
-    for number in fixed[:: max(1, len(fixed) // 300)]:
+    for number in fixed:
         present = card.variables.read_i(number)
         assert ask(f"I{number}={present:.12g}") == ""
         assert ask(f"I{number}=3") == "ERR003" or present == 3
