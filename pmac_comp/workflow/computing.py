@@ -17,7 +17,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture
 from pmac_comp.machine.controller import law_upload
-from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -25,9 +25,10 @@ from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.dynamic_law import dynamic_law
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
-from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
@@ -43,6 +44,7 @@ def compute_compensation(
     slow: tuple[Capture, ...] = (),
     captures: tuple[Capture, ...] = (),
     motion: Motion | None = None,
+    every_cycles: int = 1,
     provenance: dict[str, Any] | None = None,
     limit: Limit = Limit.REFUSE,
     progress: Progress | None = None,
@@ -62,6 +64,8 @@ def compute_compensation(
         leaves of them.
     motion : Motion or None
         The one motion of ``cam`` and ``program``.
+    every_cycles : int
+        Servo cycles between two passes of the law on the controller (route ``law``).
     provenance : dict, optional
         Where the figures come from.
     limit : Limit
@@ -77,11 +81,12 @@ def compute_compensation(
         The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
-    law = design_law(
+    law = dynamic_law(
         bench,
-        model_loop(model),
-        latency_cycles=LATENCY_CYCLES[route],
-        with_torque=route in TORQUE_ROUTES,
+        model,
+        route,
+        (*captures, *slow),
+        every_cycles=every_cycles,
         provenance=provenance,
         progress=progress,
     )

@@ -30,7 +30,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     w = d T_INV          t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
     c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
-    q = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v| TV_INV)) t + T0
+    p = (r + LR v) KP                                     angle of the screw, degrees
+    q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(NH p + PH)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -115,7 +116,7 @@ class BankIndex(IntEnum):
     S0 = 4  # counts
     S1 = 5  # counts per count of position
     X0 = 6  # counts, origin of x
-    SPARE7 = 7
+    KP = 7  # degrees of the screw per count (I15 = 0)
     S_INV = 8  # 1/counts, inverse of the break-away distance of s
     TJ = 9  # DAC units per (count/SC^2)
     TB = 10  # DAC units per (count/SC)
@@ -125,12 +126,15 @@ class BankIndex(IntEnum):
     L2 = 14  # SC^2, half the square of it
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant
-    SPARE17 = 17
-    TS = 18  # DAC units, excess at low speed
-    TV_INV = 19  # SC/count, inverse of the speed at which the excess is halved
+    LR = 17  # SC, look-ahead of the angle
+    TR = 18  # DAC units, friction once per turn
+    PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
     T_LIMIT = 21  # DAC units, largest torque feed-forward
     TK = 22  # DAC units per (count/SC^3), undoes delay and current loop
+    TH = 23  # DAC units, cogging
+    NH = 24  # orders per turn
+    PH = 25  # degrees
     REVISION = 26  # number of the law, from the host
     SEALED = 27  # 20261 once the bank was read back
     CRC_HIGH = 28
@@ -209,18 +213,23 @@ class LawParameters:
     L2: float = 0.0
     T_INV: float = 0.0
     T0: float = 0.0
-    TS: float = 0.0
-    TV_INV: float = 0.0
     TE: float = 0.0
     T_LIMIT: float = 0.0
     TK: float = 0.0
+    KP: float = 0.0
+    LR: float = 0.0
+    TR: float = 0.0
+    PR: float = 0.0
+    TH: float = 0.0
+    NH: float = 0.0
+    PH: float = 0.0
     REVISION: float = field(default=0.0, compare=True)
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        negative = [n for n in ("S_INV", "T_INV", "TV_INV", "T_LIMIT") if getattr(self, n) < 0.0]
+        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT") if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
 
@@ -263,7 +272,7 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TK", "TB", "TC", "T0", "TS", "TE")
+        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH")
         return all(getattr(self, name) == 0.0 for name in names)
 
 
@@ -316,8 +325,10 @@ def evaluate(
     s = _friction_state(ahead * p.S_INV, start.get("s", 0.0))
     t = _friction_state(ahead * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
-    level = p.TC + p.TE * np.abs(a) + p.TS / (1.0 + np.abs(v) * p.TV_INV)
-    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0
+    angle = (r + p.LR * v) * p.KP
+    level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(angle + p.PR))
+    cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
+    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     return LawOutput(
         correction_ct=gain * np.clip(c, -clamp_ct, clamp_ct),
         torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),

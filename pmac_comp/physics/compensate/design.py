@@ -45,8 +45,8 @@ _MECHANICAL_FRAC = 0.1
 _TOTAL_FRAC = 0.2
 _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
-_START_BREAKAWAY_m = 3e-6
-_DRIVE_DELAY_s = 5e-4  # of a current loop of 300 Hz: where the look-ahead starts from
+_START_BREAKAWAY_m = 1.2e-6
+_DRIVE_DELAY_s = 1.2e-3  # of dead time and current loop: where the look-ahead starts from
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
 # Free coefficients with the size of a typical change.
@@ -67,7 +67,6 @@ _TORQUE_SCALES = {
     "torque_viscous_Nm_s_per_m": 0.2,
     "torque_coulomb_Nm": 0.2,
     "torque_load_Nm_s2_per_m": 0.02,
-    "torque_excess_Nm": 0.1,
     "torque_breakaway_m": 1e-5,
     "torque_constant_Nm": 0.02,
 }
@@ -276,6 +275,7 @@ def _start(
         breakaway_m=_START_BREAKAWAY_m,
         lookahead_s=(latency + 1) * period + _DRIVE_DELAY_s,
         origin_m=bench.mid_travel_m,
+        turn_m=bench.pitch_m,
         amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,
     )
     if not with_torque:
@@ -332,7 +332,7 @@ def _refined(
         np.maximum(first, lowest + 0.05),
         bounds=(lowest, np.inf),
         diff_step=[1e-3],
-        max_nfev=7,
+        max_nfev=10,
         xtol=1e-4,
         ftol=1e-3,
     )

@@ -10,7 +10,9 @@ the distance from the law's origin::
     w  = v + L a + L^2/2 j                              speed expected L seconds later
     s' = (|w| (sgn w - s)) / break-away distance        friction state, follows distance
     correction = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j     added to the command
-    torque = TJ a + TK j + TB v + (TC + TE |a| + TS / (1 + |v|/v_half)) t + T0   to the output
+    p  = 2 pi (r + LR v) / turn                         angle of the screw, looking ahead
+    torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(n p + PH)
+                                                        added to the output
 
 ``t`` is a second friction state with the break-away distance of the motor's friction; it fades at
 rest within 0.2 s. The look-ahead L covers the delay of door, drive and loop: at a reversal the
@@ -18,6 +20,7 @@ friction's step must meet the axis on time, and a lead by derivatives makes a sp
 rings the first mode instead.
 """
 
+import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -50,10 +53,16 @@ class CompensationLaw:
         L, from latency, delay and current loop to the motor's own reversal.
     torque_inertia_Nm_s2_per_m, torque_jerk_Nm_s3_per_m, torque_viscous_Nm_s_per_m : float
         TJ, TK, TB.
-    torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_excess_Nm, torque_constant_Nm : float
-        TC, TE, TS, T0.
-    excess_speed_m_per_s : float
-        Speed at which the excess TS is halved.
+    torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_constant_Nm : float
+        TC, TE, T0.
+    turn_m : float
+        Travel of one screw turn.
+    turn_friction_Nm, turn_phase_rad : float
+        TR and PR: friction that changes once per turn.
+    ripple_Nm, ripple_order, ripple_phase_rad : float
+        TH, n, PH: cogging, the strongest order of it.
+    ripple_lookahead_s : float
+        LR, from latency to the torque at the shaft.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
@@ -80,10 +89,15 @@ class CompensationLaw:
     torque_viscous_Nm_s_per_m: float = 0.0
     torque_coulomb_Nm: float = 0.0
     torque_load_Nm_s2_per_m: float = 0.0
-    torque_excess_Nm: float = 0.0
     torque_constant_Nm: float = 0.0
-    excess_speed_m_per_s: float = 5e-3
     torque_breakaway_m: float = 10e-6
+    turn_m: float = 10e-3
+    turn_friction_Nm: float = 0.0
+    turn_phase_rad: float = 0.0
+    ripple_Nm: float = 0.0
+    ripple_order: float = 0.0
+    ripple_phase_rad: float = 0.0
+    ripple_lookahead_s: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -96,7 +110,7 @@ class CompensationLaw:
         finite_array("law coefficients", [getattr(self, name) for name in coefficient_names()])
         small = [
             name
-            for name in ("breakaway_m", "torque_breakaway_m", "excess_speed_m_per_s")
+            for name in ("breakaway_m", "torque_breakaway_m", "turn_m")
             if getattr(self, name) <= 0.0
         ]
         if not 1 <= self.every_cycles <= _MOST_CYCLES:
@@ -136,8 +150,9 @@ TORQUE_NAMES = (
     "torque_viscous_Nm_s_per_m",
     "torque_coulomb_Nm",
     "torque_load_Nm_s2_per_m",
-    "torque_excess_Nm",
     "torque_constant_Nm",
+    "turn_friction_Nm",
+    "ripple_Nm",
 )
 
 
@@ -202,6 +217,16 @@ def evaluate_law(
     )
 
 
+def friction_state(speed_m_per_s: FloatArray, breakaway_m: float, period_s: float) -> FloatArray:
+    """Direction of a motion as its friction has it: follows distance, holds at rest."""
+    state = np.empty_like(speed_m_per_s)
+    value = 0.0
+    for k, step in enumerate((speed_m_per_s * period_s / breakaway_m).tolist()):
+        value = (value + step) / (1.0 + abs(step))
+        state[k] = value
+    return state
+
+
 def delayed(values: FloatArray, cycles: int) -> FloatArray:
     """Array shifted to later samples; the first value fills the front."""
     if cycles <= 0:
@@ -225,12 +250,14 @@ def _evaluate(p: FloatArray, r: FloatArray, period: float) -> tuple[FloatArray, 
         step = (v + p[8] * a + 0.5 * p[8] * p[8] * j) * period
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
-        w = step / p[17]
+        w = step / p[15]
         t = (t + w) / (1.0 + _FADE + abs(w))
-        x = r[k] - p[18]
+        x = r[k] - p[23]
         correction[k] = (
             (p[0] + p[1] * x) * a + (p[2] + p[3] * x) * v + (p[4] + p[5] * x) * s + p[6] * j
         )
-        level = p[12] + p[13] * abs(a) + p[14] / (1.0 + abs(v) / p[16])
-        torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[15]
+        angle = 2.0 * math.pi * (r[k] + p[22] * v) / p[16]
+        level = p[12] + p[13] * abs(a) + p[17] * math.sin(angle + p[18])
+        ripple = p[19] * math.sin(p[20] * angle + p[21])
+        torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[14] + ripple
     return correction, torque

@@ -28,7 +28,12 @@ LAW = CompensationLaw(
     torque_viscous_Nm_s_per_m=0.1,
     torque_coulomb_Nm=0.5,
     torque_load_Nm_s2_per_m=0.005,
-    torque_excess_Nm=0.1,
+    turn_friction_Nm=0.1,
+    turn_phase_rad=0.7,
+    ripple_Nm=0.04,
+    ripple_order=20.0,
+    ripple_phase_rad=-1.0,
+    ripple_lookahead_s=1.6e-3,
     torque_constant_Nm=0.01,
     origin_m=0.02,
     torque_limit_Nm=17.0,
@@ -82,7 +87,9 @@ def test_offset_state_holds_at_rest_and_torque_state_fades() -> None:
 
 
 def test_motion_the_other_way_gives_the_opposite() -> None:
-    law = LAW.with_values(origin_m=0.0, torque_constant_Nm=0.0)
+    law = LAW.with_values(
+        origin_m=0.0, torque_constant_Nm=0.0, turn_friction_Nm=0.0, ripple_phase_rad=0.0
+    )
     up = evaluate_law(law, SINE.position_m - 0.1, PERIOD)
     down = evaluate_law(
         law.with_values(
@@ -112,7 +119,7 @@ def test_without_torque_keeps_the_offset() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["breakaway_m", "torque_breakaway_m", "excess_speed_m_per_s"])
+@pytest.mark.parametrize("name", ["breakaway_m", "torque_breakaway_m", "turn_m"])
 def test_distances_and_speeds_must_be_positive(name: str) -> None:
     with pytest.raises(ModelError):
         LAW.with_values(**{name: 0.0})

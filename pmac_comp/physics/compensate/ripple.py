@@ -1,0 +1,191 @@
+"""Torque that repeats with the turn of the screw, found in captures: cogging and nut friction.
+
+What lives here: the order of the cogging from steady runs, and the amplitudes from all runs. What
+may not: the model's fit, controllers.
+
+A model without these effects misses the motor's position by what the loop lets through of them.
+What it would let through of a known torque is simulated, so the amplitudes come out of a linear
+regression with the loop, the delay and the friction in it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+
+_HIGHEST_ORDER = 60
+_LEAST_TURNS = 3.0
+_STEADY_FRAC = 0.02
+_STANDS_OUT = 6.0  # times the typical amplitude of the neighbouring orders
+_NEIGHBOURS = 6
+_LEAST_ORDER = 3  # below, friction per turn and lead wobble live
+_PROBE_Nm = 0.02  # torque whose effect is simulated
+_LEAST_GAIN_FRAC = 0.003  # of the residual's power: a part that explains less is left out
+_DECIMATION = 3
+
+
+@dataclass(frozen=True)
+class TurnTorque:
+    """Torque to be added per turn of the screw.
+
+    Parameters
+    ----------
+    order : int
+        Order of the cogging per turn, 0 for none.
+    ripple_Nm, ripple_phase_rad : float
+        Amplitude and phase of ``sin(order angle + phase)``.
+    friction_Nm, friction_phase_rad : float
+        The same of the friction that changes once per turn, times the direction.
+    explained : float
+        Share of what the model left of the motor's position that these explain.
+    """
+
+    order: int
+    ripple_Nm: float
+    ripple_phase_rad: float
+    friction_Nm: float
+    friction_phase_rad: float
+    explained: float
+
+
+def turn_torque(
+    law: CompensationLaw,
+    loop: LoopRunner,
+    captures: Sequence[Capture],
+    *,
+    drive_delay_s: float,
+) -> TurnTorque:
+    """Cogging and friction per turn that captures show and a model does not hold.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        Law of the model; its turn and its break-away distance are used.
+    loop : LoopRunner
+        Closed loop of the model.
+    captures : sequence of Capture
+        Runs without compensation.
+    drive_delay_s : float
+        From the torque command to the torque at the shaft.
+    """
+    rests = [_rest(loop, capture) for capture in captures]
+    order = cogging_order(captures, rests, law.turn_m)
+    parts = [_responses(law, loop, c, order, drive_delay_s)[::_DECIMATION] for c in captures]
+    matrix = np.concatenate(parts)
+    rest = np.concatenate([r[::_DECIMATION] for r in rests])
+    found = _regression(matrix, rest)
+    without = float(np.sum((rest - matrix @ found) ** 2))
+    gains: list[float] = []
+    for pair in (slice(0, 2), slice(2, 4)):
+        fewer = matrix.copy()
+        fewer[:, pair] = 0.0
+        left = float(np.sum((rest - fewer @ _regression(fewer, rest)) ** 2))
+        gains.append((left - without) / max(float(np.sum(rest**2)), 1e-30))
+    cosine, sine, turn_cosine, turn_sine = (float(value) for value in found[:4])
+    ripple = order > 0 and gains[0] > _LEAST_GAIN_FRAC
+    turn = gains[1] > _LEAST_GAIN_FRAC
+    return TurnTorque(
+        order=order if ripple else 0,
+        ripple_Nm=math.hypot(cosine, sine) if ripple else 0.0,
+        ripple_phase_rad=math.atan2(cosine, sine) if ripple else 0.0,
+        friction_Nm=math.hypot(turn_cosine, turn_sine) if turn else 0.0,
+        friction_phase_rad=math.atan2(turn_cosine, turn_sine) if turn else 0.0,
+        explained=ripple * gains[0] + turn * gains[1],
+    )
+
+
+def with_turn_torque(
+    law: CompensationLaw, found: TurnTorque, *, drive_delay_s: float, latency_s: float
+) -> CompensationLaw:
+    """Law with the torque per turn, ahead by the drive's delay and the door's latency."""
+    return law.with_values(
+        ripple_Nm=found.ripple_Nm,
+        ripple_order=float(found.order),
+        ripple_phase_rad=found.ripple_phase_rad,
+        turn_friction_Nm=found.friction_Nm,
+        turn_phase_rad=found.friction_phase_rad,
+        ripple_lookahead_s=drive_delay_s + latency_s,
+    )
+
+
+def cogging_order(captures: Sequence[Capture], rests: Sequence[FloatArray], turn_m: float) -> int:
+    """Order per turn that stands out most of the motor's residual at steady speed, 0 for none.
+
+    Orders below three are left to friction per turn; both directions must show the order.
+    """
+    scores = [
+        _order_scores(capture, rest, turn_m, direction)
+        for capture, rest in zip(captures, rests, strict=True)
+        for direction in (1.0, -1.0)
+    ]
+    known = [score for score in scores if score is not None]
+    if not known:
+        return 0
+    # An order that only some speeds let through counts where it is seen best, in both directions.
+    best = np.sort(np.array(known), axis=0)[-2:].min(axis=0) if len(known) > 1 else known[0]
+    order = int(np.argmax(best)) + _LEAST_ORDER
+    return order if best[order - _LEAST_ORDER] > _STANDS_OUT else 0
+
+
+def _order_scores(
+    capture: Capture, rest: FloatArray, turn_m: float, direction: float
+) -> FloatArray | None:
+    """Amplitude of each order over that of its neighbours, None without a steady stretch."""
+    r = capture.commanded_position_m
+    speed = direction * np.gradient(r, capture.sample_period_s)
+    top = float(np.max(speed))
+    use = (speed > (1.0 - _STEADY_FRAC) * top) & capture.mask & (speed > 1e-4)
+    if np.ptp(r[use]) < _LEAST_TURNS * turn_m if use.any() else True:
+        return None
+    angle = 2.0 * math.pi * r[use] / turn_m
+    values = rest[use] - np.polyval(np.polyfit(angle, rest[use], 3), angle)
+    orders = np.arange(1, _HIGHEST_ORDER + _NEIGHBOURS + 1)
+    amplitude = np.array([abs(np.mean(values * np.exp(-1j * n * angle))) for n in orders])
+    scores = np.empty(_HIGHEST_ORDER - _LEAST_ORDER + 1)
+    for i, n in enumerate(range(_LEAST_ORDER, _HIGHEST_ORDER + 1)):
+        low = max(_LEAST_ORDER - 1, n - 1 - _NEIGHBOURS)
+        near = np.delete(amplitude[low : n + _NEIGHBOURS], n - 1 - low)
+        scores[i] = amplitude[n - 1] / max(float(np.median(near)), 1e-12)
+    return scores
+
+
+def _rest(loop: LoopRunner, capture: Capture) -> FloatArray:
+    """Motor position that the model does not explain, m."""
+    simulated = loop(capture.commanded_position_m, None, None).motor_position_m
+    return np.asarray(capture.motor_position_m - simulated)
+
+
+def _responses(
+    law: CompensationLaw, loop: LoopRunner, capture: Capture, order: int, delay_s: float
+) -> FloatArray:
+    """Motor position in m per N m of each torque shape, shape (n, shapes)."""
+    r, period = capture.commanded_position_m, capture.sample_period_s
+    v = np.gradient(r, period)
+    state = friction_state(v, law.torque_breakaway_m, period)
+    angle = 2.0 * math.pi * (capture.motor_position_m + v * delay_s) / law.turn_m
+    shapes = [
+        np.cos(order * angle) if order else np.zeros_like(r),
+        np.sin(order * angle) if order else np.zeros_like(r),
+        state * np.cos(angle),
+        state * np.sin(angle),
+        # What else friction may have that the model has not, so that it is not put on the turn.
+        state,
+        state * np.exp(-np.abs(v) / 5e-3),
+        v,
+        np.ones_like(r),
+    ]
+    plain = loop(r, None, None).motor_position_m
+    moved = [loop(r, None, -_PROBE_Nm * shape).motor_position_m for shape in shapes]
+    return np.column_stack([(m - plain) / _PROBE_Nm for m in moved])
+
+
+def _regression(matrix: FloatArray, rest: FloatArray) -> FloatArray:
+    scale = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-30)
+    found, *_ = np.linalg.lstsq(matrix / scale, rest, rcond=1e-5)
+    return np.asarray(found / scale)

@@ -1,0 +1,80 @@
+"""The dynamic law of a drive for a route: the model's, with what captures show of its turn.
+
+What lives here: which delays belong to a door, and the order of the two steps. What may not: the
+arithmetic of either (``physics.compensate``), files, controllers.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
+from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
+Progress = Callable[[str, float], None]
+
+
+def dynamic_law(
+    bench: Bench,
+    model: "DriveModel",
+    route: str,
+    captures: Sequence[Capture] = (),
+    *,
+    every_cycles: int = 1,
+    provenance: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> CompensationLaw:
+    """Law of a model for a route.
+
+    Parameters
+    ----------
+    bench, model
+        What is known, and the identified drive.
+    route : str
+        One of ``ROUTES``; only ``law`` and ``servo`` carry torque.
+    captures : sequence of Capture
+        Runs without compensation, slow ones included: cogging and friction per turn are read from
+        them, which the model need not hold.
+    every_cycles : int
+        Servo cycles between two passes of the law.
+    provenance : dict, optional
+        Kept with the law.
+    progress : callable, optional
+        Called with a step and a fraction.
+    """
+    loop = model_loop(model)
+    law = design_law(
+        bench,
+        loop,
+        latency_cycles=LATENCY_CYCLES[route],
+        with_torque=route in TORQUE_ROUTES,
+        every_cycles=every_cycles,
+        provenance=provenance,
+        progress=progress,
+    )
+    if route not in TORQUE_ROUTES or not captures:
+        return law
+    delay_s = drive_delay_s(model)
+    found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
+    # A value that is held for some cycles is half of that late on average.
+    latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
+    law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
+    return replace(law, provenance={**law.provenance, "turn_explained": found.explained})
+
+
+def drive_delay_s(model: "DriveModel") -> float:
+    """Delay in s from torque command to shaft: dead time, half a period of hold, current loop."""
+    chain = model.values_of("chain")
+    nominal = model.bench.nominal
+    dead_s = chain.get("actuator_delay_s", (nominal.actuator_delay_us or 0.0) * 1e-6)
+    bandwidth_Hz = chain.get("current_bandwidth_Hz", nominal.current_bandwidth_Hz or math.inf)
+    lag_s = 0.0 if math.isinf(bandwidth_Hz) else 1.0 / (2.0 * math.pi * bandwidth_Hz)
+    return dead_s + lag_s + 0.5 * model.bench.servo_period_s

@@ -1,0 +1,83 @@
+"""Torque per turn: order, amplitudes and phases are those of the plant, and nothing is found where
+nothing is."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.ripple import TurnTorque, turn_torque, with_turn_torque
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+
+BENCH = load_bench("paper_x4")
+PERIOD = BENCH.servo_period_s
+LAW = CompensationLaw(turn_m=BENCH.pitch_m, torque_breakaway_m=2e-6, torque_limit_Nm=10.0)
+DELAY_s = 1.2e-3
+
+
+def captures(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
+    plant = make_plant(BENCH, effects=effects, spread=0.0)
+    moves = [
+        trapezoid(
+            period_s=PERIOD, distance_m=0.06, speed_m_per_s=0.05, acceleration_m_per_s2=0.5,
+            s_curve_s=0.05, start_m=-0.02,
+        ),
+        sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=1.0, cycles=3.0),
+    ]  # fmt: skip
+    return [closed_loop_capture(BENCH, plant, move.position_m) for move in moves]
+
+
+def found(effects: dict[str, dict[str, float | str]]) -> TurnTorque:
+    model = DriveModel.base(
+        BENCH,
+        {
+            "coulomb.guide_N": 45.0,
+            "coulomb.nut_Nm": 0.25,
+            "coulomb.motor_Nm": 0.2,
+            "viscous.guide_Ns_per_m": 200.0,
+        },
+    )
+    return turn_torque(LAW, model_loop(model), captures(effects), drive_delay_s=DELAY_s)
+
+
+def test_cogging_of_the_plant_is_found_with_its_order_size_and_phase() -> None:
+    got = found({"cogging": {"amplitude_Nm": 0.05, "order_per_rev": 12.0, "phase_rad": 0.4}})
+    assert got.order == 12
+    assert got.ripple_Nm == pytest.approx(0.05, rel=0.1)
+    # The plant resists with 0.05 cos(12 angle + 0.4) or pushes with it: the law does the opposite.
+    angle = np.linspace(0.0, 2.0 * math.pi, 400)
+    law = got.ripple_Nm * np.sin(12.0 * angle + got.ripple_phase_rad)
+    plant = 0.05 * np.cos(12.0 * angle + 0.4)
+    assert abs(np.corrcoef(law, plant)[0, 1]) > 0.97
+    assert got.friction_Nm < 0.01
+
+
+def test_friction_once_per_turn_is_found() -> None:
+    got = found(
+        {"friction_per_rev": {"amplitude_Nm": 0.05, "order_per_rev": 1.0, "phase_rad": 0.7}}
+    )
+    assert got.order == 0
+    assert got.friction_Nm == pytest.approx(0.05, rel=0.15)
+
+
+def test_nothing_is_found_on_a_drive_without_ripple() -> None:
+    got = found({})
+    assert (got.order, got.ripple_Nm, got.friction_Nm) == (0, 0.0, 0.0)
+    assert with_turn_torque(LAW, got, drive_delay_s=DELAY_s, latency_s=0.0).ripple_Nm == 0.0
+
+
+def test_the_law_sends_the_torque_ahead_of_the_angle() -> None:
+    got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1.0)
+    law = with_turn_torque(LAW, got, drive_delay_s=DELAY_s, latency_s=PERIOD)
+    r = np.concatenate([np.zeros(50), 0.05 * PERIOD * np.arange(4000)])
+    sent = evaluate_law(law, r, PERIOD).torque_Nm
+    there = r + 0.05 * (DELAY_s + PERIOD)
+    want = 0.05 * np.sin(8.0 * 2.0 * math.pi * there / BENCH.pitch_m + 0.3)
+    assert np.max(np.abs(sent - want)[100:]) < 1e-6
