@@ -16,7 +16,9 @@ _WORD = 0xFFFFFF
 # Extension registers: time since the last count over time between counts, in these units.
 _TIMER_ONE = 0x10000
 CAPTURED = 1 << 11  # in the status word of a channel
+INDEX_FLAG = 1 << 14
 CAPTURE_INDEX, CAPTURE_FLAG, CAPTURE_BOTH = 1, 2, 3  # bits 0-1 of I7mn2
+INDEX_LOW = 4  # bit 2
 
 
 @njit(cache=True)
@@ -55,6 +57,20 @@ def index_between(before_ct: float, here_ct: float, per_rev: float) -> tuple[boo
 
 
 @njit(cache=True)
+def index_trigger(
+    x: Space, base: int, control: int, before_ct: float, here_ct: float, per_rev: float
+) -> tuple[bool, float]:
+    """Whether the index is as I7mn2 wants it, and where that began in counts.
+
+    A high index is a mark that may be crossed between two cycles; it is low nearly everywhere.
+    """
+    if control & INDEX_LOW:
+        return not x[base] & INDEX_FLAG, here_ct
+    hit, mark = index_between(before_ct, here_ct, per_rev)
+    return bool(hit), float(mark)
+
+
+@njit(cache=True)
 def capture_channel(
     x: Space, base: int, control: int, select: int, before_ct: float, here_ct: float, per_rev: float
 ) -> None:
@@ -70,8 +86,8 @@ def capture_channel(
     if mode == CAPTURE_FLAG and not flag:
         return
     if mode in (CAPTURE_INDEX, CAPTURE_BOTH):
-        crossed, captured = index_between(before_ct, here_ct, per_rev)
-        if not crossed or (mode == CAPTURE_BOTH and not flag):
+        hit, captured = index_trigger(x, base, control, before_ct, here_ct, per_rev)
+        if not hit or (mode == CAPTURE_BOTH and not flag):
             return
     x[base] |= CAPTURED
-    x[base + 3] = int(captured) & _WORD
+    x[base + 3] = math.floor(captured + 0.5) & _WORD

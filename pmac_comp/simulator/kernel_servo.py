@@ -366,8 +366,9 @@ def _trigger(
     k[K_COUNT] = here
     if mode in {0, encoder.CAPTURE_FLAG}:
         return mode == 0 or flag, position
-    crossed, index = encoder.index_between(before, here, world[W_COUNTS_PER_REV])
-    if not crossed or (mode == encoder.CAPTURE_BOTH and not flag):
+    per_rev = world[W_COUNTS_PER_REV]
+    hit, index = encoder.index_trigger(x, channel, control, before, here, per_rev)
+    if not hit or (mode == encoder.CAPTURE_BOTH and not flag):
         return False, position
     if status & reg.S1_SOFTWARE_CAPTURE:
         return True, position

@@ -46,7 +46,7 @@ from pmac_comp.simulator.memory import Space
     W_FORCED_FLAGS,  # bits of the channel's status word that are on whatever the table does
     N_WORLD,
 ) = range(28)
-INDEX_FLAG, HOME_FLAG = 1 << 14, 1 << 16
+INDEX_FLAG, HOME_FLAG = encoder.INDEX_FLAG, 1 << 16
 POSITIVE_FLAG, NEGATIVE_FLAG = 1 << 17, 1 << 18
 _FLAGS = INDEX_FLAG | HOME_FLAG | POSITIVE_FLAG | NEGATIVE_FLAG
 # Minimal standard generator; a double holds its products exactly.

@@ -138,6 +138,17 @@ def test_error_beyond_ixx67_goes_into_the_master_register(enabled):
     assert servo._long(1, reg.M_ACTUAL) / servo.unit(1) == pytest.approx(50.0, abs=3.0)
 
 
+def test_low_index_triggers_at_once_outside_the_mark(enabled):
+    servo = enabled
+    servo.variables.write_i(7012, 13)
+    servo.jog_to(1, "=", 3000.0)
+    servo.run(1500)
+    servo.jog_to(1, ":", 9000.0, trigger_ct=200.0)
+    servo.run(2500)
+    # Half a turn off the mark the index is low: the trigger comes where the move starts.
+    assert servo.position(1) == pytest.approx(3200.0, abs=3.0)
+
+
 def test_trigger_captures_the_counter_of_its_channel(enabled):
     servo = enabled
     x = servo.memory.x
