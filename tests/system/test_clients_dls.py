@@ -76,12 +76,23 @@ def test_pmaclib_talks_jogs_and_gets_errors_right(endpoints: dict[str, str], kin
     assert result["m162->"][0] == "D:$8B\r\x06"
     assert len(result["i100..131"][0].split("\r")) == 33
     assert float(result["position"].split("\r")[0]) == pytest.approx(12345, abs=3)
-    if kind == "ethernet":
-        assert result["axes"] == 8
-        assert [entry[0] for entry in result["series"]] == [True, True, False, True]
-        assert "ERR" in result["series"][2][3]
-        assert result["listing"] == "P1=P1+1\rRET\r\x06"
-        assert result["save"][1]
+    assert result["axes"] == 8
+    assert result["model"] == ["Geo Brick (3U Turbo PMAC2)", "Geobrick", 603382]
+    assert result["geobrick"] == [True, False]
+    assert result["ivars"] == ["$78002", "$3501", "139449"]
+    assert result["setup"] == ["80", "$20001"]
+    assert result["onboard"][1] == "1"
+    for move in ("to", "inc", "dec"):
+        assert result[move] == ["\x06", pytest.approx(0, abs=3)]
+    assert result["continuous"] == ["\x06", "\x06"]
+    assert [answer[0] for answer in result["limits"]] == ["i124=$1", "$1\r\x06", "i124=$20001"]
+    assert result["home"] == "\x06"
+    assert [entry[0] for entry in result["series"]] == [True, True, False, True]
+    assert "ERR" in result["series"][2][3]
+    assert result["listing"] == "P1=P1+1\rRET\r\x06"
+    assert result["cancelled"] == "1\r\x06"
+    assert result["save"][1]
+    assert result["again"] == "12.5\r\x06"
 
 
 def test_pmacanalyse_reads_the_whole_configuration(
@@ -116,24 +127,59 @@ def test_backup_bl_saves_and_restores_positions(endpoints: dict[str, str], tmp_p
     assert result["configuration"] > 100_000
 
 
-def test_pmaccontrol_polls_and_gathers(endpoints: dict[str, str]) -> None:
-    result = last_json(run("control.py", "127.0.0.1", port_of(endpoints["tcp"])))
+def test_pmaccontrol_serves_every_window(endpoints: dict[str, str], tmp_path: Path) -> None:
+    port = port_of(endpoints["tcp"])
+    result = last_json(run("control.py", "127.0.0.1", port, str(tmp_path)))
     assert result["problems"] == []
     assert result["identity"]
+    assert result["rows"] == 8
     assert float(result["polled"]) == pytest.approx(0, abs=20000)
-    assert float(result["position"]) == pytest.approx(2000, abs=3)
+    assert result["jog_positive"] == pytest.approx(1500, abs=3)
+    assert result["jog_negative"] == pytest.approx(0, abs=3)
+    assert result["jog_continuous"] > 1000
+    assert result["jog_to"] == pytest.approx(2500, abs=3)
+    assert result["killed"].startswith("84")
+    assert result["all_killed"].startswith("84")
+    assert {"Motor activated", "Open loop mode", "Home Complete"} <= set(result["lit_motor"])
+    assert "X-CS Used in Feedrate Calculations" in result["lit_cs"]
+    assert result["lit_global"] == ["Fixed Buffer Full", "UMAC System", "This Card Addressed"]
+    assert float(result["feed"]) == pytest.approx(50)
+    assert [value for _, value in result["watches"][:2]] == ["0", "139449"]
+    assert result["watch_edited"] == "3.25"
+    assert result["settings"]["30"] == "139449"
+    assert result["i122"] == "44"
+    assert result["energised"] == "1"
+    assert "command 'NO SUCH WORD' generated 'ERR003" in result["shell"]
+    assert result["loaded"] == ["7", "P501=P501+1\rRET", True]
+    assert "1.947" in result["typed"]
     first, second = result["channels"]
     assert len(first) == len(second)
     assert len(first) >= 500
     assert first[-1] == pytest.approx(2000, abs=3)
 
 
-@pytest.mark.parametrize("sequence", ["home_hsw", "home_home"])
-def test_motorhome_plc_homes_the_axis(tmp_path: Path, sequence: str) -> None:
+# Where each homing type ends, counts; the rest ends on its home position.
+AFTER_HOMING = {
+    "post_high": 200000,
+    "post_low": -5000,
+    "post_relative": 5000,
+    "post_absolute": 7000,
+}
+
+
+def test_motorhome_plcs_of_every_type_home_the_axis(tmp_path: Path) -> None:
     card = Card(load_bench("paper"))
     with running_server(card, ServeOptions(tcp=0, speed="max")) as endpoints:
         port = port_of(endpoints["tcp"])
-        result = last_json(run("motorhome.py", "127.0.0.1", port, str(tmp_path), sequence))
-    assert result["refused"] == []
-    assert result["last"].split("\r")[:2] == ["7", "0"], result["states"]
-    assert result["homed"].startswith("1\r")
+        results = last_json(run("motorhome.py", "127.0.0.1", port, str(tmp_path)))
+    assert len(results) == 21
+    for name, result in results.items():
+        assert result["refused"] == [], name
+        assert (result["state"], result["status"], result["homed"]) == ("7", "0", "1"), name
+    at = {name: result["position"] for name, result in results.items()}
+    hard = {name: at.pop(name) for name in ("post_hard_high", "post_hard_low")}
+    travel = [b - a for a, b in (result["limits"] for result in results.values())]
+    assert hard["post_hard_high"] - hard["post_hard_low"] == pytest.approx(max(travel), abs=400)
+    assert at.pop("post_initial") == pytest.approx(results["post_initial"]["start"], abs=50)
+    for name, position in at.items():
+        assert position == pytest.approx(AFTER_HOMING.get(name, 0), abs=5), name

@@ -59,16 +59,51 @@ for _ in range(100):
     if ask("m140")[0].startswith("1"):
         break
 result["position"] = ask("#1p")[0]
-if kind == "ethernet":
-    result["axes"] = pmac.getNumberOfAxes()
-    result["model"] = pmac.getPmacModel()
-    result["series"] = [
-        [ok, line, command, answer]
-        for ok, line, command, answer in pmac.sendSeries(
-            [(1, "OPEN PLC 9 CLEAR"), (2, "P1=P1+1"), (3, "BAD LINE"), (4, "CLOSE")]
-        )
-    ]
-    result["listing"] = ask("list plc 9")[0]
-    result["save"] = ask("save")
+
+
+def moved_to(target):
+    for _ in range(200):
+        time.sleep(0.02)
+        if abs(float(ask("#1p")[0].split("\r")[0]) - target) < 3:
+            break
+    return float(ask("#1p")[0].split("\r")[0]) - target
+
+
+# Every method of the interface that a Turbo PMAC without MACRO can serve.
+result["axes"] = pmac.getNumberOfAxes()
+result["model"] = [pmac.getPmacModel(), pmac.getShortModelName(), pmac.getPmacModelCode()]
+result["geobrick"] = [pmac.isModelGeobrick(), pmac.isMacroStationAxis(1)]
+pmac.setVar("p6", 12.5)
+result["ivars"] = pmac.getIVars(100, [2, 3, 30])
+pmac.setAxisSetupIVar(1, 22, 80)
+result["setup"] = pmac.getAxisSetupIVars(1, [22, 24])
+pmac.setOnboardAxisI7000PlusIVar(2, 3, 1)
+result["onboard"] = pmac.getOnboardAxisI7000PlusVars(2, [2, 3])
+result["to"] = [pmac.jogTo(1, 3000)[1], moved_to(3000)]
+result["inc"] = [pmac.jogInc(1, "pos", 500)[1], moved_to(3500)]
+result["dec"] = [pmac.jogInc(1, "neg", 500)[1], moved_to(3000)]
+result["continuous"] = [pmac.jogContinous(1, "neg")[1], pmac.jogStop(1)[1]]
+result["limits"] = [
+    pmac.disableLimits(1, disable=False),
+    ask("i124"),
+    pmac.disableLimits(1, disable=True),
+]
+result["home"] = pmac.homeCommand(1)[1]
+ask("#1k")
+result["series"] = [
+    [ok, line, command, answer]
+    for ok, line, command, answer in pmac.sendSeries(
+        [(1, "OPEN PLC 9 CLEAR"), (2, "P1=P1+1"), (3, "BAD LINE"), (4, "CLOSE")]
+    )
+]
+result["listing"] = ask("list plc 9")[0]
+cancelled = pmac.sendSeries([(1, "p7=1"), (2, "p7=2"), (3, "p7=3")])
+next(cancelled)
+cancelled.close()
+result["cancelled"] = ask("p7")[0]
+result["save"] = ask("save")
+pmac.disconnect()
+pmac.connect()
+result["again"] = ask("p6")[0]
 pmac.disconnect()
 print(json.dumps(result))
