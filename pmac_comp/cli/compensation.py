@@ -230,6 +230,10 @@ def verify(
         list[str] | None, typer.Option("--motion", help="As in `capture` (repeatable)")
     ] = None,
     repeats: Annotated[int, typer.Option("--repeats", min=1, help="Pairs of runs a motion")] = 2,
+    static: Annotated[
+        int,
+        typer.Option("--static", min=0, help="Runs of ISO 230-2 on each side; 0 leaves it out"),
+    ] = 5,
     seed: Annotated[int, typer.Option("--seed", help="Draws the motions")] = 0,
     refine: Annotated[
         int, typer.Option("--refine", min=0, help="Learning passes on the repeated motion")
@@ -265,6 +269,7 @@ def verify(
             law=law,
             motions=tuple(motion or ()),
             repeats=repeats,
+            static_runs=static,
             seed=seed,
             refine=refine,
             out=out,
@@ -294,7 +299,11 @@ def improve(
     yes: YesOption = False,
     json_target: JsonOption = "",
 ) -> None:
-    """Diagnose, grow the model, recompute the compensation, upload it and verify."""
+    """Diagnose, grow the model, recompute the compensation, upload it and verify.
+
+    Leaves captures, models, both compensations, both verifications and the diagnosis as a page in
+    the folder. Where the grown model is not better, the first compensation is put back.
+    """
     from pmac_comp.workflow.improve import improve_on_controller
 
     confirmed(f"Run motions on {url} and upload new compensation?", yes=yes)
@@ -304,8 +313,7 @@ def improve(
     )
     progress.close()
 
-    def show() -> None:
-        for line in result.lines():
-            output.echo(line)
+    from pmac_comp.report.diagnosis import write_diagnosis_report
 
-    output.finish(result.as_result(), json_target, show)
+    page = write_diagnosis_report(result.diagnosis, output.checked_target(out / "diagnosis.html"))
+    output.finish_with_report(result.as_result(), result.lines, json_target, page)

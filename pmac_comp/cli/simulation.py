@@ -28,7 +28,7 @@ def demo(
         str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
     ] = "paper",
     plant: PlantOption = "",
-    route: Annotated[str, typer.Option("--route", help="law, table, cam or servo")] = "law",
+    route: Annotated[str, typer.Option("--route", help="law, servo, table, cam or program")] = "law",
     seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
     json_target: JsonOption = "",
 ) -> None:

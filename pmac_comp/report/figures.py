@@ -16,9 +16,12 @@ import numpy as np  # isort: skip
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.difference import Curve
 from pmac_comp.workflow.outcome import ErrorSignals
+from pmac_comp.workflow.ringing import ringing_signal
+from pmac_comp.workflow.static_check import StaticOutcome
 
 BEFORE, AFTER, PROMISE = "#b3452c", "#1f6f5c", "#3b5b92"
 _MOST_POINTS = 3000
@@ -229,3 +232,42 @@ def save_difference_plot(curves: Sequence[Curve], path: Path) -> None:
         panels[0].legend(loc="upper right", ncols=2)
         figure.savefig(path)
         plt.close(figure)
+
+
+def static_figure(static: StaticOutcome) -> str:
+    """Deviations at the targets, before and after, from both directions."""
+
+    def draw(figure: Figure) -> None:
+        panels = np.atleast_1d(figure.subplots(1, len(static.sides), sharey=True))
+        for axis, (name, side) in zip(panels, static.sides, strict=True):
+            middle = float(np.mean([side.up_m, side.down_m]))
+            colour = BEFORE if name == "before" else AFTER
+            x = side.target_m * MM_PER_M
+            for values, mark in ((side.up_m, "^"), (side.down_m, "v")):
+                runs = (values - middle) * UM_PER_M
+                axis.plot(x, runs.mean(axis=0), color=colour, lw=0.9)
+                for run in runs:
+                    axis.plot(x, run, mark, color=colour, ms=3.0, alpha=0.6)
+            axis.set_title(name, fontsize=8.5, loc="left")
+            axis.set_xlabel("target mm")
+        panels[0].set_ylabel("deviation um")
+
+    return svg(draw, 7.2, 2.8)
+
+
+def ringing_figure(before: Capture, after: Capture, lowest_Hz: float) -> str:
+    """What rings of the total error, before and after, over the command."""
+
+    def draw(figure: Figure) -> None:
+        top, low = figure.subplots(2, 1, sharex=True, height_ratios=[0.6, 1.0])
+        speed = np.gradient(before.commanded_position_m, before.sample_period_s) * MM_PER_M
+        top.plot(*thin_pair(before.time_s, speed), color="#55554f", lw=0.9)
+        top.set_ylabel("speed\nmm/s")
+        for capture, colour, word in ((before, BEFORE, "before"), (after, AFTER, "after")):
+            signal = ringing_signal(capture, lowest_Hz) * UM_PER_M
+            low.plot(*thin_pair(capture.time_s, signal), color=colour, lw=0.7, label=word)
+        low.set_ylabel("ringing um")
+        low.set_xlabel("time s")
+        low.legend(loc="upper right", ncols=2)
+
+    return svg(draw, 7.2, 3.2)

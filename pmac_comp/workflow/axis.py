@@ -42,6 +42,8 @@ _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _SETTLE_s = 0.3
 _START_ATTEMPTS = 10
+_SOURCE = "gathered at the servo rate"
+_SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
 _LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 _MISMATCH_m = 0.5e-3  # encoder and scale further apart than any elasticity or lead error
@@ -60,11 +62,14 @@ class Axis:
         What is known of the axis.
     identity : str
         Controller identity for captures.
+    simulated : bool
+        Whether the controller says that it is a simulated one; captures then say so.
     """
 
     link: Commander
     bench: Bench
     identity: str = ""
+    simulated: bool = False
     scales: Scales = field(init=False)
     program_number: int = field(init=False, default=PROGRAM_NUMBER)
 
@@ -398,7 +403,7 @@ class Axis:
 
     def _attributes(self, motion: Motion) -> dict[str, Attribute]:
         return {
-            "source": "gathered at the servo rate",
+            "source": _SIMULATED_SOURCE if self.simulated else _SOURCE,
             "controller": self.identity or self.link.name,
             "motion": motion.name,
             "start_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),

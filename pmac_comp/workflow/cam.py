@@ -333,4 +333,4 @@ class CamAxis(Axis):
 def cam_axis(axis: Axis, compensation: Compensation) -> tuple[CamAxis, Sequence[Motion]]:
     """The axis that runs a cam, and its one motion."""
     cam = render_cam(compensation, axis.bench)
-    return CamAxis(axis.link, axis.bench, axis.identity, cam=cam), (cam.motion,)
+    return CamAxis(axis.link, axis.bench, axis.identity, axis.simulated, cam=cam), (cam.motion,)

@@ -6,7 +6,7 @@ from typing import Any
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import law_upload, motors
-from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
@@ -25,10 +25,12 @@ def controller_info(url: str) -> dict[str, Any]:
             return {"url": url, "kind": "Power PMAC", "version": " ".join(ask("vers"))}
     with open_link(url, load_bench(_BENCH_FOR_LOOKING)) as link:
         identity = read_identity(link)
+        simulated = is_simulated(link)
         names = ("I3", "I4", "I6", "I9", "I10", "I51")
         values = read_many(link, list(names))
     return {
         "url": url,
+        "simulated": simulated,
         **identity.as_dict(),
         "servo rate Hz": 1.0 / identity.servo_period_s,
         **{name: int(value) for name, value in values.items()},

@@ -125,4 +125,6 @@ class ProgramAxis(Axis):
 def program_axis(axis: Axis, compensation: Compensation) -> tuple[ProgramAxis, tuple[Motion, ...]]:
     """The axis that runs the uploaded program of a compensation, and its one motion."""
     drawn = draw_motion(compensation, axis.bench)
-    return ProgramAxis(axis.link, axis.bench, axis.identity, drawn=drawn), (drawn.motion,)
+    return ProgramAxis(axis.link, axis.bench, axis.identity, axis.simulated, drawn=drawn), (
+        drawn.motion,
+    )

@@ -36,11 +36,14 @@ class RingingOutcome:
         Where the ringing before compensation is strongest.
     before, after : Spread
         Rms in the windows after the corners with interval, and peak; um.
+    lowest_Hz : float
+        What is above counts as ringing.
     """
 
     frequency_Hz: float
     before: Spread
     after: Spread
+    lowest_Hz: float = _LOWEST_Hz
     captures: tuple[Capture, ...] = field(default=(), repr=False)
 
     @property
@@ -89,7 +92,7 @@ def ringing_of(
     period = before[0].sample_period_s
     return RingingOutcome(
         _strongest_Hz(first, period), Spread.of(first, period), Spread.of(second, period),
-        (*before, *after),
+        lowest, (*before, *after),
     )  # fmt: skip
 
 

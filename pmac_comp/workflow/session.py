@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pmac_comp.base.clock import Clock
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 
@@ -30,4 +30,4 @@ def open_axis(url: str, bench: str | Bench, *, clock: Clock | None = None) -> It
     loaded = bench if isinstance(bench, Bench) else load_bench(bench)
     with open_link(url, loaded, clock=clock) as link:
         identity = read_identity(link)
-        yield Axis(link, loaded, identity.fingerprint)
+        yield Axis(link, loaded, identity.fingerprint, is_simulated(link))

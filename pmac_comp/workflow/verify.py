@@ -267,7 +267,7 @@ def verify_axis(
         groups,
         axis.bench,
         compensation,
-        simulated=truth is not None,
+        simulated=axis.simulated or truth is not None,
         ringing=None if rings is None else _ringing(axis.bench, rest.pop(0)),
         static=None if static is None else _static(rest.pop(0)),
         remarks=runs.remarks,

@@ -4,11 +4,12 @@ import hashlib
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from pmac_comp.base.errors import ConnectFailed
+from pmac_comp.base.errors import CommandRefused, ConnectFailed
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.registers import DPRAM_BASE, DPRAM_END
 from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.wire.identity import SIMULATED_ID
 
 # Software Reference Manual p. 296.
 CARDS: Final = {
@@ -97,6 +98,14 @@ def read_identity(link: Link) -> Identity:
         servo_period_s=clock / CLOCK_CT_PER_MS / 1e3,
         free_long_words=parse_integer(free),
     )
+
+
+def is_simulated(link: Link) -> bool:
+    """Whether the controller says itself that it is a simulated one."""
+    try:
+        return [line.strip() for line in link.query("SID")] == [SIMULATED_ID]
+    except CommandRefused:
+        return False
 
 
 def _version(text: str) -> float:
