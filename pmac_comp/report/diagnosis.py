@@ -28,7 +28,7 @@ def write_diagnosis_report(outcome: DiagnosisOutcome, path: Path) -> Path:
     d = outcome.diagnosis
     sections = [
         _words(outcome),
-        *_separation(d),
+        *_separation(outcome),
         _where(d),
         _evidence(d),
         _growth(d),
@@ -70,17 +70,16 @@ def _words(outcome: DiagnosisOutcome) -> Section:
     return Section("What was found", text=[*d.statements, *outcome.findings()], tables=tables)
 
 
-def _separation(d: Diagnosis) -> list[Section]:
+def _separation(outcome: DiagnosisOutcome) -> list[Section]:
     """What would tell look-alikes apart, with commands that can be pasted."""
+    d = outcome.diagnosis
     experiment = d.separating_experiment
     if experiment is None:
         return []
     title = "The run that would separate " + " and ".join(experiment.effects)
     if d.verdict != "tie":
         title = "The run that would tell most"
-    motions = [(f'--motion "{m}"',) for m in experiment.motions]
-    tables = [Table(("option of pmac-comp capture",), motions)] if motions else []
-    return [Section(title, text=[experiment.text], tables=tables)]
+    return [Section(title, text=[experiment.text, *outcome.commands()])]
 
 
 def _where(d: Diagnosis) -> Section:

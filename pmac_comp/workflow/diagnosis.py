@@ -1,5 +1,6 @@
 """Diagnosis of capture files: the contract's JSON, the grown model, words for people."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ class DiagnosisOutcome:
     model: ModelFile
     model_path: Path | None
     bench_name: str = "BENCH"
+    url: str = "URL"
     sources: tuple[str, ...] = ()
     remark: str = ""
 
@@ -40,6 +42,15 @@ class DiagnosisOutcome:
         """What was found beside the effects, in sentences."""
         remarks = [self.remark] if self.remark else []
         return remarks + [f"Finding: {finding.text}." for finding in self.diagnosis.findings]
+
+    def commands(self) -> list[str]:
+        """The separating experiment as one command to paste; none where there is none."""
+        experiment = self.diagnosis.separating_experiment
+        if experiment is None or not experiment.motions:
+            return []
+        motions = " ".join(f'--motion "{motion}"' for motion in experiment.motions)
+        where = f"{shlex.quote(self.url)} --bench {shlex.quote(self.bench_name)}"
+        return [f"  pmac-comp capture {where} --out separating {motions}"]
 
     def as_result(self) -> dict[str, Any]:
         """The contract's mapping, with ``model_file`` (path) and the model itself."""
@@ -59,10 +70,7 @@ class DiagnosisOutcome:
         out += [f"  {line}" for line in self.findings()]
         if d.separating_experiment is not None:
             out.append(f"the run that would tell more: {d.separating_experiment.text}")
-            out += [
-                f'  pmac-comp capture URL --bench {self.bench_name} --motion "{m}"'
-                for m in d.separating_experiment.motions
-            ]
+            out += self.commands()
         if self.model_path is not None:
             out.append(f"grown model: {self.model_path}")
         return out
@@ -98,7 +106,7 @@ def diagnose_captures(
     )
     sources = dict.fromkeys(str(c.attributes.get("source", "")) for c in [*captures, *validate])
     return DiagnosisOutcome(
-        bench, found, _model_file(found, bench, data), None, bench.name, tuple(sources)
+        bench, found, _model_file(found, bench, data), None, sources=tuple(sources)
     )
 
 

@@ -1,65 +1,112 @@
 """Diagnose, grow the model, recompute, upload, verify, and see whether the error falls again."""
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ModelError
-from pmac_comp.files.capture import write_capture
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import write_model
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
-from pmac_comp.workflow.compensation_file import check_route, write_compensation
+from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.identification import identify_captures, load_model
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
 
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
 Progress = Callable[[str, float], None]
+_SAME = 0.02  # of an rms: below this two verifications tell nothing apart
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """What was measured with the model as it was and with the grown one."""
+    """What was measured with the model as it was and with the grown one.
+
+    Parameters
+    ----------
+    diagnosis : DiagnosisOutcome
+        Judged on the first verification's runs without compensation.
+    before_growth : Verification
+        With the first model.
+    after_growth : Verification or None
+        With the grown model; None where the diagnosis added nothing.
+    kept : str
+        ``first`` or ``grown``: whose compensation is on the controller at the end.
+    """
 
     diagnosis: DiagnosisOutcome
     before_growth: Verification
-    after_growth: Verification
+    after_growth: Verification | None
+    kept: str
 
-    def rows(self) -> list[tuple[str, float, float, float]]:
+    def rows(self) -> list[tuple[str, float, float, float | None]]:
         """Motion, mechanical error without, with the first, with the grown model; um rms."""
+        grown = self.after_growth
+        last = [None] * len(self.before_growth.motions) if grown is None else grown.motions
         return [
-            (a.name, a.e_before.value, a.e_r_after.value, b.e_r_after.value)
-            for a, b in zip(self.before_growth.motions, self.after_growth.motions, strict=True)
+            (a.name, a.e_before.value, a.e_r_after.value, None if b is None else b.e_r_after.value)
+            for a, b in zip(self.before_growth.motions, last, strict=True)
         ]
 
     def lines(self) -> list[str]:
         """Text for people."""
-        out = [*self.diagnosis.lines(), "", "mechanical error, measured rms um"]
+        simulated = any("simulated" in source for source in self.diagnosis.sources)
+        basis = "simulated controller and drive" if simulated else "measured"
+        out = [*self.diagnosis.lines(), "", f"mechanical error, um rms ({basis})"]
         out += [
-            f"  {name[:44]:44s} none {none:7.2f}   first {first:6.3f}   grown {grown:6.3f}"
+            f"  {name[:44]:44s} none {none:7.2f}   first {first:6.3f}"
+            + ("" if grown is None else f"   grown {grown:6.3f}")
             for name, none, first, grown in self.rows()
         ]
-        first = _together([m.total_after.value for m in self.before_growth.motions])
-        grown = _together([m.total_after.value for m in self.after_growth.motions])
-        out.append(f"  total error, quadratic mean: {first:.2f} -> {grown:.2f} um")
-        return out
+        return [*out, *self._verdict()]
+
+    def _verdict(self) -> list[str]:
+        if self.after_growth is None:
+            return ["the diagnosis added nothing: the first compensation stays on the controller"]
+        out = []
+        for what, of in (("mechanical", _mechanical_um), ("total", _total_um)):
+            first, grown = of(self.before_growth), of(self.after_growth)
+            out.append(f"  {what} error, quadratic mean: {first:.3f} -> {grown:.3f} um")
+        if self.kept == "grown":
+            return [*out, "the compensation of the grown model is on the controller"]
+        return [*out, "the grown model was not better: the first compensation was put back"]
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
+        grown = self.after_growth
         return {
             "kind": "improvement",
             "diagnosis": self.diagnosis.as_result(),
             "first_model": self.before_growth.as_result(),
-            "grown_model": self.after_growth.as_result(),
+            "grown_model": None if grown is None else grown.as_result(),
+            "kept": self.kept,
         }
+
+
+def is_better(before: Verification, after: Verification) -> bool:
+    """Whether either error fell without the other one rising by as much, or nothing changed."""
+    mechanical = _mechanical_um(after) / max(_mechanical_um(before), 1e-9) - 1.0
+    total = _total_um(after) / max(_total_um(before), 1e-9) - 1.0
+    return mechanical + total <= _SAME
+
+
+def _mechanical_um(verification: Verification) -> float:
+    return _together([m.e_r_after.value for m in verification.motions])
+
+
+def _total_um(verification: Verification) -> float:
+    return _together([m.total_after.value for m in verification.motions])
 
 
 def _together(values: list[float]) -> float:
@@ -86,6 +133,7 @@ def improve_on_controller(
             axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
         )
         axis.kill()
+    result = replace(result, diagnosis=replace(result.diagnosis, url=url, bench_name=bench))
     atomic_write_text(
         out / "improvement.json", json.dumps(result.as_result(), indent=2, default=str) + "\n"
     )
@@ -102,7 +150,12 @@ def improve_axis(
     effects: Path | None = None,
     progress: Progress | None = None,
 ) -> Improvement:
-    """The loop on a connected axis: first model, verify, diagnose, grown model, verify."""
+    """The loop on a connected axis: first model, verify, diagnose, grown model, verify.
+
+    The diagnosis is fitted to the calibration runs and judged on the runs that the verification
+    made without compensation. Where the grown model turns out no better, the first compensation
+    is put back.
+    """
     captures = run_all(axis, calibration_motions(axis.bench), progress=progress, what="capture")
     slow = tuple(run_all(axis, lead_motions(axis.bench), progress=progress, what="lead error"))
     for i, capture in enumerate([*captures, *slow]):
@@ -113,23 +166,69 @@ def improve_axis(
         first = load_model(model, axis.bench, effects=effects)
     if first is None:
         raise ModelError("The identification gave no model.", code="PC-IMP-001")
-    context = context_of(axis, out / "journal", progress)
-    motions = verification_motions(axis.bench, seed)
-
-    def measured(drive: Any, name: str) -> Verification:
-        compensation = compute_compensation(
-            axis.bench, drive, route=route, slow=slow, captures=tuple(captures), progress=progress
-        )
-        write_compensation(out / f"compensation_{name}.json", compensation)
-        deploy(axis, compensation, context)
-        found = verify_axis(axis, context, compensation, motions, drive=drive, progress=progress)
-        store(found, out / f"verification_{name}")
-        return found
-
-    before = measured(first, "first")
+    steps = _Steps(axis, out, route, captures, slow, seed, progress)
+    compensation, before = steps.measured(first, "first")
     diagnosis = diagnose_captures(
-        captures, axis.bench, model=first, effects=effects, progress=progress
+        captures,
+        axis.bench,
+        validate=before.before,
+        model=first,
+        effects=effects,
+        progress=progress,
     )
     write_model(out / "grown_model.json", diagnosis.model)
-    after = measured(diagnosis.diagnosis.model, "grown")
-    return Improvement(diagnosis, before, after)
+    if not diagnosis.diagnosis.named:
+        return Improvement(diagnosis, before, None, "first")
+    steps.off(compensation)
+    grown, after = steps.measured(diagnosis.diagnosis.model, "grown")
+    if is_better(before, after):
+        return Improvement(diagnosis, before, after, "grown")
+    steps.off(grown)
+    deploy(axis, compensation, steps.context)
+    return Improvement(diagnosis, before, after, "first")
+
+
+class _Steps:
+    """Compute, upload and verify for one model after another, on the same motions."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        out: Path,
+        route: str,
+        captures: Sequence[Capture],
+        slow: tuple[Capture, ...],
+        seed: int,
+        progress: Progress | None,
+    ) -> None:
+        self.context = context_of(axis, out / "journal", progress)
+        self._axis, self._out, self._route = axis, out, route
+        self._captures, self._slow, self._progress = tuple(captures), slow, progress
+        self._motions = verification_motions(axis.bench, seed)
+
+    def measured(self, drive: "DriveModel", name: str) -> tuple[Compensation, Verification]:
+        """Compensation of a model on the controller, with what it is measured to give."""
+        compensation = compute_compensation(
+            self._axis.bench,
+            drive,
+            route=self._route,
+            slow=self._slow,
+            captures=self._captures,
+            progress=self._progress,
+        )
+        write_compensation(self._out / f"compensation_{name}.json", compensation)
+        deploy(self._axis, compensation, self.context)
+        found = verify_axis(
+            self._axis,
+            self.context,
+            compensation,
+            self._motions,
+            drive=drive,
+            progress=self._progress,
+        )
+        store(found, self._out / f"verification_{name}")
+        return compensation, found
+
+    def off(self, compensation: Compensation) -> None:
+        """Switch a compensation off, without a step, before another one takes its place."""
+        switch(self._axis, self.context, compensation, on=False)

@@ -79,7 +79,7 @@ def make_case(
     *,
     seed: int,
     strength: float = 1.0,
-    over_noise: Sequence[float] = (),
+    over_noise: Sequence[float] | None = None,
     seconds: float = 10.0,
     spread: float = 1.0,
     quiet: bool = False,
@@ -96,8 +96,9 @@ def make_case(
         Draws everything.
     strength : float
         Size, where ``over_noise`` does not say it.
-    over_noise : sequence of float
-        Wanted effect over noise after a refit of the base, per effect.
+    over_noise : sequence of float or None
+        Wanted effect over noise after a refit of the base, per effect; empty measures the noise
+        of a clean case.
     seconds : float
         Length of each capture.
     spread : float
@@ -114,7 +115,7 @@ def make_case(
     hidden: dict[str, Values] = {}
     ratios: dict[str, float] = {}
     noise_um = 0.0
-    if over_noise:
+    if over_noise is not None:
         sizing = Sizing(bench, around, fit, judge)
         noise_um = sizing.noise_um
         for name, target in zip(effects, over_noise, strict=True):

@@ -105,14 +105,14 @@ def _unknown(row: Row) -> bool:
 
 
 def _gap(inside: Sequence[Row]) -> None:
-    shares = [
-        r["gap_after_um"] / r["noise_floor_um"]
-        for r in inside
-        if right(r) and not set(r["hidden"]) & {"backlash", "preload_loss"}
-    ]
-    if shares:
-        text = f"median gap after over noise floor {np.median(shares):.3f}   aim <= 1.05"
-        print(f"{text} ({len(shares)} right cases that do not impact)")
+    calm = [r for r in inside if right(r) and not set(r["hidden"]) & {"backlash", "preload_loss"}]
+    for key, what in (
+        ("noise_floor_um", "the noise floor it states   aim <= 1.05"),
+        ("generator_noise_um", "the noise that the generator put in"),
+    ):
+        shares = [r["gap_after_um"] / r[key] for r in calm]
+        if shares:
+            print(f"median gap after {np.median(shares):.3f} times {what} ({len(shares)} cases)")
 
 
 def _parameters(single: Sequence[Row]) -> None:
@@ -208,7 +208,9 @@ def reason(row: Row) -> str:
             found.append("not in the library")
         elif not own:
             found.append(f"{name} earned nothing on the screen")
-        elif any(e["status"] in {"chosen", "tied"} for e in own):
+        elif name not in row["named"] and any(e["status"] in _ACCEPTED for e in own):
+            found.append(f"{name} was accepted, but not claimed beside a larger remainder")
+        elif any(e["status"] in _ACCEPTED for e in own):
             found.append(f"{name} was found, a remainder was called unknown or more was added")
         elif all(e["status"] == "screened" for e in own):
             found.append(f"{name} did not reach the full refit")
@@ -217,6 +219,7 @@ def reason(row: Row) -> str:
     return "; ".join(found) or f"left: {'; '.join(row['left'][:1]) or 'not localised'}"
 
 
+_ACCEPTED = {"chosen", "tied"}
 _EVIDENCE = ("name", "round", "status", "heldout", "screen", "p", "gap")
 
 
