@@ -209,6 +209,7 @@ class Motors:
         self.queue.replace(
             motor, traj.jog_continuous(position, velocity, limits, 1 if direction > 0 else -1)
         )
+        self._show_started(motor, 0)
         return 0
 
     def jog_stop(self, motor: int) -> int:
@@ -275,7 +276,14 @@ class Motors:
         position, velocity = self.queue.state(motor)
         limits = self.jog_limits(motor)
         self.queue.replace(motor, traj.jog_to(position, velocity, limits, target))
+        self._show_started(motor, reg.S1_MOVE_TIMER)
         self._write(motor, reg.M_TARGET_VELOCITY, 0)
+
+    def _show_started(self, motor: int, timer: int) -> None:
+        """Let a client that asks in the same servo cycle not take the axis for arrived."""
+        base = reg.motor_base(motor)
+        self.memory.x[base + reg.M_STATUS1] |= timer
+        self.memory.y[base + reg.M_STATUS2] &= ~reg.S2_IN_POSITION & 0xFFFFFF
 
     def home(self, motor: int) -> int:
         """HM: homing search at Ixx23 until the trigger."""
@@ -291,6 +299,7 @@ class Motors:
             position, velocity, limits, 1 if speed >= 0 else -1, flags=traj.HOMING
         )
         self.queue.replace(motor, segments)
+        self._show_started(motor, 0)
         self._arm(motor)
         return 0
 
