@@ -24,6 +24,7 @@ from pmac_comp.simulator.axes import read_definition
 from pmac_comp.simulator.commanded_faults import LinkFaults
 from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
+from pmac_comp.simulator.dpram_reports import DpramReports
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.flash import Flash, FlashDamaged, Image
 from pmac_comp.simulator.ivariables import TABLE
@@ -117,6 +118,7 @@ class Card:
         self.programs = ProgramStore(self.memory)
         self.plcs = Plcs(self)
         self.rotary = RotaryBuffers(self)
+        self.reports = DpramReports(self)
         self.systems = {n: CoordinateSystem(self, n) for n in range(1, r.COORDINATE_SYSTEMS + 1)}
         self.flash = Flash(flash)
         self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
@@ -158,9 +160,10 @@ class Card:
             chunk = left
             if self._has_background():
                 chunk = min(left, self._next_background - self._elapsed)
-            done = self.servo.run(chunk)
+            done = self.servo.run(min(chunk, self.reports.cycles_to_next()))
             self._elapsed += done
             left -= done
+            self.reports.passed(done)
             if self._elapsed >= self._next_background:
                 self._background()
                 late = self._elapsed - self._next_background
@@ -171,6 +174,7 @@ class Card:
         return (
             bool(self._queue)
             or self._keep_background
+            or self.reports.in_background
             or self.plcs.any_background()
             or any(s.running for s in self.systems.values())
         )
@@ -181,6 +185,7 @@ class Card:
 
     def _background(self) -> None:
         self._keep_background = False
+        self.reports.background(self._elapsed)
         self.plcs.background()
         for _ in range(len(self._queue)):
             text, modal, port = self._queue.popleft()
