@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 
+from pmac_comp.machine.wire.identity import SIMULATED_ID
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.errors import CardError
@@ -29,7 +30,7 @@ _constant_answer("TURBO2, X4", "TYPE")
 _constant_answer("56303", "CPU")
 _constant_answer(CARD_ID, "CID")
 _constant_answer("1", "VID")
-_constant_answer("0", "SID", "IDNUMBER", "IDNUM")
+_constant_answer(SIMULATED_ID, "SID", "IDNUMBER", "IDNUM")
 _constant_answer("02/24/2014", "DATE", "DAT")
 
 
