@@ -47,6 +47,8 @@ _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 _START_BREAKAWAY_m = 1.2e-6
 _DRIVE_DELAY_s = 1.2e-3  # of dead time and current loop: where the look-ahead starts from
+_MOST_STEPS = 10
+_FEW_STEPS = 4  # from a start that is nearly right
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
 # Free coefficients with the size of a typical change.
@@ -244,6 +246,27 @@ def design_law(
     return _refined(start, loop, chosen, latency_cycles, progress)
 
 
+def slower_law(
+    bench: Bench,
+    law: CompensationLaw,
+    loop: LoopRunner,
+    every_cycles: int,
+    *,
+    latency_cycles: int = 1,
+    motions: Sequence[Trajectory] | None = None,
+) -> CompensationLaw:
+    """The law fitted anew for a door that computes it less often, from a law for every cycle."""
+    more = every_cycles - law.every_cycles
+    start = replace(
+        law,
+        every_cycles=every_cycles,
+        lookahead_s=law.lookahead_s + 0.5 * more * bench.servo_period_s,
+        ripple_lookahead_s=law.ripple_lookahead_s + 0.5 * more * bench.servo_period_s,
+    )
+    chosen = tuple(motions or design_motions(bench))
+    return _refined(start, loop, chosen, latency_cycles, None, most=_FEW_STEPS)
+
+
 def _start(
     bench: Bench,
     loop: LoopRunner,
@@ -309,6 +332,8 @@ def _refined(
     motions: Sequence[Trajectory],
     latency: int,
     progress: Progress | None,
+    *,
+    most: int = _MOST_STEPS,
 ) -> CompensationLaw:
     scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if start.torque_limit_Nm > 0.0 else {})}
     names = list(scales)
@@ -332,7 +357,7 @@ def _refined(
         np.maximum(first, lowest + 0.05),
         bounds=(lowest, np.inf),
         diff_step=[1e-3],
-        max_nfev=10,
+        max_nfev=most,
         xtol=1e-4,
         ftol=1e-3,
     )

@@ -1,0 +1,120 @@
+"""What the law costs on the card's processor, and what a cheaper one would lose.
+
+What lives here: the share of a servo period and the words for people. What may not: the count of
+operations (``machine.controller``), the fit (``physics.compensate``).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmac_comp.base.units import US_PER_S
+from pmac_comp.files.bench import Bench
+from pmac_comp.machine.controller.law_cost import law_cost_us
+from pmac_comp.physics.compensate.design import design_motions, model_loop, promise, slower_law
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.workflow.routes import LATENCY_CYCLES
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
+CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws are offered
+_SLOWEST_CYCLES = 4
+
+
+@dataclass(frozen=True)
+class CheaperLaw:
+    """A law that runs less often, and what the model expects of it over the design motions.
+
+    Parameters
+    ----------
+    every_cycles : int
+        Servo cycles between two passes.
+    share_frac : float
+        Share of the processor's time.
+    e_r_um, total_um : float
+        Rms over the design motions.
+    """
+
+    every_cycles: int
+    share_frac: float
+    e_r_um: float
+    total_um: float
+
+
+def share_frac(bench: Bench, every_cycles: int = 1) -> float:
+    """Share of the processor's time that PLC 0 takes when it runs every so many servo cycles."""
+    cost_us = law_cost_us(bench.controller.cpu_clock_MHz)
+    return cost_us / (bench.servo_period_s * US_PER_S) / every_cycles
+
+
+def cost_text(bench: Bench, every_cycles: int = 1) -> str:
+    """What a pass of the law costs, for people."""
+    cost_us = law_cost_us(bench.controller.cpu_clock_MHz)
+    rhythm = "each servo cycle" if every_cycles == 1 else f"every {every_cycles} servo cycles"
+    share = 100.0 * share_frac(bench, every_cycles)
+    return (
+        f"PLC 0 takes about {cost_us:.0f} us in {rhythm}, {share:.0f} % of the processor's time "
+        f"at {bench.controller.cpu_clock_MHz:g} MHz"
+    )
+
+
+def cheaper_laws(
+    bench: Bench,
+    model: "DriveModel",
+    law: CompensationLaw,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[CheaperLaw, ...]:
+    """The law as it is, and run every second cycle and as often as a quarter of the time allows."""
+    needed = min(_SLOWEST_CYCLES, max(2, math.ceil(share_frac(bench) / CHEAP_FRAC)))
+    loop, latency = model_loop(model), LATENCY_CYCLES["law"]
+    offers: list[CheaperLaw] = []
+    for every in sorted({law.every_cycles, 2, needed}):
+        if progress is not None:
+            progress("looking for a cheaper law", every / (needed + 1.0))
+        other = law
+        if every != law.every_cycles:
+            other = slower_law(bench, law, loop, every, latency_cycles=latency)
+        runs = [promise(other, loop, m, latency_cycles=latency) for m in design_motions(bench)]
+        offers.append(
+            CheaperLaw(
+                every,
+                share_frac(bench, every),
+                float(np.sqrt(np.mean([run.e_r_after_um**2 for run in runs]))),
+                float(np.sqrt(np.mean([run.total_after_um**2 for run in runs]))),
+            )
+        )
+    return tuple(offers)
+
+
+def cost_remarks(
+    bench: Bench, route: str, every_cycles: int = 1, offers: tuple[CheaperLaw, ...] = ()
+) -> list[str]:
+    """What the route costs on the card's processor, and the ways out where that is much."""
+    if route != "law":
+        return []
+    text = cost_text(bench, every_cycles)
+    if share_frac(bench, every_cycles) <= CHEAP_FRAC:
+        return [text]
+    slower = [offer for offer in offers if offer.every_cycles > every_cycles]
+    here = [offer for offer in offers if offer.every_cycles == every_cycles]
+    ways = "; ".join(_offer_text(offer, here) for offer in slower)
+    if not ways:
+        ways = "run it every second cycle (`pmac-comp compensate --every 2`)"
+    return [
+        f"{text}: more than a quarter. Cheaper: {ways}; or --route servo, whose compiled form "
+        "costs about a tenth"
+    ]
+
+
+def _offer_text(offer: CheaperLaw, here: list[CheaperLaw]) -> str:
+    loss = ""
+    if here:
+        loss = (
+            f", the model expects e_r {here[0].e_r_um:.2f} -> {offer.e_r_um:.2f} um and total "
+            f"{here[0].total_um:.2f} -> {offer.total_um:.2f} um rms"
+        )
+    return f"--every {offer.every_cycles} ({100 * offer.share_frac:.0f} %{loss})"

@@ -1,0 +1,30 @@
+"""The cost of the law is stated, and what cheaper laws lose is predicted and small."""
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow.law_cost import cheaper_laws, cost_remarks, share_frac
+
+BENCH = load_bench("paper_x4")
+
+
+def test_offers_run_less_often_and_say_what_they_lose() -> None:
+    model = DriveModel.base(BENCH)
+    law = design_law(BENCH, model_loop(model))
+    offers = cheaper_laws(BENCH, model, law)
+    assert [offer.every_cycles for offer in offers][:2] == [1, 2]
+    assert offers[-1].share_frac <= 0.26
+    # A slower law is worse, but far from none: the error without it is 4-8 um.
+    assert all(offer.e_r_um < 2.0 * offers[0].e_r_um + 0.1 for offer in offers)
+    (text,) = cost_remarks(BENCH, "law", 1, offers)
+    assert "--every 2" in text
+    assert f"{offers[1].e_r_um:.2f} um" in text
+
+
+def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
+    assert share_frac(BENCH, 4) == pytest.approx(share_frac(BENCH) / 4)
+    (text,) = cost_remarks(BENCH, "law", 4)
+    assert "more than a quarter" not in text
+    assert cost_remarks(BENCH, "servo") == []
