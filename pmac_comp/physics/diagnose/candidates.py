@@ -19,13 +19,15 @@ from pmac_comp.physics.model.effect import Effect, split_name
 from pmac_comp.physics.model.parameters import ParameterSpec
 
 _STEP_FRAC = 0.02
-# A tolerance is one half-width; a value anywhere inside is as likely: sigma = half-width/sqrt 3.
-_UNIFORM = 1.0 / math.sqrt(3.0)
-# The likelihood is over-confident: what model and drive differ by in the last tenth of a
-# micrometre is not noise. Priors are given this many times their weight so that such differences
-# do not drag known parameters to the ends of their tolerance.
-TEMPER = 20.0
+# A tolerance counts as two standard deviations.
+_SIGMAS = 2.0
 _EDGE = 1.02
+# Effects that add to a known parameter: data cannot tell the two apart, so once such an effect is
+# named it carries the whole difference from the bench file, and the tolerance widens its interval.
+ADDITIONS: Mapping[str, str] = {
+    "payload": "chain.table_mass_kg",
+    "chain_damping": "chain.damping_time_s",
+}
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,29 @@ class Start:
     linear: bool = True
 
 
+def _bare(name: str) -> str:
+    return split_name(name)[0]
+
+
+def relieved(model: DriveModel, effect: str) -> DriveModel:
+    """The model with the bench's value of what an effect adds to; the effect takes the rest."""
+    name = ADDITIONS.get(effect)
+    if name is None or name not in model.parameters:
+        return model
+    nominal = model.spec(name).nominal
+    first = next(spec for spec in model.specs if spec.name.startswith(f"{effect}."))
+    value = model.parameters[first.name] + model.parameters[name] - nominal
+    return model.with_parameters(
+        {name: nominal, first.name: float(np.clip(value, first.lower, first.upper))}
+    )
+
+
 def own_directions(model: DriveModel) -> list[Direction]:
     """Directions along the model's own parameters, known ones within their tolerance."""
     directions = []
+    doubled = {ADDITIONS[name] for name in map(_bare, model.effects) if name in ADDITIONS}
     for spec in model.specs:
-        if spec.discrete:
+        if spec.discrete or spec.name in doubled:
             continue
         direction = _own_direction(model, spec)
         if direction is not None:
@@ -74,7 +94,7 @@ def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
             return None
         lower = max(lower, spec.nominal - _EDGE * width)
         upper = min(upper, spec.nominal + _EDGE * width)
-        centre, sigma = spec.nominal, width * _UNIFORM / math.sqrt(TEMPER)
+        centre, sigma = spec.nominal, width / _SIGMAS
     step = _step(spec, value, lower, upper)
     if step == 0.0:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.diagnose.estimates import estimates_of, findings_of
+from pmac_comp.physics.diagnose.estimates import estimates_of
 from pmac_comp.physics.diagnose.growth import Grown, Rules, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import separating_experiment
@@ -88,16 +88,17 @@ def diagnose(
             hint="Give at least one capture; three or more places and speeds tell more.",
         )
     tell = progress or _silent
+    rules = rules or Rules()
     start = DriveModel.base(bench) if model is None else model
     library = _candidates(effects, start)
     fit = prepare([*captures, *validate], bench, prefix="capture")
     records, judges = fit[: len(captures)], fit[len(captures) :]
     with processors() as executor:
         workbench = Workbench(fit, split(records, judges), executor)
-        grown = grow(workbench, start, library, rules or Rules(), tell)
+        grown = grow(workbench, start, library, rules, tell)
         tell("measuring what is left")
         left = remainder_of(grown, bench)
-        return _assembled(grown, left, library, bench)
+        return _assembled(grown, left, library, bench, rules)
 
 
 def _silent(text: str) -> None:
@@ -116,7 +117,7 @@ def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict
 
 
 def _assembled(
-    grown: Grown, left: Remainder, library: Mapping[str, Effect], bench: Bench
+    grown: Grown, left: Remainder, library: Mapping[str, Effect], bench: Bench, rules: Rules
 ) -> Diagnosis:
     executor = grown.bench.executor
     judging = grown.bench.judging_records
@@ -128,8 +129,8 @@ def _assembled(
     named = _named(grown, tied) if believed else ()
     verdict = _verdict(named, tied, left)
     where = _where(grown, bench)
-    estimates = estimates_of(grown) if believed else ()
-    findings = findings_of(grown)
+    estimates, findings = estimates_of(grown, rules.material)
+    estimates = estimates if believed else ()
     experiment = _experiment(tied, left, grown, library)
     return Diagnosis(
         verdict=verdict,

@@ -17,7 +17,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
-from pmac_comp.physics.diagnose.statistics import Whitener, huber_weights, rows_with_past
+from pmac_comp.physics.diagnose.statistics import Whitener, rows_with_past
 
 _RIDGE = 1e-10
 
@@ -185,6 +185,7 @@ def gram_of_record(
     block: int,
     offset_channels: Sequence[int],
     robust: FloatArray | None = None,
+    doubtful: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Block Gram matrices of one record.
 
@@ -204,6 +205,9 @@ def gram_of_record(
         Channels with a free constant in this record; it is projected out of everything.
     robust : ndarray, shape (m, channels) or None
         Square-root weights of single whitened samples.
+    doubtful : ndarray, shape (m, channels, q) or None
+        Shapes of what the model is known not to get right, at one standard deviation each; they
+        count as noise of this record.
 
     Returns
     -------
@@ -213,8 +217,11 @@ def gram_of_record(
     everything = np.concatenate([columns, residual[:, :, None]], axis=2)
     keep = rows_with_past(usable, whitener.order)
     white = whitener.apply(everything)
-    white *= (keep[:, None] * (1.0 if robust is None else robust))[:, :, None]
+    weights = (keep[:, None] * (1.0 if robust is None else robust))[:, :, None]
+    white *= weights
     white = _without_offsets(white, whitener, keep, offset_channels, robust)
+    if doubtful is not None and doubtful.shape[2] > 0:
+        white = _discounted(white, whitener.apply(doubtful) * weights)
     count = max(1, white.shape[0] // block)
     blocks = np.empty((count, white.shape[2], white.shape[2]))
     rows = np.empty(count)
@@ -247,9 +254,9 @@ def _without_offsets(
     return white
 
 
-def robust_weights(
-    residual: FloatArray, columns: FloatArray, solution: Solution, whitener: Whitener
-) -> FloatArray:
-    """Huber weights from what a joint refit leaves in one record, shape (m, channels)."""
-    left = residual - np.einsum("tck,k->tc", columns[:, :, solution.indices], solution.step)
-    return huber_weights(whitener.apply(left - left.mean(axis=0)))
+def _discounted(white: FloatArray, shapes: FloatArray) -> FloatArray:
+    """Everything weighed by the inverse root of the covariance 1 + shapes shapes'."""
+    flat = white.reshape(-1, white.shape[2])
+    basis, size, _ = np.linalg.svd(shapes.reshape(-1, shapes.shape[2]), full_matrices=False)
+    share = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
+    return np.asarray(flat - basis @ (share[:, None] * (basis.T @ flat))).reshape(white.shape)

@@ -11,8 +11,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.physics.diagnose.candidates import Start, started
-from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins
+from pmac_comp.physics.diagnose.candidates import Start, relieved, started
+from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
@@ -54,14 +54,20 @@ class Rules:
         Least drop of chi-square per sample, on fitting and on judging samples alike: an effect
         that changes less than this share of the noise's variance is not worth a name, however
         significant it is (the model's own integration leaves about a quarter of it).
+    overwhelming : float
+        Multiple of ``material`` on fitting samples that need not be as large on judging ones.
     material_gap : float
         Share of the noise floor that a slow effect must take out of the gap instead.
     p_value : float
-        Largest corrected p-value.
+        Largest p-value, by sign flips over the blocks of fitting and judging runs together (a
+        candidate's few parameters take a few units of chi-square of what it earns on the former),
+        corrected for the number of candidates.
     tie_z : float
         Paired difference over its standard error below which look-alikes are tied.
     tie_material : float
         Difference per sample below which look-alikes are tied, significant or not.
+    tie_share : float
+        Share of the winner's gain that effects which are seldom inseparable must reach as well.
     leaders : int
         Candidates that get a full refit.
     most_effects : int
@@ -69,10 +75,12 @@ class Rules:
     """
 
     material: float = 0.04
+    overwhelming: float = 4.0
     material_gap: float = 0.6
     p_value: float = 0.01
     tie_z: float = 3.0
     tie_material: float = 0.015
+    tie_share: float = 0.97
     leaders: int = 4
     most_effects: int = 4
 
@@ -153,7 +161,8 @@ def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
         return record.coarsen(record.channels_of(response)) - sharp[i]
 
     noise = list(bench.executor.map(rounded, range(len(bench.records))))
-    return bench.with_noise(Noise(bench.noise_from(noise, sensor_floor_m(bench, model)).whitener))
+    whitener = bench.noise_from(noise, sensor_floor_m(bench, model)).whitener
+    return bench.with_noise(Noise(whitener, None, bench.doubtful(model)))
 
 
 def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
@@ -210,8 +219,12 @@ def grow(
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
         point = evaluate(bench.fitting_bench(), done.accepted.fitted.model)
-    base_model = evaluate(bench, base.model) if base is not None else evaluate(bench, start)
+    progress("settling all parameters")
+    part = bench.fitting_bench()
+    point = refit(part, evaluate(part, point.model), rounds=6)
     final = evaluate(bench, point.model)
+    grew = base is not None and any(r.accepted is not None for r in rounds)
+    base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds))
 
 
@@ -246,7 +259,8 @@ def _spread(bench: Workbench, noise: Noise) -> Noise:
     for record, mask in zip(bench.records, bench.fitting, strict=True):
         whole = np.ones((record.usable.size, bench.channels))
         weights.append(next(given) if mask.any() and noise.robust is not None else whole)
-    return Noise(noise.whitener, tuple(weights))
+    doubtful = None if bench.noise is None else bench.noise.doubtful
+    return Noise(noise.whitener, tuple(weights), doubtful)
 
 
 def _round(
@@ -346,7 +360,8 @@ def _model_at(
         if spec.name.startswith(f"{start.effect}.")
     )
     values = started(start, step, specs)
-    return placed.with_parameters({f"{start.effect}.{k}": v for k, v in values.items()})
+    placed = placed.with_parameters({f"{start.effect}.{k}": v for k, v in values.items()})
+    return relieved(placed, start.effect)
 
 
 def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
@@ -367,6 +382,9 @@ def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
         return False
     fit, judged = winner.fit_gain / done.rows_fit, winner.judged_gain / done.rows_judge
     if min(fit, judged) > rules.material:
+        return True
+    # Runs for judging need not excite what the fitting runs show beyond doubt.
+    if fit > rules.overwhelming * rules.material and judged > 0.0:
         return True
     # Slow effects are large in um and small to a whitener that expects slow noise.
     closed_um2 = done.gap_um**2 - winner.gap_um**2
@@ -404,4 +422,7 @@ def _tied(
 def _inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: Rules) -> bool:
     lost = other.fitted.blocks - winner.fitted.blocks
     per_row = float(lost.sum()) / float(rows.sum())
+    if not justified(winner.effect, other.effect):
+        close = other.gain > rules.tie_share * winner.gain
+        return close and per_row < rules.tie_material and studentised(lost) < rules.tie_z
     return per_row < rules.tie_material or studentised(lost) < rules.tie_z

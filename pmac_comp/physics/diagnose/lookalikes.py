@@ -173,6 +173,11 @@ _EXPERIMENTS: Mapping[frozenset[str], tuple[str, _Motions]] = {
 }
 
 
+def justified(one: str, other: str) -> bool:
+    """Whether a tie of two effects may be named without further proof that data cannot decide."""
+    return any({one, other} <= group for group in _GROUPS)
+
+
 def alike(one: str, other: str, library: Mapping[str, Effect]) -> bool:
     """Whether two effects are known to leave similar traces."""
     pair = {one, other}

@@ -17,27 +17,49 @@ _LARGEST_PERIOD_FRAC = 0.5
 def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
     """Rms of the last channel on judging samples that a perfect model would leave.
 
-    The larger of two: what the sensors' steps do in the simulated loop, and how far the data
-    itself differs between repeats of the same command.
+    The larger of two. One is what the sensors' steps do in the simulated loop, together with what
+    the data shows beyond them at frequencies at which no drive moves. The other is how far the
+    data itself differs between repeats of the same command; it cannot exceed what the model
+    leaves, which contains it.
     """
     judging = bench.judging_records
-    simulated = list(bench.executor.map(lambda r: _sensor_noise_m(r, model), judging))
+    parts = list(bench.executor.map(lambda r: _noise_parts_m(r, model), judging))
     whole = [r for r, m in zip(bench.records, bench.fitting, strict=True) if not m.all()]
     total, count = 0.0, 0
-    for record, complete, sensor in zip(judging, whole, simulated, strict=True):
+    for record, complete, (steps, left) in zip(judging, whole, parts, strict=True):
         n = int(np.count_nonzero(record.valid))
-        repeat = repeatability_m(complete)
-        total += n * max(sensor, repeat) ** 2
+        repeat = min(repeatability_m(complete), left)
+        total += n * max(steps, repeat) ** 2
         count += n
     return 1e6 * float(np.sqrt(total / max(count, 1)))
 
 
-def _sensor_noise_m(record: Record, model: DriveModel) -> float:
+def _noise_parts_m(record: Record, model: DriveModel) -> tuple[float, float]:
+    """Noise by sensors, and rms of all that the model leaves."""
     smooth = record.channels_of(record.response(model))[:, -1]
     stepped = record.channels_of(
-        simulate(model, record.commanded_m, desired_position_m=record.desired_m, quantise=True)
+        simulate(
+            model,
+            record.commanded_m,
+            desired_position_m=record.desired_m,
+            external_force_N=record.external_force_N,
+            quantise=True,
+        )
     )[:, -1]
-    return float(np.std((stepped - smooth)[record.valid]))
+    left = record.measured_m[:, -1] - smooth
+    steps = float(np.std((stepped - smooth)[record.valid]))
+    extra = _white_power(record, left) - _white_power(record, stepped - smooth)
+    return float(np.sqrt(steps**2 + max(0.0, extra))), float(np.std(left[record.valid]))
+
+
+def _white_power(record: Record, values: FloatArray) -> float:
+    """Power in m2 of white noise that has the same power within blocks."""
+    if record.factor < 2:
+        return 0.0
+    count = values.size // record.factor
+    good = record.usable
+    blocks = values[: count * record.factor].reshape(count, record.factor)[good]
+    return float(blocks.var(axis=1, ddof=1).mean()) if blocks.size else 0.0
 
 
 def repeatability_m(record: Record) -> float:

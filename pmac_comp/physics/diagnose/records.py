@@ -25,6 +25,7 @@ from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
+_TAKE_UP_m = 50e-6
 _FORCE_COLUMN = "external_force_N"
 
 
@@ -181,6 +182,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     force = capture.extra.get(_FORCE_COLUMN)
     torque = capture.torque_command_Nm
     valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
+    valid &= _under_way(on_servo_grid(_filled(capture.desired_m, capture.mask)))
     return Record(
         name=name,
         capture=capture,
@@ -193,6 +195,14 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
     )
+
+
+def _under_way(desired_m: FloatArray) -> BoolArray:
+    """Samples after the first motion: where in a gap or a stick a run begins, nobody knows."""
+    away = np.abs(desired_m - desired_m[0])
+    taken_up = min(_TAKE_UP_m, 0.25 * float(away.max()))
+    moved = np.flatnonzero(away > taken_up)
+    return np.arange(desired_m.size) >= (int(moved[0]) if moved.size else 0)
 
 
 def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:

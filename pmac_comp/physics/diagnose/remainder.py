@@ -5,7 +5,7 @@ the rest of this package below ``diagnose``.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,13 +15,16 @@ from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
+from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.statistics import corrected_p, sign_flip_p
 from pmac_comp.physics.model.drive import DriveModel
 
 _UNEXPLAINED = 0.10  # of the noise variance per sample, earned by flexible rivals on both parts
 _TOLD = 0.05  # of the variance that the grown model removed: the form is right to this
-# What two careful integrations of the same drive differ by around reversals.
+# What two careful integrations of the same drive differ by around reversals, at least; and how
+# many deviations of what the onset of friction leaves open.
 _MODEL_um = 0.08
+_ONSETS = 1.5
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 
 
@@ -70,18 +73,19 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     fit_share = fit_gain / max(last.rows_fit, 1.0)
     floor_um = noise_floor_um(grown.bench, grown.final.model)
     gap_um = _rms_um(grown, grown.final.model)
-    excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
+    excess_um = _excess_um(grown, gap_um, floor_um)
     drop = rivals.gram.block_chi2(rivals.base) - rivals.gram.block_chi2(rivals.flexible)
     p_value = corrected_p(sign_flip_p(drop, seed=1), 1)
     removed = float((grown.base.blocks - grown.final.blocks).sum()) / float(
         last.rows_fit + last.rows_judge
     )
     material = max(_UNEXPLAINED, _TOLD * removed)
-    noticeable = excess_um > max(0.3 * floor_um, _MODEL_um)
+    open_um = max(_MODEL_um, _ONSETS * _onset_um(grown))
+    noticeable = excess_um > max(0.3 * floor_um, open_um)
     by_rivals = fit_share > material and p_value < 0.01 and noticeable
     base_um = _rms_um(grown, grown.base.model)
     worth = max(
-        _EXCESS * floor_um, _MODEL_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2)))
+        _EXCESS * floor_um, open_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2)))
     )
     explained = excess_um**2 < 0.5 * (base_um**2 - floor_um**2)
     return Remainder(
@@ -94,6 +98,30 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
         excess_um=excess_um,
         regions=_regions(grown, bench),
     )
+
+
+def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> float:
+    """Gap beyond the noise floor that no choice of the grown model's parameters closes.
+
+    Fitting runs may leave parameters open that the judging runs need; that is no missing effect.
+    """
+    excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
+    if excess_um < max(0.3 * floor_um, _MODEL_um):
+        return excess_um
+    bench = grown.bench
+    every = replace(bench, fitting=tuple(np.ones_like(mask) for mask in bench.fitting))
+    settled = refit(every, evaluate(every, grown.final.model), rounds=3)
+    best_um = min(gap_um, _rms_um(grown, settled.model))
+    return float(np.sqrt(max(0.0, best_um**2 - floor_um**2)))
+
+
+def _onset_um(grown: Grown) -> float:
+    """Rms of what the onset of friction leaves open in the last channel."""
+    noise = grown.bench.noise
+    if noise is None or noise.doubtful is None:
+        return 0.0
+    powers = [float(np.mean(np.sum(d[:, -1] ** 2, axis=1))) for d in noise.doubtful]
+    return 1e6 * float(np.sqrt(np.mean(powers)))
 
 
 def _rms_um(grown: Grown, model: DriveModel) -> float:

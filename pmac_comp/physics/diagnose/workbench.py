@@ -8,6 +8,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,10 @@ from pmac_comp.physics.model.drive import DriveModel
 Columns = list[NDArray[np.float32]]
 _ORDER = 6
 _BLOCK_s = 0.5
+_SHORTEST_BLOCK_s = 0.1
+_LEAST_BLOCKS = 24
+_ONSET_m = 1e-7
+_ONSET_PLACES = ("guide", "nut", "motor")
 
 
 @dataclass(frozen=True)
@@ -72,10 +77,29 @@ def prior_of(directions: Sequence[Direction]) -> Prior:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is taken for noise: whitening filter and weights of single samples per record."""
+    """What is taken for noise.
+
+    Parameters
+    ----------
+    whitener : Whitener
+        Whitening filter.
+    robust : tuple of ndarray, shape (m, channels), or None
+        Weights of single samples per record.
+    doubtful : tuple of ndarray, shape (m, channels, q), or None
+        Per record, shapes of what the model is known not to get right.
+    """
 
     whitener: Whitener
     robust: tuple[FloatArray, ...] | None = None
+    doubtful: tuple[FloatArray, ...] | None = None
+
+    def of(self, keep: Sequence[int]) -> "Noise":
+        """Noise of some of the records."""
+        return Noise(
+            self.whitener,
+            None if self.robust is None else tuple(self.robust[i] for i in keep),
+            None if self.doubtful is None else tuple(self.doubtful[i] for i in keep),
+        )
 
 
 @dataclass(frozen=True)
@@ -105,6 +129,13 @@ class Workbench:
         return self.records[0].channels
 
     @property
+    def block_s(self) -> float:
+        """Length of a block: long against the memory of the data, but many must judge."""
+        judging = [float((~f).sum()) for f in self.fitting]
+        each = sum(judging) * self.records[0].coarse_period_s / _LEAST_BLOCKS
+        return float(np.clip(each, _SHORTEST_BLOCK_s, _BLOCK_s))
+
+    @property
     def judging_records(self) -> tuple[Record, ...]:
         """Records with samples that judge, cut to the samples that do."""
         return tuple(
@@ -118,9 +149,7 @@ class Workbench:
         keep = [i for i, mask in enumerate(self.fitting) if mask.any()]
         if len(keep) == len(self.records):
             return self
-        noise = self.noise
-        if noise is not None and noise.robust is not None:
-            noise = Noise(noise.whitener, tuple(noise.robust[i] for i in keep))
+        noise = None if self.noise is None else self.noise.of(keep)
         return Workbench(
             tuple(self.records[i] for i in keep),
             tuple(self.fitting[i] for i in keep),
@@ -169,29 +198,30 @@ class Workbench:
         if noise is None:
             raise ValueError("the noise has not been estimated")
         jobs = [
-            (record, np.flatnonzero(part), bool(fits), i)
+            (record, first, last, fits, i)
             for i, (record, mask) in enumerate(zip(self.records, self.fitting, strict=True))
-            for fits, part in ((True, mask), (False, ~mask))
-            if np.count_nonzero(part) > 2 * _ORDER
+            for first, last, fits in _stretches(mask)
+            if last - first > 2 * _ORDER
         ]
+        block = max(4 * _ORDER, round(self.block_s / self.records[0].coarse_period_s))
 
-        def work(job: tuple[Record, NDArray[np.int64], bool, int]) -> tuple[FloatArray, FloatArray]:
-            record, samples, _, i = job
-            first, last = int(samples[0]), int(samples[-1]) + 1
+        def work(job: tuple[Record, int, int, bool, int]) -> tuple[FloatArray, FloatArray]:
+            record, first, last, _, i = job
             return gram_of_record(
                 residuals[i][first:last],
                 columns[i][first:last].astype(np.float64),
                 record.usable[first:last],
                 noise.whitener,
-                block=max(4 * _ORDER, round(_BLOCK_s / record.coarse_period_s)),
+                block=block,
                 offset_channels=[1] if self.channels > 1 else [],
                 robust=None if noise.robust is None else noise.robust[i][first:last],
+                doubtful=None if noise.doubtful is None else noise.doubtful[i][first:last],
             )
 
         parts = list(self.executor.map(work, jobs))
         return Gram(
             np.concatenate([p[0] for p in parts]),
-            np.concatenate([np.full(len(p[1]), j[2]) for p, j in zip(parts, jobs, strict=True)]),
+            np.concatenate([np.full(len(p[1]), j[3]) for p, j in zip(parts, jobs, strict=True)]),
             np.concatenate([p[1] for p in parts]),
             prior,
         )
@@ -204,7 +234,25 @@ class Workbench:
             huber_weights(whitener.apply(n - n[u].mean(axis=0)))
             for n, u in zip(noise_like, usable, strict=True)
         )
-        return Noise(whitener, weights)
+        return Noise(whitener, weights, None if self.noise is None else self.noise.doubtful)
+
+    def doubtful(self, model: DriveModel) -> tuple[FloatArray, ...]:
+        """What a slightly softer onset of friction would change, per record and place.
+
+        No friction sets in at once; how it does within the first tenth of a micrometre, less than
+        the encoders see, decides a few hundredths of a micrometre around every reversal.
+        """
+        bare = model
+        if "presliding" in {name.partition("@")[0] for name in model.effects}:
+            bare = model.without_effect("presliding")
+        places = _ONSET_PLACES[:1] if model.is_rigid else _ONSET_PLACES
+        softer = [
+            bare.with_effect(f"presliding@{place}", {"distance_m": _ONSET_m}) for place in places
+        ]
+        base, *moved = self.simulate([bare, *softer])
+        return tuple(
+            np.stack([m[i] - base[i] for m in moved], axis=2) for i in range(len(self.records))
+        )
 
     def left_by(
         self, residuals: Sequence[FloatArray], columns: Columns, solution: Solution
@@ -226,15 +274,19 @@ def _fine(coarse: BoolArray, record: Record) -> BoolArray:
 def split(fit: Sequence[Record], judge: Sequence[Record]) -> tuple[BoolArray, ...]:
     """Which coarse samples are fitted.
 
-    With judging captures all samples of the others are fitted. Without any, the last third of
-    the captures is held back; of fewer than three captures, the last third of each.
+    With judging captures all samples of the others are fitted. Without any, two stretches of each
+    capture are held back, a sixth of it long, so that every motion is judged and what grows with
+    time is judged between the times at which it was fitted.
     """
     if judge:
         return tuple(np.full(r.usable.size, i < len(fit)) for i, r in enumerate([*fit, *judge]))
-    if len(fit) >= 3:
-        kept = len(fit) - max(1, len(fit) // 3)
-        return tuple(np.full(r.usable.size, i < kept) for i, r in enumerate(fit))
-    return tuple(np.arange(r.usable.size) < (2 * r.usable.size) // 3 for r in fit)
+    return tuple(~np.isin(6 * np.arange(r.usable.size) // r.usable.size, (1, 4)) for r in fit)
+
+
+def _stretches(fitting: BoolArray) -> list[tuple[int, int, bool]]:
+    """First sample, end and kind of the stretches that are all fitted or all judged."""
+    ends = [0, *(np.flatnonzero(np.diff(fitting)) + 1).tolist(), fitting.size]
+    return [(a, b, bool(fitting[a])) for a, b in pairwise(ends)]
 
 
 def processors() -> ThreadPoolExecutor:
