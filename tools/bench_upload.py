@@ -18,9 +18,9 @@ from pmac_comp.base.clock import SystemClock
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.safety import Limits
-from pmac_comp.machine.controller.transaction import Context
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession

@@ -24,12 +24,13 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind, same_on_card
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.motion import wait_for_end
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import Context, UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.variables import read_many, same_value, verify_many, write_many
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress

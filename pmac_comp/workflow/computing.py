@@ -16,7 +16,7 @@ from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture
-from pmac_comp.machine.controller import law_upload
+from pmac_comp.machine.controller import law_cost
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
@@ -152,6 +152,7 @@ def compensate_files(
     captures: tuple[Path, ...] = (),
     command: str = "",
     limit: Limit = Limit.REFUSE,
+    every_cycles: int = 1,
     effects: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -174,6 +175,7 @@ def compensate_files(
             "effects": list(drive.effects),
         },
         limit=limit,
+        every_cycles=every_cycles,
         progress=progress,
     )
     cuts = limits_report(loaded, compensation)
@@ -318,7 +320,7 @@ def cost_remarks(bench: Bench, route: str) -> list[str]:
     """What the route costs on the card's processor, and the way out where that is much."""
     if route != "law":
         return []
-    cost = law_upload.law_cost_us(bench.controller.cpu_clock_MHz)
+    cost = law_cost.law_cost_us(bench.controller.cpu_clock_MHz)
     period = bench.servo_period_s * US_PER_S
     share = cost / period
     text = (

@@ -5,9 +5,7 @@ test before the first use. What may not: the transactions themselves (``machine.
 computing (``computing``).
 """
 
-import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import (
     ControllerState,
     PmacCompError,
@@ -23,16 +20,26 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.base.units import UM_PER_M
-from pmac_comp.machine.controller import law_upload, motors, programs
+from pmac_comp.machine.controller import (
+    law_arming,
+    law_install,
+    law_state,
+    law_upload,
+    motors,
+    programs,
+)
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.program_upload import rollback_program
+from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import Context, UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.variables import verify_many, write_many
+from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables
@@ -51,7 +58,6 @@ from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
-LAST_UPLOAD = "last_upload.json"
 SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
 _NOT_MOVED = "PC-SGN-005"
 
@@ -99,21 +105,8 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
     The lead table goes first, then the law into the idle bank; the gain ramps up at the end.
     """
-    with _one_upload(context):
-        return _deploy_parts(axis, compensation, context)
-
-
-@contextmanager
-def _one_upload(context: Context) -> Iterator[None]:
-    """Note which backups belong to this upload, so that ``rollback`` takes back it alone."""
-    before = set(context.store.glob("*.json"))
-    try:
-        yield
-    finally:
-        made = sorted(path.name for path in set(context.store.glob("*.json")) - before)
-        if made:
-            last = {"controller": context.controller, "backups": made}
-            atomic_write_text(context.store / LAST_UPLOAD, json.dumps(last, indent=2) + "\n")
+    with grouped(axis.link, context, compensation.route) as parts_context:
+        return _deploy_parts(axis, compensation, parts_context)
 
 
 def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> Deployment:
@@ -122,7 +115,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
     raise_all(double_corrections(axis, context, compensation), "The upload")
-    _set_take_up(axis, tables)
+    _set_take_up(axis, context, tables)
     if compensation.route == "cam":
         parts.append(_deploy_cam(axis, compensation, context, tables))
         notes.append(
@@ -135,10 +128,10 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             upload.prepare()
             parts.append(upload.execute())
     if compensation.route == "law":
-        notes += law_upload.install_law(axis.link, context, axis.motor)
+        notes += law_install.install_law(axis.link, context, axis.motor)
         notes += _checked_sign(axis, context)
     if compensation.route == "servo":
-        law_upload.require_open_servo(axis.link, context, axis.motor)
+        law_install.require_open_servo(axis.link, context, axis.motor)
     if compensation.route in TORQUE_ROUTES:
         parameters = law_parameters(compensation.law, axis.scales)
         # The same length through two roundings must not pass the limit by a bit.
@@ -148,7 +141,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         )
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
-            law_upload.arm(axis.link, context)
+            law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")
         else:
             notes.append("the law is loaded and disarmed: the loop is open")
@@ -162,8 +155,8 @@ def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
     if route != "law":
         return []
     wanted = (
-        law_upload.law_program(context.block, axis.motor),
-        law_upload.guard_program(context.block),
+        law_install.law_program(context.block, axis.motor),
+        law_install.guard_program(context.block),
     )
     missing = [p for p in wanted if not programs.is_present(axis.link, p)]
     return [
@@ -191,7 +184,7 @@ def double_corrections(
     refusals: list[SafetyRefusal] = []
     carries = compensation.backlash or compensation.route in MOTION_ROUTES
     if compensation.route not in TORQUE_ROUTES and carries:
-        head = law_upload.read_law_head(axis.link, context.block)
+        head = law_state.read_law_head(axis.link, context.block)
         if head.is_armed:
             refusals.append(
                 SafetyRefusal(
@@ -215,34 +208,23 @@ def double_corrections(
     return refusals
 
 
-def _set_take_up(axis: Axis, tables: Sequence[Table]) -> None:
+def _set_take_up(axis: Axis, context: Context, tables: Sequence[Table]) -> None:
     """Backlash take-up before a backlash table comes: without a table it does nothing."""
     for table in tables:
         if isinstance(table, BacklashTable):
-            write_many(axis.link, take_up_variables(table, axis.bench))
+            goal = Settings(texts(take_up_variables(table, axis.bench)))
+            change_settings(axis.link, context, goal, route="table", motors=[axis.motor])
 
 
 def _deploy_cam(
     axis: Axis, compensation: Compensation, context: Context, tables: tuple[Table, ...]
 ) -> UploadResult:
-    """Program with the time axis, then its table; the program goes if the table does not come."""
+    """Program with the time axis, then its table."""
     stand_at_zero(axis)
-    program = deploy_program(axis, render_cam(compensation, axis.bench), context)
-    try:
-        with TableUpload(axis.link, context, tables, route="cam") as upload:
-            upload.prepare()
-            return upload.execute()
-    except PmacCompError as error:
-        try:
-            _undo_program(axis, context, program.backup)
-        except PmacCompError as second:
-            error.add_note(f"PROG {CAM_PROGRAM} could not be taken back: {second.message}")
-        raise
-
-
-def _undo_program(axis: Axis, context: Context, backup: Path | None) -> None:
-    if backup is not None:
-        rollback_program(axis.link, context, backup)
+    deploy_program(axis, render_cam(compensation, axis.bench), context)
+    with TableUpload(axis.link, context, tables, route="cam") as upload:
+        upload.prepare()
+        return upload.execute()
 
 
 def _checked_sign(axis: Axis, context: Context) -> list[str]:
@@ -253,7 +235,7 @@ def _checked_sign(axis: Axis, context: Context) -> list[str]:
     SafetyRefusal
         It moves the motor down: every correction would double the error.
     """
-    head = law_upload.read_law_head(axis.link, context.block)
+    head = law_state.read_law_head(axis.link, context.block)
     status = motors.read_motor(axis.link, axis.motor).status
     if head.is_armed or not status.is_closed_loop:
         return []
@@ -311,9 +293,9 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
     stand_at_zero(axis)
     if compensation.route in TORQUE_ROUTES:
         if on:
-            law_upload.arm(axis.link, context)
+            law_arming.arm(axis.link, context)
         else:
-            law_upload.disarm(axis.link, context)
+            law_arming.disarm(axis.link, context)
     if tables_of(compensation, axis.bench):
         axis.link.command(f"I51={int(on)}")
         verify_many(axis.link, {"I51": int(on)})
@@ -331,8 +313,8 @@ def check_law_on_card(
     """
     from pmac_comp.machine.controller.law_bank import evaluate
 
-    head = law_upload.read_law_head(axis.link, context.block)
-    bank = law_upload.read_bank(axis.link, context.block, head.bank)
+    head = law_state.read_law_head(axis.link, context.block)
+    bank = law_state.read_bank(axis.link, context.block, head.bank)
     wanted = law_parameters(compensation.law, axis.scales)
     if bank is None or bank.digest != wanted.digest:
         raise VerifyMismatch("The card holds another law.", code="PC-DEP-030")

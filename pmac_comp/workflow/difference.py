@@ -14,11 +14,11 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller import law_upload
+from pmac_comp.machine.controller import law_state
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.transaction import Context
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import usable_speed
@@ -115,8 +115,8 @@ def difference_on(axis: Axis, context: Context, compensation: Compensation) -> D
     kept = [t for t in old if _is_kept(t, meant, compensation)]
     rows = _table_rows(axis, old, [*meant, *kept])
     curves = _table_curves(axis, old, [*meant, *kept])
-    head = law_upload.read_law_head(axis.link, context.block)
-    bank = law_upload.read_bank(axis.link, context.block, head.bank) if head.is_armed else None
+    head = law_state.read_law_head(axis.link, context.block)
+    bank = law_state.read_bank(axis.link, context.block, head.bank) if head.is_armed else None
     fresh = None
     if compensation.route in TORQUE_ROUTES:
         fresh = law_parameters(compensation.law, axis.scales)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_upload, motors
+from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.table_status import table_status
@@ -46,7 +46,7 @@ def controller_status(url: str, bench: str) -> dict[str, Any]:
         readings = motors.read_motors(axis.link, numbers)
         context = context_of(axis)
         state = table_status(axis.link, context)
-        head = law_upload.read_law_head(
+        head = law_state.read_law_head(
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
     compensation = {

@@ -16,9 +16,10 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import gather, programs
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.transaction import Context, UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.compensation_file import Compensation

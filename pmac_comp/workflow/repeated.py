@@ -12,7 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.exact import Learning, learn
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis

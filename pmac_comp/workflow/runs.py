@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import law_upload, motors
-from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
@@ -109,5 +109,5 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
 
 def _acts(axis: Axis, context: Context, compensation: Compensation) -> bool:
     if compensation.route in TORQUE_ROUTES:
-        return law_upload.read_law_head(axis.link, context.block).is_armed
+        return law_state.read_law_head(axis.link, context.block).is_armed
     return read_many(axis.link, ["I51"])["I51"] == 1.0

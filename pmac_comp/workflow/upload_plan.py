@@ -11,9 +11,10 @@ from typing import Any
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.transaction import Context
-from pmac_comp.machine.controller.upload import TableUpload, UploadPlan
+from pmac_comp.machine.controller.upload import TableUpload
+from pmac_comp.machine.controller.upload_plan import UploadPlan
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam

@@ -14,7 +14,7 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
-from pmac_comp.machine.controller.transaction import Context
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions

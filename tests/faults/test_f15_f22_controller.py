@@ -19,11 +19,21 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.reads import is_read
-from pmac_comp.machine.controller import backup, law_upload, programs, recovery, upload
+from pmac_comp.machine.controller import (
+    backup,
+    law_arming,
+    law_install,
+    persist,
+    programs,
+    recovery,
+    table_files,
+    table_recovery,
+    upload,
+)
 from pmac_comp.machine.controller.comp_table import TableKind
+from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, decide
 from pmac_comp.machine.controller.table_status import table_status
-from pmac_comp.machine.controller.transaction import host_lock
 from pmac_comp.simulator.card import Card
 from tests.faults.upload_bench import UploadBench, new_table, old_table, snapshot
 from tests.unit.machine_controller.card_bench import CardBench
@@ -41,24 +51,41 @@ class LineFault:
     """Answers, drops or doubles the k-th line that changes something on the card."""
 
     def __init__(self, bench: CardBench, k: int, kind: str, code: int = 3) -> None:
-        self.inner = bench.session.port.line
+        port = bench.session.port
+        self.line_as_it_is, self.verdict_as_it_is = port.line, port.verdict
         self.k, self.kind, self.code = k, kind, code
         self.seen = 0
-        bench.session.port.line = self.line  # type: ignore[method-assign]
+        port.line = self.line  # type: ignore[method-assign]
+        port.verdict = self.verdict  # type: ignore[method-assign]
 
-    def line(self, text: bytes) -> bytes:
-        if is_read(text.decode()) or b"???" in text:
-            return self.inner(text)
-        number = self.seen
-        self.seen += 1
-        if number != self.k:
-            return self.inner(text)
+    def line(self, text: str | bytes) -> bytes:
+        """A line of its own, answered with text."""
+        raw = text if isinstance(text, bytes) else text.encode()
+        if not self._is_it(raw):
+            return self.line_as_it_is(text)
         if self.kind == "refuse":
             return b"\x07ERR%03d\r" % self.code
         if self.kind == "drop":
             return b"\x06"
-        self.inner(text)
-        return self.inner(text)
+        self.line_as_it_is(text)
+        return self.line_as_it_is(text)
+
+    def verdict(self, raw: bytes) -> int | None:
+        """A line of a buffer, answered with its error."""
+        if not self._is_it(raw):
+            return self.verdict_as_it_is(raw)
+        if self.kind == "refuse":
+            return self.code
+        if self.kind == "drop":
+            return None
+        self.verdict_as_it_is(raw)
+        return self.verdict_as_it_is(raw)
+
+    def _is_it(self, raw: bytes) -> bool:
+        if is_read(raw.decode()) or b"???" in raw:
+            return False
+        self.seen += 1
+        return self.seen - 1 == self.k
 
 
 def buffer_lines(rig: UploadBench) -> int:
@@ -145,8 +172,8 @@ def test_f18_another_client_enables_during_the_upload(
     rig = UploadBench(tmp_path, n=40)
     link = rig.bench.link
     if guarded:
-        link.write_buffer(law_upload.definition_lines(1))
-        programs.download(link, law_upload.guard_program(rig.bench.context.block))
+        link.write_buffer([f"M{n}->{d}" for n, d in law_install.definitions(1).items()])
+        programs.download(link, law_install.guard_program(rig.bench.context.block))
         link.write_buffer(["I5=3", "ENABLE PLC 1"])
         rig.bench.clock.sleep_s(0.05)
         assert rig.bench.p(7082) > 0
@@ -213,7 +240,7 @@ def test_f20_reset_after_every_packet(*, tmp_path: Path, saved: bool, count_runs
     first = CardBench(folder, card=card)
     upload.upload_tables(first.link, first.context, [old_table(40)])
     if saved:
-        upload.save(first.link)
+        persist.save(first.link)
     total: list[int] = []
     old, new = old_table(40).entries, new_table(40).entries
 
@@ -294,7 +321,7 @@ def test_f21_damaged_flash_is_recognised_and_restored(tmp_path: Path, count_runs
     card = Card(load_bench("paper"), flash=flash)
     bench = CardBench(tmp_path / "store", card=card)
     upload.upload_tables(bench.link, bench.context, [old_table(40)])
-    upload.save(bench.link)
+    persist.save(bench.link)
     stored = backup.read_backup(bench.link, p_range=(7000, 7199))
     image = flash.read_bytes()
     blocks = [len(image) * k // 5 for k in range(5)]
@@ -360,12 +387,12 @@ def test_f20_backup_that_was_touched_is_refused(rig: UploadBench) -> None:
         broken[k] ^= 1
         path.write_bytes(bytes(broken))
         with suppress(ConfigError):
-            recovery.read_table_backup(path)
+            table_files.read_table_backup(path)
             text = path.read_text(encoding="utf-8")
             assert text.strip() != data.decode().strip()
             pytest.fail(f"a changed byte {k} was not noticed")
     path.write_bytes(bytes(data))
-    assert recovery.rollback(rig.bench.link, rig.bench.context, path).verdict is (
+    assert table_recovery.rollback_tables(rig.bench.link, rig.bench.context, path).verdict is (
         ControllerState.OLD
     )
     assert rig.state is ControllerState.OLD
@@ -377,4 +404,4 @@ def test_f16_removal_leaves_nothing(rig: UploadBench) -> None:
     assert rig.truth.entries is None
     assert not rig.truth.i51
     with pytest.raises(TableStateError):
-        law_upload.arm(bench.link, bench.context)
+        law_arming.arm(bench.link, bench.context)

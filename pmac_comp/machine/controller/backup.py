@@ -20,19 +20,16 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.identity import Identity, read_identity
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.machine.controller.transaction import (
-    Context,
-    UploadResult,
-    read_sealed_json,
-    write_sealed_json,
-)
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import describe
 from pmac_comp.machine.wire.numbers import read_number
@@ -380,10 +377,15 @@ def check_flash(link: Link, backup: Backup) -> None:
         The card reports a flash or checksum error, or too many I-variables differ: a power cut
         during SAVE reverts it to factory values (p. 394).
     """
+    check_flash_status(link)
+    check_flash_values(link, backup)
+
+
+def check_flash_status(link: Link) -> None:
+    """The same by what the card reports of itself alone; raises FlashSuspect."""
     status = int(link.query("???")[0].strip()[:6], 16)
     if status & FLASH_FAULTS:
         raise _suspect("It reports a flash error.", [])
-    check_flash_values(link, backup)
 
 
 def check_flash_values(link: Link, backup: Backup) -> None:

@@ -83,6 +83,18 @@ class Journal:
         return next(iter(self.entries()), None)
 
     @property
+    def kind(self) -> str:
+        """What the first entry says the journal is about; empty without one."""
+        begin = self.first()
+        return "" if begin is None else str(begin.data.get("kind", ""))
+
+    @property
+    def group(self) -> int:
+        """Number of the group that this change belongs to, 0 for none."""
+        begin = self.first()
+        return 0 if begin is None else int(str(begin.data.get("group", 0)))
+
+    @property
     def is_open(self) -> bool:
         """Whether a transaction was begun and neither finished nor rolled back."""
         steps = [entry.step for entry in self.entries()]

@@ -272,7 +272,23 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = ("A0", "A1", "V0", "V1", "S0", "S1", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH")
+        names = (
+            "A0",
+            "A1",
+            "V0",
+            "V1",
+            "S0",
+            "S1",
+            "J0",
+            "TJ",
+            "TK",
+            "TB",
+            "TC",
+            "T0",
+            "TR",
+            "TE",
+            "TH",
+        )
         return all(getattr(self, name) == 0.0 for name in names)
 
 

@@ -254,7 +254,7 @@ def verify(link: Link, program: Program) -> None:
     found = canonical(lines or ())
     if _flat(found) == _flat(program.tokens):
         return
-    place = _first_difference(program.tokens, found)
+    place = first_difference(program.tokens, found)
     raise VerifyMismatch(
         f"{program.name} on the card differs from what was sent: {place}.",
         code="PC-PRG-010",
@@ -272,7 +272,8 @@ def _flat(tokens: Sequence[str]) -> str:
     return "".join(tokens)
 
 
-def _first_difference(meant: Sequence[str], found: Sequence[str]) -> str:
+def first_difference(meant: Sequence[str], found: Sequence[str]) -> str:
+    """Place at which two programs part, in words."""
     for k, (a, b) in enumerate(zip(meant, found, strict=False), start=1):
         if a != b:
             return f"line {k} is {b!r} instead of {a!r}"

@@ -1,105 +1,141 @@
-"""After an interruption: bring the controller to OLD or NEW, or back to a backup."""
+"""After an interruption: bring every kind of change to OLD or NEW, or take an upload back.
 
-from dataclasses import dataclass
+What lives here: which journals still matter, and the parts of an upload as one thing. How each
+kind is settled lives with it (``table_recovery``, ``law_upload``, ``settings_upload``).
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
-    ForeignChange,
     LinkError,
     PmacCompError,
     ProtocolError,
-    UploadIncomplete,
 )
-from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import Entry, Journal
+from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.machine.controller.law_state import read_bank, read_law_head
+from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
+from pmac_comp.machine.controller.lease import host_lock, release_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import Action, Manifest, clear_lines
-from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
-from pmac_comp.machine.controller.table_set import TableSet
-from pmac_comp.machine.controller.table_status import TableStatus, read_head, table_status
-from pmac_comp.machine.controller.transaction import (
-    Context,
-    UploadResult,
-    host_lock,
-    mark_left,
-    read_clock,
-    refuse_foreign_lease,
-    release_lease,
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import (
+    finish_settings,
+    lease_refusals,
+    put_back,
+    read_settings_backup,
+    running_refusals,
+    settings_state,
 )
-from pmac_comp.machine.controller.upload import Origin, TableUpload
+from pmac_comp.machine.controller.table_recovery import recover_tables, rollback_tables
+from pmac_comp.machine.controller.transaction import (
+    DONE,
+    ROLLED_BACK,
+    ChangeKind,
+    UploadResult,
+    journals,
+    mark_left,
+    open_group,
+)
 
 
 @dataclass(frozen=True)
-class Unfinished:
-    """A transaction that was begun and not finished, from its journal."""
+class Part:
+    """A change that got as far as its intent."""
 
     journal: Journal
-    manifest: Manifest
-    backup: Path
-    new: TableSet
-    enable_after: bool
-    old: TableSet
-    is_rollback: bool
+    kind: ChangeKind
+    intent: Entry
+
+    @property
+    def closing(self) -> str:
+        """Last step of the journal."""
+        return self.journal.entries()[-1].step
+
+    @property
+    def new_settings(self) -> Settings:
+        """What a change of settings meant."""
+        return Settings.from_dict(self.intent.data["new"])
+
+    @property
+    def crc_of_law(self) -> int:
+        """Checksum of the law that was meant, 0 for none."""
+        values = self.intent.data["values"]
+        if not isinstance(values, list):
+            return 0
+        return LawParameters.from_values([float(v) for v in values]).digest
+
+    @property
+    def items(self) -> set[object]:
+        """What it touches: two changes with a common item exclude each other."""
+        if self.kind is not ChangeKind.SETTINGS:
+            return {self.kind}
+        new = self.new_settings
+        return {*new.variables, *new.definitions, *new.programs} | (
+            {"axes"} if new.axes is not None else set()
+        )
 
 
-def latest_journal(context: Context) -> Journal | None:
-    """Journal of the last upload of tables to this controller from this folder."""
-    paths = sorted(
-        context.store.glob(f"{context.controller}-*.journal"), key=lambda p: p.stat().st_mtime_ns
-    )
-    for path in reversed(paths):
-        begin = Journal(path).first()
-        if begin is not None and begin.data.get("kind") == "tables":
-            return Journal(path)
-    return None
+@contextmanager
+def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
+    """Hold the parts of an upload together: all of them end as NEW, or none.
+
+    A part that fails while the link lives has the parts before it taken back at once; after a
+    lost link or a kill ``recover`` does it.
+
+    Parameters
+    ----------
+    link, context
+        Conversation, limits and folder.
+    name : str
+        What the upload is, for people.
+
+    Yields
+    ------
+    Context
+        To be used for the parts.
+    """
+    journal, inner = open_group(context, name)
+    try:
+        yield inner
+    except PmacCompError as error:
+        if not isinstance(error, LinkError | ProtocolError):
+            _take_back_after(link, context, journal, error)
+        elif error.left is None:
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
+        raise
+    journal.write(DONE)
 
 
-def last_upload(context: Context) -> Unfinished | None:
-    """The last upload of tables that got as far as its intent, ended or not."""
-    journal = latest_journal(context)
-    if journal is None or journal.last("intent") is None:
-        return None
-    return _unfinished(context, journal)
-
-
-def find_unfinished(context: Context) -> Unfinished | None:
-    """The last upload of tables, if it got as far as its intent and did not end."""
-    last = last_upload(context)
-    return last if last is not None and last.journal.is_open else None
-
-
-def _unfinished(context: Context, journal: Journal) -> Unfinished:
-    entry = journal.last("intent")
-    if entry is None:
-        raise ConfigError(f"{journal.path} holds no intent.", code="PC-UPL-011")
-    values = entry.data["manifest"]
-    manifest = Manifest.from_values([float(v) for v in values])  # type: ignore[attr-defined]
-    if manifest is None:
-        raise ConfigError(f"{journal.path} holds no manifest.", code="PC-UPL-011")
-    backup = context.store / Path(str(entry.data["backup"])).name
-    tables = [table_from_json(t) for t in entry.data["new"]]  # type: ignore[attr-defined]
-    old, _ = read_table_backup(backup)
-    return Unfinished(
-        journal,
-        manifest,
-        backup,
-        TableSet(tuple(tables)),
-        bool(entry.data["enable_after"]),
-        old,
-        is_rollback=entry.data["closing"] == "rolled back",
-    )
+def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
+    try:
+        notes = _take_group_back(link, context, group)
+    except PmacCompError as second:
+        error.add_note(f"The parts before could not be taken back: {second.message}")
+        mark_left(error, ControllerState.DISABLED, confirmed=False)
+        return
+    mark_left(error, ControllerState.OLD, confirmed=True)
+    for note in notes:
+        error.add_note(note)
 
 
 def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResult:
-    """Bring an interrupted upload to OLD or NEW.
+    """Bring whatever was interrupted to OLD or NEW.
 
     Parameters
     ----------
     link, context
         Conversation and limits.
     resume : bool
-        Enable new tables that stand whole; otherwise write the old ones back.
+        Finish what stands whole; otherwise write the old back. An upload of several parts that
+        was torn is always taken back: only the whole of it makes sense.
 
     Returns
     -------
@@ -121,122 +157,180 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
 
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
-    with host_lock(context):
-        last = last_upload(context)
-        manifest = None if last is None else last.manifest
-        status = table_status(link, context, journal_manifest=manifest)
-        _settle_lease(link, context)
-        if status.decision.action is Action.DISABLE:
-            link.command("I51=0")
-            raise ForeignChange(
-                f"{status.decision.reason.capitalize()}; compensation was switched off.",
-                code="PC-UPL-012",
-                hint="Compare with a backup, then `pmac-comp rollback` or upload again.",
-                left=ControllerState.DISABLED,
-            )
-        if status.decision.action is Action.NOTHING or _is_removed(last, status):
-            return _settled(link, context, last, status)
-    if last is None:
-        raise UploadIncomplete(
-            "Tables are switched off and no journal of this folder knows the upload.",
-            code="PC-UPL-013",
-            hint="Run recover where the upload was started, or restore a backup.",
-            left=ControllerState.DISABLED,
-        )
-    # A finished upload that is gone was lost in a reset without SAVE: it is written again.
-    whole = status.decision.action is Action.RESUME or not last.journal.is_open
-    if resume and whole and last.enable_after:
-        return _finish(link, context, last, last.new, enable=True)
-    return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
-
-
-def _is_removed(last: Unfinished | None, status: TableStatus) -> bool:
-    """Whether the upload was meant to end switched off, and did."""
-    if last is None or last.enable_after or status.i51:
-        return False
-    return status.tables.crc == last.manifest.crc_new
-
-
-def _settle_lease(link: Link, context: Context) -> None:
-    head = read_head(link, context)
-    refusal = refuse_foreign_lease(head.lease, context.owner, read_clock(link))
-    if refusal is not None:
-        raise refusal
-
-
-def _settled(
-    link: Link, context: Context, last: Unfinished | None, status: TableStatus
-) -> UploadResult:
-    """Nothing is to be done: close the journal and say what stands there."""
+    raise_all(lease_refusals(link, context), "The recovery")
+    torn = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
+    if torn:
+        result = _recover_group(link, context, torn)
+    else:
+        result = _recover_changes(link, context, resume=resume)
     release_lease(link, context)
-    crc, reason = status.tables.crc, status.decision.reason
-    journal = latest_journal(context)
-    if last is None:
-        if journal is not None and journal.is_open:
-            journal.write("rolled back")
-        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
-    state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
-    if last.is_rollback:
-        state = ControllerState.OLD
-    if last.journal.is_open:
-        if state is ControllerState.OLD:
-            link.write_buffer(clear_lines(context.block))
-        last.journal.write("done" if state is ControllerState.NEW else "rolled back")
+    return result
+
+
+def _recover_group(link: Link, context: Context, torn: Sequence[Journal]) -> UploadResult:
+    """Take the torn upload back; with none of its parts begun there is nothing to do."""
+    notes = _take_group_back(link, context, torn[-1])
+    for older in torn[:-1]:
+        older.write(ROLLED_BACK)
+    note = notes or ("no part of the upload was begun",)
     return UploadResult(
-        state, "table", last.manifest.crc_old, crc, journal=last.journal.path, notes=(reason,)
+        ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path, notes=tuple(note)
     )
 
 
-def _finish(
-    link: Link, context: Context, unfinished: Unfinished, goal: TableSet, *, enable: bool
-) -> UploadResult:
-    """Go on with the interrupted upload towards a set that was checked before."""
-    origin = Origin(
-        unfinished.journal,
-        unfinished.backup,
-        unfinished.manifest.crc_old,
-        unfinished.manifest.enabled_old,
-    )
-    is_rollback = unfinished.is_rollback or goal.crc == unfinished.manifest.crc_old
-    with TableUpload(
-        link,
-        context,
-        exactly=goal,
-        enable_after=enable,
-        check_limits=False,
-        origin=origin,
-        closing="rolled back" if is_rollback else "done",
-    ) as upload:
-        result = upload.execute()
-    if is_rollback:
-        link.write_buffer(clear_lines(context.block))
+def _recover_changes(link: Link, context: Context, *, resume: bool) -> UploadResult:
+    """Settle what is open of every kind; with nothing open say how the last change stands."""
+    parts = [p for p in _unsettled(context) if p.kind is not ChangeKind.TABLES]
+    settled = [_settle_part(link, context, part, resume=resume) for part in parts]
+    tables = recover_tables(link, context, resume=resume)
+    last = next(iter(reversed(_parts(context))), None)
+    if settled and tables.verdict is not ControllerState.DISABLED:
+        return replace(settled[0], notes=tuple(n for part in settled for n in part.notes))
+    if last is not None and last.kind is not ChangeKind.TABLES and last.closing == DONE:
+        return _standing(link, context, last)
+    return tables
+
+
+def _standing(link: Link, context: Context, part: Part) -> UploadResult:
+    """How a finished change stands now: a reset without SAVE may have taken it away."""
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if state is ControllerState.DISABLED:
+        reason = f"something changed since the last upload: {reason}"
     return UploadResult(
-        ControllerState.OLD if is_rollback else ControllerState.NEW,
-        "table",
-        origin.crc_old,
-        goal.crc,
-        result.disabled_s,
-        origin.backup,
-        origin.journal.path,
-        ("the old tables were written back" if is_rollback else "the upload was completed",),
+        state, part.kind.value, crc_old, crc_new, journal=part.journal.path, notes=(reason,)
     )
 
 
-def rollback(link: Link, context: Context, backup: Path) -> UploadResult:
-    """Write the tables of a backup back, with the switch as it was then."""
-    tables, enabled = read_table_backup(backup)
-    with TableUpload(
-        link, context, exactly=tables, enable_after=enabled, check_limits=False
-    ) as upload:
-        result = upload.execute()
-    link.write_buffer(clear_lines(context.block))
+def _parts(context: Context) -> list[Part]:
+    """Changes with an intent, oldest first."""
+    found = []
+    for journal in journals(context):
+        intent = journal.last("intent")
+        if intent is not None and journal.kind != ChangeKind.GROUP.value:
+            found.append(Part(journal, ChangeKind(journal.kind), intent))
+    return found
+
+
+def _unsettled(context: Context) -> list[Part]:
+    """Open changes, newest first, that no later change of the same items has replaced."""
+    found: list[Part] = []
+    touched: set[object] = set()
+    for part in reversed(_parts(context)):
+        if part.journal.is_open and not part.items & touched:
+            found.append(part)
+        touched |= part.items
+    return found
+
+
+def _settle_part(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    with host_lock(context):
+        if part.kind is ChangeKind.LAW:
+            return _settle_law(link, context, part, resume=resume)
+        return _settle_settings(link, context, part, resume=resume)
+
+
+def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, str, int, int]:
+    """State of a law or of settings, why, and both checksums."""
+    backup = _backup(context, part)
+    if part.kind is ChangeKind.LAW:
+        old = read_law_backup(backup)
+        crc_new = part.crc_of_law
+        head = read_law_head(link, context.block)
+        law = read_bank(link, context.block, head.bank)
+        state = decide_law(0 if law is None else law.digest, old.crc, crc_new)
+        return state, _LAW_REASONS[state], old.crc, crc_new
+    before, new = read_settings_backup(backup), part.new_settings
+    state, reason = settings_state(link, before, new)
+    return state, reason, before.crc, new.crc
+
+
+_LAW_REASONS = {
+    ControllerState.OLD: "the old law is in use",
+    ControllerState.NEW: "the new law is in use; arm it when the axis is ready",
+    ControllerState.DISABLED: "the bank in use holds neither the old nor the new law",
+}
+
+
+def _settle_law(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if not (state is ControllerState.NEW and resume):
+        restore_law(link, context, read_law_backup(_backup(context, part)))
+        state, reason = ControllerState.OLD, _LAW_REASONS[ControllerState.OLD]
+    part.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
+    return UploadResult(state, "law", crc_old, crc_new, journal=part.journal.path, notes=(reason,))
+
+
+def _backup(context: Context, part: Part) -> Path:
+    return context.store / Path(str(part.intent.data["backup"])).name
+
+
+def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    new, tolerant = part.new_settings, bool(part.intent.data["skip_refused"])
+    if any(kind is ProgramKind.PROG for kind, _ in new.programs):
+        raise_all(running_refusals(link), "The recovery")
+    # What follows would go into a buffer that the interruption left open.
+    link.write_buffer(["CLOSE"])
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if state is ControllerState.NEW and resume:
+        finish_settings(link, new)
+    else:
+        old = read_settings_backup(_backup(context, part))
+        state = put_back(link, old, skip_refused=tolerant)
+        reason = "the old settings are back"
+        if state is ControllerState.DISABLED:
+            reason = "the old settings could not be written; the programs concerned are empty"
+    part.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
     return UploadResult(
-        ControllerState.OLD,
-        "table",
-        result.crc_old,
-        tables.crc,
-        result.disabled_s,
-        result.backup,
-        result.journal,
-        (f"tables of {backup.name} are back",),
+        state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)
     )
+
+
+# Taking a whole upload back -----------------------------------------------------------------------
+
+
+def rollback_last(link: Link, context: Context) -> UploadResult:
+    """Take the last upload back, all parts of it.
+
+    Raises
+    ------
+    ConfigError
+        There is none in this folder, or it was taken back already.
+    """
+    groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
+    if not groups or groups[-1].last(ROLLED_BACK) is not None:
+        raise ConfigError(
+            f"There is no upload in {context.store} that could be taken back.",
+            code="PC-REC-001",
+            hint="Name the folder of the upload with --journal.",
+        )
+    notes = _take_group_back(link, context, groups[-1])
+    return UploadResult(
+        ControllerState.OLD, "upload", 0, 0, journal=groups[-1].path, notes=tuple(notes)
+    )
+
+
+def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
+    """Take back every part, the last one first; may be repeated after an interruption."""
+    number = group.group
+    alone = replace(context, group=0)
+    notes: list[str] = []
+    for part in reversed([p for p in _parts(context) if p.journal.group == number]):
+        if part.closing == ROLLED_BACK:
+            continue
+        notes.append(_take_part_back(link, alone, part))
+        part.journal.write(ROLLED_BACK)
+    group.write(ROLLED_BACK)
+    return notes
+
+
+def _take_part_back(link: Link, context: Context, part: Part) -> str:
+    backup = _backup(context, part)
+    if part.kind is ChangeKind.TABLES:
+        rollback_tables(link, context, backup)
+        return "the old tables are back"
+    if part.kind is ChangeKind.LAW:
+        with host_lock(context):
+            restore_law(link, context, read_law_backup(backup))
+        return "the old law is back"
+    _settle_part(link, context, part, resume=False)
+    return "the old settings and programs are back"

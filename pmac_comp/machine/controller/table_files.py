@@ -11,8 +11,8 @@ from pmac_comp.machine.controller.comp_table import (
     TableKind,
     TorqueTable,
 )
+from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.table_set import TableSet
-from pmac_comp.machine.controller.transaction import read_sealed_json, write_sealed_json
 
 
 def write_table_backup(path: Path, tables: TableSet, *, enabled: bool) -> None:

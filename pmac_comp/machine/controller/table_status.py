@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from pmac_comp.base.errors import (
     ProtocolError,
 )
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index
+from pmac_comp.machine.controller.lease import parse_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import (
     MANIFEST_SIZE,
@@ -18,10 +20,6 @@ from pmac_comp.machine.controller.manifest import (
 from pmac_comp.machine.controller.table_set import (
     TableSet,
     read_tables,
-)
-from pmac_comp.machine.controller.transaction import (
-    Context,
-    parse_lease,
 )
 from pmac_comp.machine.wire.numbers import read_number
 

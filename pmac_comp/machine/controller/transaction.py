@@ -1,89 +1,49 @@
-"""What every change of a controller shares: one writer at a time, and its files.
+"""The spine of every change of a controller: lock, lease, journal, backup, verdict.
 
-A lock file keeps two programs on this host apart, the lease on the controller two hosts. What
-lives here: lock, lease, names of files, the result. What may not: what is written (``upload``,
-``law_upload``, ``program_upload``).
+Order of steps, each journalled and synced before it is done: begin, intent (old and new), write,
+enable, done. What lives here is what tables, laws and settings share; what is written and how a
+change is judged lives with each kind (``upload``, ``law_upload``, ``settings_upload``). Several
+changes that only make sense together are a group: ``recover`` takes a torn group back whole.
 """
 
-import json
 import secrets
-import socket
-import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from hashlib import sha256
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
-from filelock import FileLock, Timeout
-
-from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import (
-    ConfigError,
     ControllerState,
-    ForeignChange,
-    LeaseHeld,
+    LinkError,
     PmacCompError,
-    TableStateError,
+    ProtocolError,
 )
-from pmac_comp.machine.controller.journal import Journal, probe_folder
-from pmac_comp.machine.controller.law_bank import Index, LawBlock
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.lease import (
+    LEASE_s,
+    host_lock,
+    read_clock,
+    release_lease,
+    renew_lease,
+    take_lease,
+)
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
-from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.safety import Limits
 
-CLOCK_REGISTER: Final = 0x17
-LEASE_s: Final = 120.0
-
-Progress = Callable[[str, int, int], None]
-"""Called with a step, lines done and lines in all."""
+DONE: Final = "done"
+ROLLED_BACK: Final = "rolled back"
+RENEW_SHARE: Final = 0.25
 
 
-def _no_progress(step: str, done: int, total: int) -> None:
-    del step, done, total
+class ChangeKind(Enum):
+    """What a journal is about, as its first entry says."""
 
-
-def _never() -> bool:
-    return False
-
-
-@dataclass(frozen=True)
-class Context:
-    """Where and within which limits a change is made.
-
-    Parameters
-    ----------
-    block : LawBlock
-        P-variables we may use.
-    limits : Limits
-        Limits in counts.
-    store : Path
-        Folder of journals and backups; one per bench.
-    servo_period_s : float
-        For the watch after enabling.
-    controller : str
-        Name of the controller for lock and files, e.g. its fingerprint.
-    progress : callable
-        Told of every step and packet.
-    stop_requested : callable
-        Asked between packets; True ends the change at the next safe place.
-    """
-
-    block: LawBlock
-    limits: Limits
-    store: Path
-    servo_period_s: float
-    controller: str = "controller"
-    progress: Progress = _no_progress
-    stop_requested: Callable[[], bool] = _never
-
-    @property
-    def owner(self) -> int:
-        """Number that stands for this host and folder in the lease, never 0."""
-        text = f"{socket.gethostname()}:{self.store.resolve()}"
-        return (zlib.crc32(text.encode()) & 0x7FFFFFFF) or 1
+    TABLES = "tables"
+    LAW = "law"
+    SETTINGS = "settings"
+    GROUP = "group"
 
 
 @dataclass(frozen=True)
@@ -95,7 +55,7 @@ class UploadResult:
     verdict : ControllerState
         OLD, NEW or DISABLED.
     route : str
-        ``table``, ``cam``, ``law`` or ``program``.
+        ``table``, ``cam``, ``law``, ``program`` or ``settings``.
     crc_old, crc_new : int
         Checksums before and after.
     disabled_s : float
@@ -129,121 +89,171 @@ class UploadResult:
         }
 
 
+class Change:
+    """One journalled change: ``with`` holds the lock, ``begin`` takes the lease.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and limits.
+    kind : ChangeKind
+        What is changed.
+    journal : Journal or None
+        Journal that goes on; a new one if None.
+
+    Attributes
+    ----------
+    left : ControllerState
+        What is known to stand on the controller if the link is lost now.
+    settle : callable or None
+        Looks at what a failed change left, while the link lives; its verdict is confirmed.
+    """
+
+    def __init__(
+        self, link: Link, context: Context, kind: ChangeKind, journal: Journal | None = None
+    ) -> None:
+        self.link = link
+        self.context = context
+        self.kind = kind
+        self.transaction = new_transaction_id()
+        self.left = ControllerState.OLD
+        self.settle: Callable[[], ControllerState] | None = None
+        self._is_new = journal is None
+        self._journal = journal
+        self._stack = ExitStack()
+        self._leased_at_s: float | None = None
+
+    def __enter__(self) -> Self:
+        self._stack.enter_context(host_lock(self.context))
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        try:
+            if failure[0] is None:
+                self.release()
+        finally:
+            self._stack.close()
+
+    @property
+    def journal(self) -> Journal:
+        """Journal of this change, named when it is first needed."""
+        if self._journal is None:
+            self._journal = Journal(_next_path(self.context, self.transaction))
+        return self._journal
+
+    def begin(self, data: Mapping[str, object] | None = None) -> None:
+        """First entry of a new journal, then the lease; nothing is changed yet."""
+        if self._is_new:
+            head = {"kind": self.kind.value, "group": self.context.group}
+            self.journal.write("begin", {**head, **(data or {})})
+        take_lease(self.link, self.context, read_clock(self.link))
+        self._leased_at_s = self.link.clock.now_s()
+
+    def step(self, name: str, data: Mapping[str, object] | None = None) -> None:
+        """Put a step on the disk before it is done."""
+        self.journal.write(name, data)
+
+    def backup_path(self, suffix: str) -> Path:
+        """Where the backup of this change belongs."""
+        return self.context.store / f"{self.journal.path.stem}.{suffix}.json"
+
+    def keep_lease(self) -> None:
+        """Renew the lease of a change that takes long; called between packets.
+
+        Raises
+        ------
+        ForeignChange
+            Somebody else holds it.
+        """
+        if self._leased_at_s is None:
+            return
+        now_s = self.link.clock.now_s()
+        if now_s - self._leased_at_s > RENEW_SHARE * LEASE_s:
+            renew_lease(self.link, self.context)
+            self._leased_at_s = now_s
+
+    def finish(self, verdict: ControllerState, closing: str = DONE) -> None:
+        """Close the journal and give the lease back."""
+        self.left = verdict
+        self.journal.write(closing, {"verdict": verdict.value})
+        self.release()
+
+    def release(self) -> None:
+        """Give the lease back if it is held."""
+        if self._leased_at_s is not None:
+            release_lease(self.link, self.context)
+            self._leased_at_s = None
+
+    @contextmanager
+    def explained(self) -> Iterator[None]:
+        """Errors leave with the state of the controller on them, the lease is given back."""
+        try:
+            yield
+        except PmacCompError as error:
+            lost = isinstance(error, LinkError | ProtocolError)
+            if not lost and self.settle is not None:
+                self._settle(error, self.settle)
+            elif error.left is None:
+                # Until the first command that may have acted OLD is certain.
+                certain = not lost or self.left is ControllerState.OLD
+                mark_left(error, self.left, confirmed=certain)
+            if not lost:
+                self._release_after(error)
+            raise
+
+    def _settle(self, error: PmacCompError, look: Callable[[], ControllerState]) -> None:
+        try:
+            mark_left(error, look(), confirmed=True)
+        except PmacCompError as second:
+            error.add_note(f"What was left could not be read: {second.message}")
+            mark_left(error, self.left, confirmed=False)
+
+    def _release_after(self, error: PmacCompError) -> None:
+        try:
+            self.release()
+        except PmacCompError as second:
+            error.add_note(f"The lease could not be given back: {second.message}")
+
+
+def open_group(context: Context, name: str) -> tuple[Journal, Context]:
+    """Begin an upload of several parts; its journal, and the context for the parts."""
+    with host_lock(context):
+        number = new_transaction_id()
+        journal = Journal(_next_path(context, number))
+        journal.write("begin", {"kind": ChangeKind.GROUP.value, "group": number, "name": name})
+    return journal, replace(context, group=number)
+
+
 def new_transaction_id() -> int:
     """Random number below 2^31, never 0; wall clocks may jump, this does not repeat."""
     return secrets.randbelow((1 << 31) - 1) + 1
 
 
+def journals(context: Context) -> list[Journal]:
+    """Journals of this controller in this folder, oldest first."""
+    return [Journal(path) for path in _paths(context)]
+
+
+def _paths(context: Context) -> list[Path]:
+    # The count comes first in the name: a clock that jumps cannot change the order.
+    return sorted(context.store.glob(f"{context.controller}-{6 * '?'}-{10 * '?'}.journal"))
+
+
+def _next_path(context: Context, transaction: int) -> Path:
+    known = [int(p.stem.rpartition("-")[0].rpartition("-")[2]) for p in _paths(context)]
+    count = max(known, default=0) + 1
+    return context.store / f"{context.controller}-{count:06d}-{transaction:010d}.journal"
+
+
 @contextmanager
-def host_lock(context: Context) -> Iterator[None]:
-    """Only one writer of this host at a time; raises LeaseHeld, or ConfigError for the folder."""
-    probe_folder(context.store)
-    lock = FileLock(context.store / f"{context.controller}.lock", timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise LeaseHeld(
-            f"Another pmac-comp on this host is changing {context.controller}.",
-            code="PC-TXN-001",
-            hint="Wait until it has ended.",
-            context={"lock": lock.lock_file},
-            left=ControllerState.OLD,
-        ) from error
+def untouched() -> Iterator[None]:
+    """Errors of looking, before anything was changed, leave with OLD on them."""
     try:
         yield
-    finally:
-        lock.release()
-
-
-def read_clock(link: Link) -> int:
-    """Real-time clock of the controller, 1/1024 s since power-up (p. 495)."""
-    return parse_integer(link.query(f"RL${CLOCK_REGISTER:X}")[0])
-
-
-def parse_lease(values: list[float]) -> Lease:
-    """Lease of its two variables."""
-    return Lease(int(values[0]), int(values[1]))
-
-
-def refuse_foreign_lease(lease: Lease, owner: int, now: int) -> LeaseHeld | None:
-    """Refusal if somebody else holds the lease."""
-    if not lease.is_held_against(owner, now):
-        return None
-    left_s = (lease.expires - now) / CLOCK_PER_s
-    return LeaseHeld(
-        f"Another host (owner {lease.owner}) holds the lease on this controller "
-        f"for {left_s:.0f} s more.",
-        code="PC-TXN-002",
-        hint="Wait until it has ended; an abandoned lease expires by itself.",
-        context={"owner": lease.owner, "expires_in_s": left_s},
-    )
-
-
-def take_lease(link: Link, context: Context, now: int) -> None:
-    """Write the lease and read it back; raises ForeignChange if another writer was quicker."""
-    lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
-    link.write_buffer(lease.lines(context.block))
-    first = context.block.p(Index.LEASE)
-    found = [float(v) for v in link.query(f"P{first}..{first + 1}")]
-    if parse_lease(found) != lease:
-        raise ForeignChange(
-            "Somebody else took the lease at the same moment.",
-            code="PC-TXN-003",
-            left=ControllerState.OLD,
-        )
-
-
-def release_lease(link: Link, context: Context) -> None:
-    """Give the lease back."""
-    link.command(f"P{context.block.p(Index.LEASE)}=0")
-
-
-def open_journal(context: Context, transaction: int) -> Journal:
-    """Journal of a transaction."""
-    return Journal(context.store / f"{context.controller}-{transaction:010d}.journal")
-
-
-def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
-    """Write JSON with its SHA-256, read it again and compare.
-
-    Raises
-    ------
-    TableStateError
-        What was read is not what was written; nothing was changed on the controller.
-    """
-    body = json.dumps(dict(data), sort_keys=True)
-    digest = sha256(body.encode()).hexdigest()
-    atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
-    if read_sealed_json(path) != json.loads(body):
-        raise TableStateError(
-            f"The file {path} does not read back as written.",
-            code="PC-TXN-004",
-            left=ControllerState.OLD,
-        )
-
-
-def read_sealed_json(path: Path) -> dict[str, object]:
-    """Content of a sealed file.
-
-    Raises
-    ------
-    ConfigError
-        Missing, unreadable or changed since it was written.
-    """
-    try:
-        outer = json.loads(path.read_text(encoding="utf-8"))
-        body = str(outer["body"])
-        fits = sha256(body.encode()).hexdigest() == outer["sha256"]
-        data = json.loads(body)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path} is no readable backup.", code="PC-TXN-005") from error
-    if not fits or not isinstance(data, dict):
-        raise ConfigError(
-            f"{path} was changed after it was written (digest mismatch).",
-            code="PC-TXN-006",
-            hint="Use another backup.",
-        )
-    return data
+    except PmacCompError as error:
+        if error.left is None:
+            mark_left(error, ControllerState.OLD, confirmed=True)
+        raise
 
 
 def mark_left(error: PmacCompError, left: ControllerState, *, confirmed: bool) -> None:

@@ -12,6 +12,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.comp_table import (
     CompTable,
 )
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import (
     moving_motors,
@@ -20,9 +21,6 @@ from pmac_comp.machine.controller.table_set import (
     TableSet,
 )
 from pmac_comp.machine.controller.table_status import Head
-from pmac_comp.machine.controller.transaction import (
-    Context,
-)
 
 HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
 PACKET_BYTES: Final = 1024

@@ -166,7 +166,7 @@ def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:
         Number of answers differs from the number of questions.
     """
     values: dict[str, float] = {}
-    for group in _batches(names, LINE_LIMIT):
+    for group in batches(names):
         lines = link.query(" ".join(group))
         if len(lines) != len(group):
             raise RemoteProtocolError(
@@ -226,7 +226,8 @@ def same_value(found: float, meant: float) -> bool:
     return abs(found - meant) <= max(abs(meant) * 1e-8, 3e-7 if abs(meant) < 2 else 0.0)
 
 
-def _batches(items: Iterable[str], limit: int) -> Iterator[list[str]]:
+def batches(items: Iterable[str], limit: int = LINE_LIMIT) -> Iterator[list[str]]:
+    """Items in groups that fit one command line."""
     group: list[str] = []
     length = 0
     for item in items:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.safety import Limits
-from pmac_comp.machine.controller.transaction import Context
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import FaultyTransport

@@ -8,7 +8,17 @@ import pytest
 from pmac_comp.base.errors import MotorNotSafe, TableStateError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import data_folder, firmware_path
-from pmac_comp.machine.controller import gather, law_upload, motion, programs, transaction
+from pmac_comp.machine.controller import (
+    gather,
+    law_arming,
+    law_cost,
+    law_install,
+    law_state,
+    law_upload,
+    lease,
+    motion,
+    programs,
+)
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
@@ -73,7 +83,7 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     programs.download_source(bench.link, source("bench_setup.pmc"))
     programs.download_source(bench.link, source("comp_guard.plc"))
-    end = transaction.read_clock(bench.link) + 300
+    end = lease.read_clock(bench.link) + 300
     bench.link.write_buffer(["ENABLE PLC 1", f"P7081={end}", "P7080=5"])
     bench.clock.sleep_s(0.2)
     assert bench.p(7083) == 0
@@ -90,7 +100,7 @@ LAW = LawParameters(
 
 def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
     law_upload.upload_law(bench.link, bench.context, law)
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     time = np.arange(0, 0.8, bench.bench.servo_period_s)
     ramp = np.clip(time / 0.2, 0, 1) * np.clip((0.8 - time) / 0.2, 0, 1)
     path = 3000 * np.sin(2 * np.pi * 4 * time) * ramp**2 * (3 - 2 * ramp)
@@ -110,7 +120,7 @@ def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
 
 def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     result = run_with_law(bench, LAW)
     commanded = result.raw["commanded"] / UNIT
     assert np.ptp(commanded) > 4000
@@ -134,9 +144,9 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
     bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
     bench.link.command("I159=1")
     bench.link.command("#1J/")
-    law_upload.require_open_servo(bench.link, bench.context, 1)
+    law_install.require_open_servo(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, LAW)
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, paper.servo_period_s) / 0.5))
     plan = motion.pvt_program(path, paper.servo_period_s, segment_ms=5.0)
     bench.link.write_buffer(motion.axis_lines(1))
@@ -158,10 +168,10 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
 def test_two_algorithms_are_refused(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     with pytest.raises(TableStateError, match="open servo does not run"):
-        law_upload.require_open_servo(bench.link, bench.context, 1)
+        law_install.require_open_servo(bench.link, bench.context, 1)
     bench.link.command("I159=1")
     with pytest.raises(MotorNotSafe, match="correct twice"):
-        law_upload.install_law(bench.link, bench.context, 1)
+        law_install.install_law(bench.link, bench.context, 1)
 
 
 def find_shift(a: np.ndarray, b: np.ndarray) -> int:
@@ -170,33 +180,33 @@ def find_shift(a: np.ndarray, b: np.ndarray) -> int:
 
 def test_plc_form_clamps_and_limits_by_itself(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     wild = LawParameters(A0=5000.0, V0=3.0, S0=20.0, S_INV=0.05, TC=30000.0, T_INV=1, T_LIMIT=300)
     result = run_with_law(bench, wild)
     assert np.max(np.abs(result.raw["word"])) <= 60 * 1024 + 1
-    assert law_upload.read_law_head(bench.link, LawBlock()).n_clamped > 0
+    assert law_state.read_law_head(bench.link, LawBlock()).n_clamped > 0
     assert abs(bench.card.variables.read_i(129)) <= 300
 
 
 def test_a_killed_motor_gets_no_correction_and_no_torque(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     assert bench.card.variables.read_i(129) == 200
     bench.link.command("#1K")
     bench.clock.sleep_s(0.01)
     assert bench.card.variables.read_i(129) == 0
-    head = law_upload.read_law_head(bench.link, LawBlock())
+    head = law_state.read_law_head(bench.link, LawBlock())
     assert head.gain == 0
     assert head.bank_in_use is None
 
 
 def test_heartbeat_lost_ramps_the_gain_down(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     bench.link.command("P7005=500")
     bench.clock.sleep_s(0.1)
     assert bench.p(7003) == 1.0
@@ -207,9 +217,9 @@ def test_heartbeat_lost_ramps_the_gain_down(tmp_path: Path) -> None:
 
 def test_an_unsealed_bank_is_never_taken_over(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     bench.link.write_buffer(["P7010=9", "P7026=800", "P7031=800", "P7001=0"])
     for _ in range(60):
         bench.card.run_cycles(30)
@@ -259,10 +269,10 @@ def test_files_move_to_another_block_and_motor() -> None:
 
 
 def test_cost_of_the_law_is_counted() -> None:
-    operations = law_upload.operation_count()
+    operations = law_cost.operation_count()
     assert 60 < operations < 140
-    assert law_upload.law_cost_us(80.0) == pytest.approx(3.0 * operations)
-    assert law_upload.law_cost_us(160.0) == pytest.approx(1.5 * operations)
+    assert law_cost.law_cost_us(80.0) == pytest.approx(3.0 * operations)
+    assert law_cost.law_cost_us(160.0) == pytest.approx(1.5 * operations)
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:

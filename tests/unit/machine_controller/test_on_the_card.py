@@ -9,11 +9,13 @@ from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, Ve
 from pmac_comp.machine.controller import (
     backup,
     gather,
-    law_upload,
+    law_arming,
+    law_install,
     motion,
     motors,
     program_upload,
     programs,
+    settings_upload,
     sign_check,
     upload,
     variables,
@@ -97,8 +99,8 @@ def test_sign_is_measured_and_everything_taken_back(tmp_path: Path, door: str) -
     if door == "register":
         found = sign_check.check_register_sign(bench.link, 1, offset_ct=20.0)
     else:
-        law_upload.install_law(bench.link, bench.context, 1)
-        law_upload.disarm(bench.link, bench.context)
+        law_install.install_law(bench.link, bench.context, 1)
+        law_arming.disarm(bench.link, bench.context)
         bench.link.command("DISABLE PLC 0")
         found = sign_check.check_master_sign(bench.link, 1, offset_ct=20.0)
         assert found.sign == 1
@@ -158,11 +160,9 @@ def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
     second = program_upload.upload_program(bench.link, bench.context, new)
     assert (first.crc_old, second.crc_old, second.crc_new) == (0, old.crc, new.crc)
     assert second.backup is not None
-    back = program_upload.rollback_program(bench.link, bench.context, second.backup)
+    back = settings_upload.rollback_settings(bench.link, bench.context, second.backup)
     assert back.verdict is ControllerState.OLD
     assert programs.is_present(bench.link, old)
-    for crc, state in ((old.crc, "OLD"), (new.crc, "NEW"), (77, "DISABLED")):
-        assert program_upload.decide_program(crc, old.crc, new.crc).state.value == state
 
 
 def test_pvt_program_states_its_error() -> None:

@@ -93,7 +93,7 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
     off = axis.run(MOTION)
     assert np.max(np.abs(off.desired_m - off.commanded_position_m)) < 1e-9
     tables = sorted(tmp_path.glob("*.tables.json"))
-    recovery.rollback(axis.link, context, tables[0])
+    recovery.rollback_tables(axis.link, context, tables[0])
     law_upload.rollback_law(axis.link, context, next(iter(tmp_path.glob("*.law.json"))))
     assert len(read_tables(axis.link)) == 0
 

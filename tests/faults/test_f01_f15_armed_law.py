@@ -1,14 +1,17 @@
-"""F01, F15 for law banks and programs: the running law is never touched, no half program runs."""
+"""F01, F15 for an armed law: what acts is the old law or the new one in every servo cycle."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import CommandRefused, ControllerState, PmacCompError, VerifyMismatch
-from pmac_comp.machine.controller import law_upload, program_upload, programs
+from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.machine.controller import (
+    law_arming,
+    law_install,
+    law_state,
+    law_upload,
+)
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
-from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.test_f15_f22_controller import LineFault
 from tests.faults.upload_bench import restore, snapshot
@@ -23,18 +26,18 @@ NEW = LawParameters(A0=2.5, T0=150.0, T_LIMIT=500.0)
 @pytest.fixture(scope="module")
 def armed(tmp_path_factory: pytest.TempPathFactory) -> tuple[CardBench, dict[str, object]]:
     bench = make_plc_bench(tmp_path_factory.mktemp("law"))
-    law_upload.install_law(bench.link, bench.context, 1)
+    law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, OLD)
-    law_upload.arm(bench.link, bench.context)
+    law_arming.arm(bench.link, bench.context)
     return bench, snapshot(bench.card)
 
 
 def in_use(bench: CardBench) -> LawParameters | None:
     bench.reconnect()
-    head = law_upload.read_law_head(bench.link, LawBlock())
+    head = law_state.read_law_head(bench.link, LawBlock())
     assert head.gain == 1.0
     assert head.bank_in_use == head.bank
-    return law_upload.read_bank(bench.link, LawBlock(), head.bank)
+    return law_state.read_bank(bench.link, LawBlock(), head.bank)
 
 
 def attempt(bench: CardBench, saved: dict[str, object], law: LawParameters) -> PmacCompError | None:
@@ -95,35 +98,4 @@ def test_f15_f16_law_lines(
         assert found in {OLD, NEW}, (k, error)
         assert (error is None) <= (found == NEW), k
         runs += 1
-    count_runs(runs)
-
-
-def test_f01_f15_programs(tmp_path: Path, count_runs: Count) -> None:
-    bench = make_plc_bench(tmp_path)
-    old = Program(ProgramKind.PROG, 710, ("LINEAR", "X1000", "DWELL5"))
-    new = Program(ProgramKind.PROG, 710, ("LINEAR", "X2000", "X3000", "DWELL5"))
-    program_upload.upload_program(bench.link, bench.context, old)
-    saved = bench.card.programs.programs[710]
-    runs = 0
-    for k in range(9):
-        for kind in ("refuse", "drop"):
-            bench.card.programs.programs[710] = saved
-            bench.reconnect()
-            LineFault(bench, k, kind)
-            try:
-                program_upload.upload_program(bench.link, bench.context, new)
-                error: PmacCompError | None = None
-            except (CommandRefused, VerifyMismatch) as failure:
-                error = failure
-            bench.reconnect()
-            crc = program_upload.found_crc(bench.link, ProgramKind.PROG, 710)
-            state = program_upload.decide_program(crc, old.crc, new.crc).state
-            if error is None:
-                assert state is ControllerState.NEW, (k, kind)
-            else:
-                # Either untouched, or emptied: nothing half-written can run.
-                assert crc in {0, old.crc, new.crc}, (k, kind, error)
-            runs += 1
-    programs.delete(bench.link, ProgramKind.PROG, 710)
-    assert program_upload.found_crc(bench.link, ProgramKind.PROG, 710) == 0
     count_runs(runs)

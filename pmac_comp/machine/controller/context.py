@@ -1,0 +1,61 @@
+"""Where and within which limits a change of a controller is made."""
+
+import socket
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.safety import Limits
+
+Progress = Callable[[str, int, int], None]
+"""Called with a step, lines done and lines in all."""
+
+
+def _no_progress(step: str, done: int, total: int) -> None:
+    del step, done, total
+
+
+def _never() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Context:
+    """Where and within which limits a change is made.
+
+    Parameters
+    ----------
+    block : LawBlock
+        P-variables we may use.
+    limits : Limits
+        Limits in counts.
+    store : Path
+        Folder of journals and backups; one per bench.
+    servo_period_s : float
+        For the watch after enabling.
+    controller : str
+        Name of the controller for lock and files, e.g. its fingerprint.
+    progress : callable
+        Told of every step and packet.
+    stop_requested : callable
+        Asked between packets; True ends the change at the next safe place.
+    group : int
+        Number of the upload of several parts that this change is one of, 0 for none.
+    """
+
+    block: LawBlock
+    limits: Limits
+    store: Path
+    servo_period_s: float
+    controller: str = "controller"
+    progress: Progress = _no_progress
+    stop_requested: Callable[[], bool] = _never
+    group: int = 0
+
+    @property
+    def owner(self) -> int:
+        """Number that stands for this host and folder in the lease, never 0."""
+        text = f"{socket.gethostname()}:{self.store.resolve()}"
+        return (zlib.crc32(text.encode()) & 0x7FFFFFFF) or 1

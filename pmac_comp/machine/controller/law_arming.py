@@ -1,0 +1,91 @@
+"""Arming and disarming the law: the gain ramps, nothing jumps."""
+
+from pmac_comp.base.clock import Deadline
+from pmac_comp.base.errors import ControllerState, MotorNotSafe, ReplyTimeout, TableStateError
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import MASTER_WORD_ADDRESS, Index
+from pmac_comp.machine.controller.law_state import (
+    GAIN_TOLERANCE,
+    LawForm,
+    LawHead,
+    is_running,
+    read_bank,
+    read_law_head,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motor
+from pmac_comp.machine.controller.numbers import parse_integer, plain
+from pmac_comp.machine.controller.variables import write_many
+
+
+def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 10.0) -> LawHead:
+    """Ramp the gain up and wait until it is there.
+
+    Raises
+    ------
+    TableStateError
+        No algorithm runs, or the bank in use is not sealed.
+    ReplyTimeout
+        The gain did not arrive (loop open, heartbeat lost).
+    """
+    block = context.block
+    head = read_law_head(link, block)
+    if is_running(link, block, context.servo_period_s) is LawForm.NONE:
+        raise TableStateError(
+            "No algorithm evaluates the law.", code="PC-LAW-028", left=ControllerState.DISABLED
+        )
+    if read_bank(link, block, head.bank) is None:
+        raise TableStateError(
+            f"Bank {head.bank} holds no sealed law.",
+            code="PC-LAW-029",
+            hint="Upload a law first.",
+            left=ControllerState.DISABLED,
+        )
+    if not read_motor(link, head.motor).status.is_closed_loop:
+        raise MotorNotSafe(
+            f"Motor #{head.motor} is not in closed loop.",
+            code="PC-LAW-030",
+            left=ControllerState.DISABLED,
+        )
+    return _ramp(link, context, gain, timeout_s)
+
+
+def disarm(link: Link, context: Context, *, timeout_s: float = 10.0) -> LawHead:
+    """Ramp the gain to zero and wait; the correction fades, nothing jumps.
+
+    With no algorithm running the outputs are what it left: they are taken to zero in small steps.
+    """
+    head = read_law_head(link, context.block)
+    if is_running(link, context.block, context.servo_period_s) is LawForm.NONE:
+        return _fade_by_hand(link, context, head)
+    return _ramp(link, context, 0.0, timeout_s)
+
+
+def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHead:
+    link.command(f"P{context.block.p(Index.TARGET)}={plain(gain)}")
+    deadline = Deadline.after(link.clock, timeout_s)
+    while True:
+        head = read_law_head(link, context.block)
+        if abs(head.gain - gain) <= GAIN_TOLERANCE:
+            return head
+        if deadline.expired():
+            raise ReplyTimeout(
+                f"The gain of the law is {head.gain:g} instead of {gain:g} after {timeout_s:g} s.",
+                code="PC-LAW-031",
+                hint="The loop may be open, the heartbeat lost or PLC 0 disabled.",
+                left=ControllerState.DISABLED,
+            )
+        link.clock.sleep_s(0.02)
+
+
+def _fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
+    link.write_buffer([f"P{context.block.p(k)}=0" for k in (Index.TARGET, Index.GAIN)])
+    word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
+    step = max(1, abs(word) // 50)
+    while word:
+        word = int(word - max(-step, min(step, word)))
+        link.command(f"WX${MASTER_WORD_ADDRESS:X},{word}")
+        link.clock.sleep_s(0.01)
+    if head.motor:
+        write_many(link, {f"I{head.motor}29": 0.0})
+    return read_law_head(link, context.block)

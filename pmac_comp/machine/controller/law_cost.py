@@ -1,0 +1,58 @@
+"""What one pass of PLC 0 costs the card, counted over its own statements."""
+
+from collections.abc import Sequence
+
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_install import law_program
+
+
+def operation_count(lines: Sequence[str] | None = None) -> int:
+    """Interpreted operations of one pass of PLC 0: operators, functions, stores and tests.
+
+    Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled).
+    """
+    body = lines if lines is not None else law_program(LawBlock(), 1).lines
+    return sum(_operations(line) for line in ordinary_pass(body))
+
+
+def ordinary_pass(lines: Sequence[str]) -> list[str]:
+    """Statements that run in an ordinary pass of ``feedforward_law.plc0``."""
+    skipped_tests = {
+        "IF(M7003=1 OR M7004=0)",
+        "IF(P7112>16)",
+        "IF(P7113!=P7001+1)",
+        "IF(P7122>P7004)",
+        "IF(P7122<0-P7004)",
+        "IF(P7124>P7181)",
+        "IF(P7124<0-P7181)",
+        "IF(P7005>0)",
+        "IF(P7005=0)",
+        "IF(P7003<P7002)",
+        "IF(P7003>P7002)",
+        "IF(P7125!=0 OR P7126!=0)",
+    }
+    kept: list[str] = []
+    live = [True]
+    for line in lines:
+        if line.startswith("IF("):
+            if live[-1]:
+                kept.append(line)
+            live.append(live[-1] and line not in skipped_tests)
+        elif line == "ELSE":
+            live[-1] = live[-2] and not live[-1]
+        elif line == "ENDIF":
+            live.pop()
+        elif live[-1]:
+            kept.append(line)
+    return kept
+
+
+def _operations(line: str) -> int:
+    functions = line.count("ABS(")
+    operators = sum(line.count(c) for c in "+-*/%<>")
+    return operators + functions + line.count("=") + line.count("AND") + line.count("OR")
+
+
+def law_cost_us(cpu_clock_MHz: float) -> float:
+    """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual)."""
+    return 3.0 * 80.0 / cpu_clock_MHz * operation_count()

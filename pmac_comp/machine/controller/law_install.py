@@ -1,0 +1,270 @@
+"""The law and its guard on the controller: programs, definitions, following, sign of life.
+
+What lives here: what has to stand on the card before a law can be uploaded, as one transaction
+that leaves everything as it was if it does not end. What may not: coefficients (``law_upload``),
+the gain (``law_arming``).
+"""
+
+from typing import Final
+
+from pmac_comp.base.errors import (
+    ControllerState,
+    MotorNotSafe,
+    SafetyRefusal,
+    TableStateError,
+    VerifyMismatch,
+)
+from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_arming import disarm
+from pmac_comp.machine.controller.law_bank import (
+    MASTER_SCALE_IXX07,
+    MASTER_WORD_ADDRESS,
+    SIGNATURE_SERVO,
+    BankIndex,
+    Index,
+    LawBlock,
+)
+from pmac_comp.machine.controller.law_state import (
+    GAIN_TOLERANCE,
+    LawForm,
+    LawHead,
+    is_running,
+    read_law_head,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.settings import Settings, read_settings
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.upload_checks import motion_refusals
+from pmac_comp.machine.controller.variables import read_many, same_value
+
+DEFAULT_RAMP_s: Final = 0.5
+LAW: Final = (ProgramKind.PLC, 0)
+GUARD: Final = (ProgramKind.PLC, 1)
+
+
+def law_program(context_block: LawBlock, motor: int) -> Program:
+    """PLC 0 of ``firmware_plc`` for a motor and a block."""
+    text = firmware_path("feedforward_law.plc0").read_text(encoding="utf-8")
+    return programs.parse_source(
+        programs.render(text, motor=motor, first_p=context_block.first)
+    ).program
+
+
+def guard_program(context_block: LawBlock) -> Program:
+    """Guard PLC 1 of ``firmware_plc`` for a block."""
+    text = firmware_path("comp_guard.plc").read_text(encoding="utf-8")
+    return programs.parse_source(programs.render(text, first_p=context_block.first)).program
+
+
+def definitions(motor: int) -> dict[int, str]:
+    """M-variables that PLC 0 and the guard use (as ``bench_setup.pmc`` has them)."""
+    base = 0x80 * motor
+    return {
+        7000: "X:$0,24",
+        7001: f"D:${base + 0x08:X}",
+        7002: f"X:${MASTER_WORD_ADDRESS:X},0,24,S",
+        7003: f"X:${base + 0x30:X},18",
+        7004: f"X:${base + 0x30:X},19",
+        7007: "D:$17",
+    }
+
+
+def install_law(
+    link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
+) -> tuple[str, ...]:
+    """Put law and guard on the controller, switched off, and prove that they run.
+
+    Following of the master word is set up with the word at zero, so nothing moves. Does nothing
+    to what is there already; a failure takes back what was done.
+
+    Returns
+    -------
+    tuple of str
+        What was done, for the report.
+
+    Raises
+    ------
+    SafetyRefusal
+        The motor moves, an armed law would be replaced, the open servo has the law already, or
+        the master word is not zero: all reasons together, nothing was changed.
+    VerifyMismatch
+        A program does not list back as sent, or PLC 0 gives no sign of life.
+    """
+    with untouched():
+        head = read_law_head(link, context.block)
+        goal, done = _missing(link, context, motor, head, ramp_s)
+        if goal.is_empty and is_running(link, context.block, context.servo_period_s) is LawForm.PLC:
+            return done
+        refusals = _refusals(link, motor, head, goal)
+    with SettingsUpload(link, context, goal, route="law", refusals=refusals) as upload:
+        upload.write()
+        upload.check(lambda: _require_life(link, context))
+        upload.finish()
+    return done
+
+
+def _missing(
+    link: Link, context: Context, motor: int, head: LawHead, ramp_s: float
+) -> tuple[Settings, tuple[str, ...]]:
+    """Settings that are not there yet, and what putting them there is called."""
+    block = context.block
+    law, guard = law_program(block, motor), guard_program(block)
+    following = _following(motor)
+    found = read_settings(link, Settings(following, definitions(motor), {LAW: (), GUARD: ()}))
+    whole = programs.canonical(found.programs[LAW]) == law.tokens and head.motor == motor
+    follows = all(same_value(float(parse_integer(found.variables[k])), float(parse_integer(v)))
+                  for k, v in following.items())  # fmt: skip
+    guarded = programs.canonical(found.programs[GUARD]) == guard.tokens and 1 in found.running
+    wanted = {
+        LAW: None if whole and 0 in found.running else law.lines,
+        GUARD: None if guarded else guard.lines,
+    }
+    programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
+    variables = {} if whole else _head_values(link, context, motor, ramp_s)
+    goal = Settings(
+        {**variables, **({} if follows else following)},
+        {} if whole else definitions(motor),
+        programs_missing,
+        running=frozenset(number for _, number in programs_missing),
+    )
+    notes = (
+        "PLC 0 is on the card already" if whole else "PLC 0 was written and listed back",
+        "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
+        "" if guarded else "the guard (PLC 1) was written and listed back",
+    )
+    return goal, tuple(note for note in notes if note)
+
+
+def _following(motor: int) -> dict[str, str]:
+    """Position following in offset mode; the switch last, so that going back it is first."""
+    return {
+        f"I{motor}05": str(MASTER_WORD_ADDRESS),
+        f"I{motor}07": str(MASTER_SCALE_IXX07),
+        f"I{motor}06": "3",
+    }
+
+
+def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
+    found: list[SafetyRefusal] = []
+    if int(read_many(link, [f"I{motor}59"])[f"I{motor}59"]) & 1:
+        found.append(
+            MotorNotSafe(
+                f"The open servo has the law already (I{motor}59 = 1): PLC 0 would correct twice.",
+                code="PC-LAW-032",
+                hint=f"Use --route servo, or set I{motor}59 = 0 with the motor killed.",
+            )
+        )
+    if head.form is not LawForm.NONE and abs(head.gain) > GAIN_TOLERANCE:
+        found.append(
+            MotorNotSafe(
+                "A law is armed; disarm it before its program is replaced.", code="PC-LAW-021"
+            )
+        )
+    word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
+    if word != 0 and f"I{motor}06" in goal.variables:
+        found.append(
+            MotorNotSafe(
+                f"The master word is {word}, not zero: following it would make the motor jump.",
+                code="PC-LAW-023",
+                hint=f"Clear it with the motor killed: WX${MASTER_WORD_ADDRESS:X},0.",
+            )
+        )
+    return found + motion_refusals(link, [motor])
+
+
+def _require_life(link: Link, context: Context) -> None:
+    if is_running(link, context.block, context.servo_period_s) is not LawForm.PLC:
+        raise VerifyMismatch(
+            "PLC 0 gives no sign of life.",
+            code="PC-LAW-020",
+            hint="I5 must be 1 or 3 and I8 small; control-D disables all PLCs.",
+        )
+
+
+def _head_values(link: Link, context: Context, motor: int, ramp_s: float) -> dict[str, str]:
+    """Head of the block for a motor, disarmed, with empty banks."""
+    block = context.block
+    i08 = read_many(link, [f"I{motor}08"])[f"I{motor}08"]
+    return texts(
+        {
+            f"P{block.p(Index.TARGET)}": 0,
+            f"P{block.bank(0, BankIndex.SEALED)}": 0,
+            f"P{block.bank(1, BankIndex.SEALED)}": 0,
+            f"P{block.p(Index.BANK)}": 0,
+            f"P{block.p(Index.CLAMP)}": context.limits.max_correction_ct,
+            f"P{block.p(Index.HEARTBEAT)}": -1,
+            f"P{block.p(Index.SLEW)}": context.servo_period_s / ramp_s,
+            f"P{block.p(Index.MOTOR)}": motor,
+            f"P{block.p(Index.OUT_SCALE)}": 32.0 * i08 / MASTER_SCALE_IXX07,
+            f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
+        }
+    )
+
+
+def require_open_servo(
+    link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
+) -> None:
+    """Refuse the route ``servo`` unless the expected open servo proves to run for a motor.
+
+    PLC 0 is taken off first (two algorithms must not correct at once), and the head of the block
+    is set up if it is not yet this motor's.
+
+    Raises
+    ------
+    TableStateError
+        No signature: says what to do.
+    MotorNotSafe
+        A law is armed in PLC 0, or the block must be set up while the motor moves.
+    """
+    with untouched():
+        mode = int(read_many(link, [f"I{motor}59"])[f"I{motor}59"])
+        if not mode & 1:
+            raise _no_servo(context, motor, mode)
+        head = read_law_head(link, context.block)
+    if head.motor != motor or head.slew == 0.0 or head.form is LawForm.PLC:
+        values = _head_values(link, context, motor, ramp_s)
+        law = Settings(values, programs={LAW: ()})
+        with SettingsUpload(
+            link, context, law, route="servo", refusals=_armed(head), motors=[motor]
+        ) as upload:
+            upload.write()
+            upload.finish()
+    with untouched():
+        if is_running(link, context.block, context.servo_period_s) is not LawForm.SERVO:
+            raise _no_servo(context, motor, mode)
+
+
+def _armed(head: LawHead) -> list[SafetyRefusal]:
+    if head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE:
+        return []
+    return [MotorNotSafe("A law is armed; disarm it first.", code="PC-LAW-021")]
+
+
+def _no_servo(context: Context, motor: int, mode: int) -> TableStateError:
+    return TableStateError(
+        f"The open servo does not run for motor #{motor} "
+        f"(I{motor}59 = {mode}, no signature {SIGNATURE_SERVO} in P{context.block.p(0)}).",
+        code="PC-LAW-024",
+        hint="Compile firmware_plc/feedforward_servo.txt with the vendor's tool, download it, and "
+        f"set I{motor}59 = 1 with the motor killed; or use --route law.",
+        left=ControllerState.OLD,
+    )
+
+
+def remove_law(link: Link, context: Context) -> UploadResult:
+    """Take the law off: fade, stop following, delete PLC 0; interrupted, it comes back whole."""
+    with untouched():
+        head = read_law_head(link, context.block)
+    variables = {f"P{context.block.p(Index.TARGET)}": "0"}
+    if head.motor:
+        variables |= {f"I{head.motor}29": "0", f"I{head.motor}06": "0"}
+    goal = Settings(variables, programs={LAW: ()})
+    motors = [head.motor] if head.motor else []
+    with SettingsUpload(link, context, goal, route="law", motors=motors) as upload:
+        upload.write(first=lambda: disarm(link, context))
+        return upload.finish()

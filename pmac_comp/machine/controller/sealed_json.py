@@ -1,0 +1,52 @@
+"""Files with their own SHA-256: a backup that was touched is refused."""
+
+import json
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+
+from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.errors import ConfigError, ControllerState, TableStateError
+
+
+def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
+    """Write JSON with its SHA-256, read it again and compare.
+
+    Raises
+    ------
+    TableStateError
+        What was read is not what was written; nothing was changed on the controller.
+    """
+    body = json.dumps(dict(data), sort_keys=True)
+    digest = sha256(body.encode()).hexdigest()
+    atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
+    if read_sealed_json(path) != json.loads(body):
+        raise TableStateError(
+            f"The file {path} does not read back as written.",
+            code="PC-TXN-004",
+            left=ControllerState.OLD,
+        )
+
+
+def read_sealed_json(path: Path) -> dict[str, object]:
+    """Content of a sealed file.
+
+    Raises
+    ------
+    ConfigError
+        Missing, unreadable or changed since it was written.
+    """
+    try:
+        outer = json.loads(path.read_text(encoding="utf-8"))
+        body = str(outer["body"])
+        fits = sha256(body.encode()).hexdigest() == outer["sha256"]
+        data = json.loads(body)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} is no readable backup.", code="PC-TXN-005") from error
+    if not fits or not isinstance(data, dict):
+        raise ConfigError(
+            f"{path} was changed after it was written (digest mismatch).",
+            code="PC-TXN-006",
+            hint="Use another backup.",
+        )
+    return data

@@ -1,0 +1,317 @@
+"""Variables, definitions and programs as one value: read, compared, put onto the card.
+
+What lives here: a set of settings as the card prints them, and the commands that bring them there.
+What may not: journal and verdict (``settings_upload``). A program without lines stands for an
+empty buffer.
+"""
+
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from pmac_comp.base.errors import CommandRefused, ConfigError, RemoteProtocolError, VerifyMismatch
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.variables import batches, same_value
+from pmac_comp.machine.wire.numbers import read_number
+
+PLC_TABLE: Final = 0x3100  # Y: bits 0-18 storage address, bit 22 disabled (p. 509)
+PLC_DISABLED: Final = 1 << 22
+PLC_STORED: Final = (1 << 19) - 1
+
+Buffer = tuple[ProgramKind, int]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What stands or shall stand on a controller.
+
+    Parameters
+    ----------
+    variables : Mapping of str to str
+        I- and P-variables by name, in the order of writing.
+    definitions : Mapping of int to str
+        M-variable definitions.
+    programs : Mapping of (ProgramKind, int) to tuple of str
+        Statements of buffers; none for an empty one.
+    axes : tuple of (int, int, str) or None
+        All axis definitions (coordinate system, motor, text); None to leave them alone.
+    running : frozenset of int
+        PLCs among ``programs`` that are enabled.
+    """
+
+    variables: Mapping[str, str] = field(default_factory=dict)
+    definitions: Mapping[int, str] = field(default_factory=dict)
+    programs: Mapping[Buffer, tuple[str, ...]] = field(default_factory=dict)
+    axes: tuple[tuple[int, int, str], ...] | None = None
+    running: frozenset[int] = frozenset()
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 over everything, 0 for nothing at all."""
+        lines = [f"{k}={_number_text(v)}" for k, v in self.variables.items()]
+        lines += [f"M{k}->{_plain_definition(v)}" for k, v in self.definitions.items()]
+        lines += [f"&{c}#{m}->{text}" for c, m, text in self.axes or ()]
+        for (kind, number), body in self.programs.items():
+            # A single program keeps the checksum of its own.
+            if body and len(self.programs) > 1:
+                lines.append(f"{kind.value}{number}")
+            lines += programs.canonical(body)
+        return zlib.crc32("\n".join(lines).encode()) if lines else 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to read or write."""
+        return not (self.variables or self.definitions or self.programs or self.axes is not None)
+
+    def as_dict(self) -> dict[str, object]:
+        """For a file."""
+        return {
+            "variables": dict(self.variables),
+            "definitions": {str(k): v for k, v in self.definitions.items()},
+            "programs": [[k.value, n, list(body)] for (k, n), body in self.programs.items()],
+            "axes": None if self.axes is None else [list(a) for a in self.axes],
+            "running": sorted(self.running),
+        }
+
+    @classmethod
+    def from_dict(cls, data: object) -> "Settings":
+        """Settings of a file; raises ConfigError on anything unexpected."""
+        try:
+            item = dict(data)  # type: ignore[call-overload]
+            axes = item["axes"]
+            return cls(
+                {str(k): str(v) for k, v in dict(item["variables"]).items()},
+                {int(k): str(v) for k, v in dict(item["definitions"]).items()},
+                {
+                    (ProgramKind(k), int(n)): tuple(map(str, body))
+                    for k, n, body in item["programs"]
+                },
+                None if axes is None else tuple((int(c), int(m), str(t)) for c, m, t in axes),
+                frozenset(int(n) for n in item["running"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"Stored settings are not understood: {error}.") from error
+
+
+def read_settings(link: Link, like: Settings) -> Settings:
+    """The same items as ``like`` has, as they stand on the card."""
+    found = {kind_number: _body(link, *kind_number) for kind_number in like.programs}
+    return Settings(
+        dict(zip(like.variables, _ask(link, list(like.variables)), strict=True)),
+        dict(zip(like.definitions, _ask(link, [f"M{n}->" for n in like.definitions]), strict=True)),
+        found,
+        None if like.axes is None else read_axes(link),
+        frozenset(n for (kind, n), body in found.items() if _is_running(link, kind, n, body)),
+    )
+
+
+def _ask(link: Link, names: Sequence[str]) -> list[str]:
+    answers: list[str] = []
+    for group in batches(names):
+        lines = link.query(" ".join(group))
+        if len(lines) != len(group):
+            raise RemoteProtocolError(
+                f"{len(group)} questions were answered with {len(lines)} lines.",
+                code="PC-SET-001",
+                context={"asked": list(group), "answer": lines[:8]},
+            )
+        answers += [line.strip() for line in lines]
+    return answers
+
+
+def _body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
+    lines = [line.strip() for line in programs.listing(link, kind, number) or []]
+    while lines and lines[-1].upper() in {"RETURN", "RET"}:
+        lines.pop()  # CLOSE adds it
+    return tuple(lines)
+
+
+def read_axes(link: Link) -> tuple[tuple[int, int, str], ...]:
+    """Axis definitions of all active motors in all coordinate systems."""
+    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if read_number(v)]
+    if not active:
+        return ()
+    found: list[tuple[int, int, str]] = []
+    for system in range(1, 17):
+        lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in active))
+        if len(lines) != len(active):
+            raise RemoteProtocolError(
+                f"{len(active)} axis definitions were asked for, {len(lines)} came.",
+                code="PC-SET-001",
+            )
+        pairs = zip(active, (line.strip() for line in lines), strict=True)
+        found += [(system, motor, text) for motor, text in pairs if text != "0"]
+    return tuple(found)
+
+
+def plc_runs(link: Link, number: int) -> bool:
+    """Whether a PLC stands in memory and is enabled (I5 may still hold it)."""
+    word = parse_integer(link.query(f"RY${PLC_TABLE + number:X}")[0]) & 0xFFFFFF
+    return bool(word & PLC_STORED) and not word & PLC_DISABLED
+
+
+def _is_running(link: Link, kind: ProgramKind, number: int, body: tuple[str, ...]) -> bool:
+    return kind is ProgramKind.PLC and bool(body) and plc_runs(link, number)
+
+
+# Comparing ----------------------------------------------------------------------------------------
+
+
+def differences(meant: Settings, found: Settings) -> list[str]:
+    """What of ``meant`` does not stand on the card, in words; the spelling does not matter."""
+    out = [
+        f"{name} is {found.variables.get(name)} instead of {text}"
+        for name, text in meant.variables.items()
+        if not _same_number(found.variables.get(name), text)
+    ]
+    out += [
+        f"M{n} is {found.definitions.get(n)} instead of {text}"
+        for n, text in meant.definitions.items()
+        if _plain_definition(found.definitions.get(n, "")) != _plain_definition(text)
+    ]
+    for (kind, number), body in meant.programs.items():
+        there = programs.canonical(found.programs.get((kind, number), ()))
+        if "".join(there) != "".join(programs.canonical(body)):
+            place = programs.first_difference(programs.canonical(body), there)
+            out.append(f"{kind.value} {number}: {place}")
+    if meant.axes is not None and _plain_axes(meant) != _plain_axes(found):
+        out.append("the axis definitions differ")
+    out += [f"PLC {n} is not enabled" for n in sorted(meant.running - found.running)]
+    return out
+
+
+def _plain_axes(settings: Settings) -> set[tuple[int, int, str]]:
+    """Axis definitions in one spelling: ``1X`` and ``X`` are the same."""
+    return {
+        (system, motor, re.sub(r"(?<![\d.])1(?=[A-Z])", "", text.upper().replace(" ", "")))
+        for system, motor, text in settings.axes or ()
+    }
+
+
+def _same_number(found: str | None, meant: str) -> bool:
+    return found is not None and same_value(float(read_number(found)), float(read_number(meant)))
+
+
+def _number_text(text: str) -> str:
+    return f"{float(read_number(text)):.9g}"
+
+
+def _plain_definition(text: str) -> str:
+    """Definition in one spelling: hexadecimal without leading zeros, defaults left out."""
+    head, *rest = text.upper().replace(" ", "").split(",")
+    space, _, address = head.partition(":")
+    if address.startswith("$"):
+        head = f"{space}:{int(address[1:], 16)}"
+    # "X:$0,24" and "X:$0,0,24" both name the whole word, unsigned unless S is said.
+    kept = [part for part in rest if part not in {"U", "0"}]
+    return ",".join([head, *kept])
+
+
+# Writing ------------------------------------------------------------------------------------------
+
+
+def write_settings(
+    link: Link, present: Settings, goal: Settings, *, skip_refused: bool = False
+) -> tuple[str, ...]:
+    """Bring the card from ``present`` to ``goal``; PLCs that change are held meanwhile.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    present, goal : Settings
+        As they stand, and as they shall be.
+    skip_refused : bool
+        Leave out variables and definitions that the card refuses (a backup of another firmware).
+
+    Returns
+    -------
+    tuple of str
+        Lines that were refused and left out.
+
+    Raises
+    ------
+    CommandRefused, VerifyMismatch
+        It stopped half-way.
+    """
+    changed = {
+        key: body
+        for key, body in goal.programs.items()
+        if programs.canonical(body) != programs.canonical(present.programs.get(key, ()))
+    }
+    plcs = [number for kind, number in changed if kind is ProgramKind.PLC]
+    if goal.programs:
+        # A buffer that an interrupted upload left open would swallow what follows.
+        link.write_buffer(["CLOSE"])
+    if plcs:
+        link.write_buffer([f"DISABLE PLC {n}" for n in plcs])
+    refused = _send(link, setting_lines(present, goal), skip_refused=skip_refused)
+    for (kind, number), body in changed.items():
+        if body:
+            programs.download(link, Program(kind, number, body))
+        else:
+            programs.delete(link, kind, number)
+    wanted = [n for n in goal.running if (ProgramKind.PLC, n) in goal.programs]
+    if wanted:
+        link.write_buffer([f"ENABLE PLC {n}" for n in sorted(wanted)])
+    return refused
+
+
+def setting_lines(present: Settings, goal: Settings) -> list[str]:
+    """Commands for variables, definitions and axes that differ."""
+    lines = [
+        f"M{n}->{text}"
+        for n, text in goal.definitions.items()
+        if present.definitions.get(n) != text
+    ]
+    lines += [
+        f"{name}={text}"
+        for name, text in goal.variables.items()
+        if present.variables.get(name) != text
+    ]
+    if goal.axes is not None and set(goal.axes) != set(present.axes or ()):
+        lines += ["UNDEFINE ALL", *(f"&{c}#{m}->{text}" for c, m, text in goal.axes)]
+    return lines
+
+
+def _send(link: Link, lines: Sequence[str], *, skip_refused: bool) -> tuple[str, ...]:
+    rest, refused = list(lines), []
+    while rest:
+        try:
+            link.write_buffer(rest)
+        except CommandRefused as error:
+            if not skip_refused:
+                raise
+            # Setting a variable twice to the same value is harmless, unlike a table entry.
+            rest = rest[int(str(error.context.get("lines_accepted", 0))) :]
+            refused += _one_by_one(link, rest[:64])
+            rest = rest[64:]
+        else:
+            break
+    return tuple(refused)
+
+
+def _one_by_one(link: Link, lines: Sequence[str]) -> list[str]:
+    refused = []
+    for line in lines:
+        try:
+            link.command(line)
+        except CommandRefused:
+            refused.append(line)
+    return refused
+
+
+def require_settings(link: Link, goal: Settings) -> None:
+    """Read everything back; raises VerifyMismatch naming what differs."""
+    wrong = differences(goal, read_settings(link, goal))
+    if wrong:
+        raise VerifyMismatch(
+            f"{len(wrong)} setting(s) do not stand as written: {'; '.join(wrong[:5])}.",
+            code="PC-SET-002",
+            hint="I41 may lock them, or another program writes them.",
+        )

@@ -1,0 +1,75 @@
+"""Switching the tables on and off (I51) with motors at rest, and the look at what it did."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from pmac_comp.base.clock import Deadline
+from pmac_comp.base.errors import MotorNotSafe, VerifyMismatch
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import MotorStatus, read_motors
+from pmac_comp.machine.wire.numbers import read_number
+
+WATCH_CYCLES: Final = 100
+WATCH_POLLS: Final = 4
+
+
+def switch_tables(link: Link, value: int, motors: Sequence[int]) -> None:
+    """Set I51 with the motors' status in the same line, before and after.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor moved: what was switched on is off again, what was switched off stays off.
+    VerifyMismatch
+        I51 does not read back.
+    """
+    status = "".join(f"#{m}?" for m in motors)
+    lines = link.command(f"{status}I51={value}{status}I51")
+    if len(lines) != 2 * len(motors) + 1:
+        raise VerifyMismatch(
+            f"I51={value} was answered with {len(lines)} lines.", code="PC-UPL-003"
+        )
+    words = [MotorStatus.parse(text) for text in lines[:-1]]
+    if int(read_number(lines[-1])) != value:
+        raise VerifyMismatch(f"I51 is {lines[-1]} after I51={value}.", code="PC-UPL-003")
+    moving = [
+        f"motor #{m}"
+        for m, w in zip([*motors, *motors], words, strict=True)
+        if w.is_activated and w.is_closed_loop and not w.is_commanded_still
+    ]
+    if not moving:
+        return
+    if value == 1:
+        link.command("I51=0")
+    raise MotorNotSafe(
+        f"{moving[0]} started to move when compensation was to be switched.",
+        code="PC-UPL-004",
+        hint="Stop the motion, then run `pmac-comp recover`.",
+    )
+
+
+def watch(link: Link, context: Context, motors: Sequence[int]) -> None:
+    """Following errors for 100 servo cycles after enabling.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor left its place by more than twice the largest step; I51 is 0 again.
+    """
+    if not motors:
+        return
+    bound_ct = 2.0 * context.limits.max_step_ct
+    begin = {m: r.following_error_ct for m, r in read_motors(link, motors).items()}
+    deadline = Deadline.after(link.clock, WATCH_CYCLES * context.servo_period_s)
+    while not deadline.expired():
+        link.clock.sleep_s(WATCH_CYCLES * context.servo_period_s / WATCH_POLLS)
+        for motor, reading in read_motors(link, motors).items():
+            jump = abs(reading.following_error_ct - begin[motor])
+            if jump > bound_ct and reading.status.is_closed_loop:
+                link.command("I51=0")
+                raise MotorNotSafe(
+                    f"Motor #{motor} left its place by {jump:.1f} counts after enabling; "
+                    "compensation was switched off again.",
+                    code="PC-UPL-008",
+                )

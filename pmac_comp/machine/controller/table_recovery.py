@@ -1,0 +1,217 @@
+"""Tables after an interruption: to OLD or NEW, or back to a backup."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, UploadIncomplete
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.lease import (
+    host_lock,
+    read_clock,
+    refuse_foreign_lease,
+    release_lease,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, clear_lines
+from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
+from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.table_status import TableStatus, read_head, table_status
+from pmac_comp.machine.controller.transaction import (
+    DONE,
+    ROLLED_BACK,
+    ChangeKind,
+    UploadResult,
+    journals,
+)
+from pmac_comp.machine.controller.upload import Origin, TableUpload
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A transaction that was begun and not finished, from its journal."""
+
+    journal: Journal
+    manifest: Manifest
+    backup: Path
+    new: TableSet
+    enable_after: bool
+    old: TableSet
+    is_rollback: bool
+
+    @property
+    def expected(self) -> Manifest:
+        """Manifest as it should stand on the card; a finished upload was sealed."""
+        if self.journal.is_open:
+            return self.manifest
+        return replace(self.manifest, state=ManifestState.VALID)
+
+
+def latest_journal(context: Context) -> Journal | None:
+    """Journal of the last upload of tables to this controller from this folder."""
+    found = (j for j in reversed(journals(context)) if j.kind == ChangeKind.TABLES.value)
+    return next(found, None)
+
+
+def last_upload(context: Context) -> Unfinished | None:
+    """The last upload of tables that got as far as its intent, ended or not."""
+    journal = latest_journal(context)
+    if journal is None or journal.last("intent") is None:
+        return None
+    return _unfinished(context, journal)
+
+
+def find_unfinished(context: Context) -> Unfinished | None:
+    """The last upload of tables, if it got as far as its intent and did not end."""
+    last = last_upload(context)
+    return last if last is not None and last.journal.is_open else None
+
+
+def _unfinished(context: Context, journal: Journal) -> Unfinished:
+    entry = journal.last("intent")
+    if entry is None:
+        raise ConfigError(f"{journal.path} holds no intent.", code="PC-UPL-011")
+    values = entry.data["manifest"]
+    manifest = Manifest.from_values([float(v) for v in values])  # type: ignore[attr-defined]
+    if manifest is None:
+        raise ConfigError(f"{journal.path} holds no manifest.", code="PC-UPL-011")
+    backup = context.store / Path(str(entry.data["backup"])).name
+    tables = [table_from_json(t) for t in entry.data["new"]]  # type: ignore[attr-defined]
+    old, _ = read_table_backup(backup)
+    return Unfinished(
+        journal,
+        manifest,
+        backup,
+        TableSet(tuple(tables)),
+        bool(entry.data["enable_after"]),
+        old,
+        is_rollback=entry.data["closing"] == ROLLED_BACK,
+    )
+
+
+def recover_tables(link: Link, context: Context, *, resume: bool = True) -> UploadResult:
+    """Bring an interrupted upload of tables to OLD or NEW; see ``recovery.recover``."""
+    with host_lock(context):
+        last = last_upload(context)
+        manifest = None if last is None else last.expected
+        status = table_status(link, context, journal_manifest=manifest)
+        _settle_lease(link, context)
+        if status.decision.action is Action.DISABLE:
+            link.command("I51=0")
+            raise ForeignChange(
+                f"{status.decision.reason.capitalize()}; compensation was switched off.",
+                code="PC-UPL-012",
+                hint="Compare with a backup, then `pmac-comp rollback` or upload again.",
+                left=ControllerState.DISABLED,
+            )
+        if status.decision.action is Action.NOTHING or _is_removed(last, status):
+            return _settled(link, context, last, status)
+    if last is None:
+        raise UploadIncomplete(
+            "Tables are switched off and no journal of this folder knows the upload.",
+            code="PC-UPL-013",
+            hint="Run recover where the upload was started, or restore a backup.",
+            left=ControllerState.DISABLED,
+        )
+    # A finished upload that is gone was lost in a reset without SAVE: it is written again.
+    whole = status.decision.action is Action.RESUME or not last.journal.is_open
+    if resume and whole and last.enable_after:
+        return _finish(link, context, last, last.new, enable=True)
+    return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
+
+
+def _is_removed(last: Unfinished | None, status: TableStatus) -> bool:
+    """Whether the upload was meant to end switched off, and did."""
+    if last is None or last.enable_after or status.i51:
+        return False
+    return status.tables.crc == last.manifest.crc_new
+
+
+def _settle_lease(link: Link, context: Context) -> None:
+    head = read_head(link, context)
+    refusal = refuse_foreign_lease(head.lease, context.owner, read_clock(link))
+    if refusal is not None:
+        raise refusal
+
+
+def _settled(
+    link: Link, context: Context, last: Unfinished | None, status: TableStatus
+) -> UploadResult:
+    """Nothing is to be done: close the journal and say what stands there."""
+    release_lease(link, context)
+    crc, reason = status.tables.crc, status.decision.reason
+    journal = latest_journal(context)
+    if last is None:
+        if journal is not None and journal.is_open:
+            journal.write(ROLLED_BACK)
+        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
+    state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
+    if last.is_rollback:
+        state = ControllerState.OLD
+    if last.journal.is_open:
+        if state is ControllerState.OLD:
+            link.write_buffer(clear_lines(context.block))
+        last.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
+    return UploadResult(
+        state, "table", last.manifest.crc_old, crc, journal=last.journal.path, notes=(reason,)
+    )
+
+
+def _finish(
+    link: Link, context: Context, unfinished: Unfinished, goal: TableSet, *, enable: bool
+) -> UploadResult:
+    """Go on with the interrupted upload towards a set that was checked before."""
+    origin = Origin(
+        unfinished.journal,
+        unfinished.backup,
+        unfinished.manifest.crc_old,
+        unfinished.manifest.enabled_old,
+    )
+    is_rollback = unfinished.is_rollback or goal.crc == unfinished.manifest.crc_old
+    with TableUpload(
+        link,
+        context,
+        exactly=goal,
+        enable_after=enable,
+        check_limits=False,
+        origin=origin,
+        closing=ROLLED_BACK if is_rollback else DONE,
+    ) as upload:
+        result = upload.execute()
+    if is_rollback:
+        link.write_buffer(clear_lines(context.block))
+    return UploadResult(
+        ControllerState.OLD if is_rollback else ControllerState.NEW,
+        "table",
+        origin.crc_old,
+        goal.crc,
+        result.disabled_s,
+        origin.backup,
+        origin.journal.path,
+        ("the old tables were written back" if is_rollback else "the upload was completed",),
+    )
+
+
+def rollback_tables(link: Link, context: Context, backup: Path) -> UploadResult:
+    """Write the tables of a backup back, with the switch as it was then."""
+    tables, enabled = read_table_backup(backup)
+    with TableUpload(
+        link,
+        context,
+        exactly=tables,
+        enable_after=enabled,
+        check_limits=False,
+        closing=ROLLED_BACK,
+    ) as upload:
+        result = upload.execute()
+    link.write_buffer(clear_lines(context.block))
+    return UploadResult(
+        ControllerState.OLD,
+        "table",
+        result.crc_old,
+        tables.crc,
+        result.disabled_s,
+        result.backup,
+        result.journal,
+        (f"tables of {backup.name} are back",),
+    )

@@ -1,0 +1,124 @@
+"""What an upload of tables would do, and all that forbids it; nothing is written here."""
+
+from dataclasses import dataclass
+
+from pmac_comp.base.errors import SafetyRefusal
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.lease import read_clock, refuse_foreign_lease
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import MotorReading, read_motors
+from pmac_comp.machine.controller.safety import check_step, check_table
+from pmac_comp.machine.controller.table_set import Key, TableSet, plan, read_tables, with_lookup
+from pmac_comp.machine.controller.table_status import Head, read_head
+from pmac_comp.machine.controller.upload_checks import (
+    buffer_refusals,
+    largest_change_ct,
+    memory_refusals,
+    motion_refusals,
+)
+
+
+@dataclass(frozen=True)
+class UploadPlan:
+    """What an upload would do, for a person to look at before it is done.
+
+    Parameters
+    ----------
+    old, new : TableSet
+        Tables before and after.
+    enabled_old : bool
+        Whether tables act now.
+    refusals : tuple of SafetyRefusal
+        Everything that forbids it.
+    largest_change_ct : float
+        Largest difference between old and new position correction in the travel.
+    lines : tuple of str
+        What would be sent for the tables.
+    motors : tuple of int
+        Motors that must stand still.
+    """
+
+    old: TableSet
+    new: TableSet
+    enabled_old: bool
+    refusals: tuple[SafetyRefusal, ...]
+    largest_change_ct: float
+    lines: tuple[str, ...]
+    motors: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What shall stand on the controller.
+
+    Parameters
+    ----------
+    change : TableSet
+        Tables that replace those of the same kind and motor.
+    without : tuple of (TableKind, int)
+        Tables to remove.
+    exactly : TableSet or None
+        Complete new set instead of a change (rollback).
+    enable_after : bool
+        Whether tables act at the end.
+    check_limits : bool
+        False only to restore what was there before.
+    """
+
+    change: TableSet
+    without: tuple[Key, ...] = ()
+    exactly: TableSet | None = None
+    enable_after: bool = True
+    check_limits: bool = True
+
+    def of(self, old: TableSet) -> TableSet:
+        """Complete new set."""
+        if self.exactly is not None:
+            return self.exactly
+        return old.with_tables(self.change, without=self.without)
+
+
+def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
+    """Everything that can be known before anything is changed."""
+    context.progress("pre-flight", 0, 1)
+    head = read_head(link, context)
+    now = read_clock(link)
+    old = with_lookup(read_tables(link), wish.of(TableSet()))
+    new = wish.of(old)
+    motors = tuple(sorted(set(old.motors) | set(new.motors)))
+    refusals: list[SafetyRefusal] = []
+    lease = refuse_foreign_lease(head.lease, context.owner, now)
+    if lease is not None:
+        refusals.append(lease)
+    refusals += buffer_refusals(head)
+    if wish.check_limits:
+        changed = [t for t in new if old.get(t.kind, t.motor) != t]
+        refusals += [r for table in changed for r in check_table(table, context.limits)]
+    refusals += memory_refusals(head, old, new)
+    readings: dict[int, MotorReading] = {}
+    if motors:
+        refusals += motion_refusals(link, motors)
+        readings = read_motors(link, motors)
+    after = new if wish.enable_after else TableSet()
+    refusals += step_refusals(context, readings, old if head.i51 else TableSet(), after)
+    steps = plan(old, new)
+    found = UploadPlan(
+        old=old,
+        new=new,
+        enabled_old=bool(head.i51),
+        refusals=tuple(refusals),
+        largest_change_ct=largest_change_ct(old, new, context),
+        lines=(*steps.delete_lines, *steps.define_lines),
+        motors=motors,
+    )
+    context.progress("pre-flight", 1, 1)
+    return found, head
+
+
+def step_refusals(
+    context: Context, readings: dict[int, MotorReading], old: TableSet, new: TableSet
+) -> list[SafetyRefusal]:
+    """Refusals because a motor in closed loop would jump where it stands."""
+    position = {m: r.position_ct for m, r in readings.items()}
+    closed = {m: r.status.is_closed_loop for m, r in readings.items()}
+    return check_step(old.tables, new.tables, position, closed, context.limits)

@@ -1,0 +1,159 @@
+"""F01, F02, F15, F29: every kind of change cut, refused and killed anywhere; never half-changed."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import ControllerState
+from pmac_comp.machine.controller import law_arming, law_install, law_upload
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.program_upload import upload_program
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.recovery import grouped
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.transport.tap import Way
+from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
+from tests.faults.test_f15_f22_controller import LineFault
+from tests.faults.upload_bench import new_table, old_table
+
+pytestmark = pytest.mark.faults
+Count = Callable[[int], None]
+OLD = LawParameters(A0=1.5, T0=100.0, T_LIMIT=500.0)
+NEW = LawParameters(A0=2.5, T0=150.0, T_LIMIT=500.0)
+OLD_PROGRAM = Program(ProgramKind.PROG, PROGRAM, ("LINEAR", "X1000", "DWELL5"))
+NEW_PROGRAM = Program(ProgramKind.PROG, PROGRAM, ("LINEAR", "X2000", "X3000", "DWELL5"))
+COUNTER = Program(ProgramKind.PLC, 5, ("P100=P100+1",))
+
+
+def nothing(link: Link, context: Context) -> None:
+    del link, context
+
+
+def installed(link: Link, context: Context) -> None:
+    law_install.install_law(link, context, 1)
+
+
+def loaded(link: Link, context: Context) -> None:
+    installed(link, context)
+    law_upload.upload_law(link, context, OLD)
+
+
+def armed(link: Link, context: Context) -> None:
+    loaded(link, context)
+    law_arming.arm(link, context)
+
+
+def with_program(link: Link, context: Context) -> None:
+    upload_program(link, context, OLD_PROGRAM)
+
+
+def with_plc(link: Link, context: Context) -> None:
+    upload_program(link, context, COUNTER)
+    link.write_buffer(["I5=3", "ENABLE PLC 5"])
+
+
+def with_table(link: Link, context: Context) -> None:
+    upload_tables(link, context, [old_table(24)])
+
+
+def whole_route(link: Link, context: Context) -> None:
+    """Table, PLC 0 and law as parts of one upload."""
+    with grouped(link, context, "law") as parts:
+        upload_tables(link, parts, [new_table(24)])
+        law_install.install_law(link, parts, 1)
+        law_upload.upload_law(link, parts, NEW)
+        law_arming.arm(link, parts)
+
+
+def cam_route(link: Link, context: Context) -> None:
+    """Axes and program, then a table, as parts of one upload."""
+    goal = Settings(
+        {"I119": "0.5", "I122": "40"},
+        programs={(ProgramKind.PROG, PROGRAM): NEW_PROGRAM.lines},
+        axes=((1, 1, "X"),),
+    )
+    with grouped(link, context, "cam") as parts:
+        change_settings(link, parts, goal, route="cam", motors=[1])
+        upload_tables(link, parts, [new_table(24)])
+
+
+SCENARIOS = [
+    Scenario("first law", installed, lambda k, c: law_upload.upload_law(k, c, NEW)),
+    Scenario("law", armed, lambda k, c: law_upload.upload_law(k, c, NEW)),
+    Scenario("clamp", loaded, lambda k, c: law_upload.upload_law(k, c, NEW, clamp_ct=20.0)),
+    Scenario("first program", nothing, lambda k, c: upload_program(k, c, NEW_PROGRAM)),
+    Scenario("program", with_program, lambda k, c: upload_program(k, c, NEW_PROGRAM)),
+    Scenario(
+        "plc",
+        with_plc,
+        lambda k, c: change_settings(
+            k,
+            c,
+            Settings(programs={(ProgramKind.PLC, 5): ("P100=P100+2",)}, running=frozenset({5})),
+        ),
+    ),
+    Scenario("install", nothing, lambda k, c: law_install.install_law(k, c, 1)),
+    Scenario("remove law", loaded, law_install.remove_law),
+    Scenario("law route", with_table, whole_route),
+    Scenario("cam route", with_program, cam_route),
+]
+
+
+@pytest.fixture(params=SCENARIOS, ids=lambda s: s.name)
+def rig(request: pytest.FixtureRequest, tmp_path: Path) -> ChangeBench:
+    return ChangeBench(tmp_path, request.param)
+
+
+@pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
+def test_f01_cut_in_any_change(
+    *, rig: ChangeBench, way: Way, exhaustive: bool, count_runs: Count
+) -> None:
+    at = list(points(rig.edges(way), exhaustive=exhaustive))
+    for n in at if exhaustive else at[:: 1 + len(at) // 60]:
+        error = rig.run(cut(way, n))
+        if error is None:
+            rig.judge(ControllerState.NEW)
+            continue
+        assert error.left is not None, n
+        rig.recover(resume=n % 2 == 0)
+    count_runs(len(at))
+
+
+def test_f02_silence_in_any_change(
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count
+) -> None:
+    at = list(points(rig.edges(Way.RECEIVE), exhaustive=exhaustive))
+    at = at if exhaustive else at[:: 1 + len(at) // 12]
+    for n in at:
+        if rig.run(cut(Way.RECEIVE, n, lose=True)) is not None:
+            rig.recover(resume=n % 2 == 0)
+    count_runs(len(at))
+
+
+@pytest.mark.parametrize("kind", ["refuse", "drop", "double"])
+def test_f15_f16_any_line_of_any_change(
+    *, rig: ChangeBench, kind: str, exhaustive: bool, count_runs: Count
+) -> None:
+    rig.restart()
+    counter = LineFault(rig.bench, -1, "none")
+    rig.scenario.change(rig.bench.link, rig.bench.context)
+    step = 1 if exhaustive else 1 + counter.seen // 40
+    for k in range(0, counter.seen, step):
+        rig.restart()
+        LineFault(rig.bench, k, kind)
+        error = rig.attempt()
+        if error is None:
+            rig.fresh()
+            rig.judge(ControllerState.NEW)
+            continue
+        assert error.left is not None, k
+        if error.left is ControllerState.OLD and error.context.get("confirmed"):
+            rig.fresh()
+            rig.judge(ControllerState.OLD)
+        rig.recover(resume=bool(k % 2))
+    count_runs(len(range(0, counter.seen, step)))
