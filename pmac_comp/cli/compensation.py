@@ -58,6 +58,10 @@ def compensate(
         bool,
         typer.Option("--limit", help="Clip to the limits and to the measured travel, and say so"),
     ] = False,
+    every: Annotated[
+        int,
+        typer.Option("--every", min=1, max=4, help="Servo cycles per pass of the law (route law)"),
+    ] = 1,
     effects: Annotated[
         Path | None, typer.Option("--effects", help="Python file with effects of your own")
     ] = None,
@@ -77,6 +81,7 @@ def compensate(
         captures=tuple(captures or ()),
         command=command,
         limit=Limit.CLIP if limit else Limit.REFUSE,
+        every_cycles=every,
         effects=effects,
         progress=progress,
     )

@@ -59,6 +59,10 @@ def confirmed(question: str, *, yes: bool, can_look: bool = False) -> None:
 def doctor(
     url: Annotated[str, typer.Argument(help="Controller to look at, none: this machine")] = "",
     bench: BenchOption = "paper",
+    backup: Annotated[
+        Path | None,
+        typer.Option("--backup", help="Backup that the controller must have come up with"),
+    ] = None,
     compile_kernels: Annotated[
         bool, typer.Option("--compile", help="Compile the numerical kernels now")
     ] = False,
@@ -68,7 +72,9 @@ def doctor(
     from pmac_comp.workflow.doctor import examine
 
     progress = ProgressLines()
-    findings = examine(url, bench, compile_kernels=compile_kernels, progress=progress)
+    findings = examine(
+        url, bench, backup=backup, compile_kernels=compile_kernels, progress=progress
+    )
     progress.close()
 
     def show() -> None:

@@ -28,7 +28,9 @@ def demo(
         str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
     ] = "paper",
     plant: PlantOption = "",
-    route: Annotated[str, typer.Option("--route", help="law, servo, table, cam or program")] = "law",
+    route: Annotated[
+        str, typer.Option("--route", help="law, servo, table, cam or program")
+    ] = "law",
     seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
     json_target: JsonOption = "",
 ) -> None:
@@ -73,11 +75,20 @@ def sim(
     force: Annotated[
         Path | None, typer.Option("--force", help="CSV schedule of the external force")
     ] = None,
+    supported: Annotated[
+        bool, typer.Option("--supported", help="Print what the simulated card supports, and stop")
+    ] = False,
+    json_target: JsonOption = "",
     faults: Annotated[
         bool, typer.Option("--faults", help="Let clients command faults (tests only)")
     ] = False,
 ) -> None:
     """Serve a simulated Turbo PMAC; prints one JSON line with its endpoints when ready."""
+    if supported:
+        from pmac_comp.simulator.support import report, report_lines
+
+        output.finish(report(), json_target, lambda: output.echo_all(report_lines()))
+        return
     from pmac_comp.workflow.simulated import serve_forever
 
     serve_forever(

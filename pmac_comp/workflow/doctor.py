@@ -3,10 +3,11 @@
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmac_comp import __version__
-from pmac_comp.base.errors import PmacCompError
+from pmac_comp.base.errors import FlashSuspect, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.resources import data_folder
 from pmac_comp.workflow.bench_view import remarks
@@ -28,16 +29,25 @@ class Finding:
 
 
 def examine(
-    url: str, bench: str, *, compile_kernels: bool = False, progress: Progress | None = None
+    url: str,
+    bench: str,
+    *,
+    backup: Path | None = None,
+    compile_kernels: bool = False,
+    progress: Progress | None = None,
 ) -> list[Finding]:
-    """All findings on this machine and, with a URL, on the controller."""
+    """All findings on this machine and, with a URL, on the controller.
+
+    With a backup the controller's configuration is held against it: a card that lost its flash
+    comes up with other values.
+    """
     loaded = load_bench(bench)
     findings = list(_installation())
     findings += [Finding("note", "bench file", line) for line in remarks(loaded)]
     if compile_kernels:
         findings += list(_compiled(loaded, progress))
     if url:
-        findings += list(_controller(url, loaded))
+        findings += list(_controller(url, loaded, backup))
     return findings
 
 
@@ -73,11 +83,12 @@ def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
     yield Finding("ok", "kernels", f"compiled or loaded in {time.monotonic() - start:.1f} s")
 
 
-def _controller(url: str, bench: Bench) -> Iterator[Finding]:
+def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding]:
     from pmac_comp.workflow.session import open_axis
 
     with open_axis(url, bench) as axis:
         yield from _identity(axis, bench)
+        yield _flash(axis, backup)
         yield from _variables(axis, bench)
         yield from _motors(axis)
         yield from _compensation(axis)
@@ -87,7 +98,9 @@ def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
     from pmac_comp.machine.controller.identity import read_identity
 
     found = read_identity(axis.link)
-    yield Finding("ok", "controller", f"{found.card_name}, firmware {found.firmware.strip()}")
+    kind = "simulated " if axis.simulated else ""
+    said = f"{kind}{found.card_name}, firmware {found.firmware.strip()}"
+    yield Finding("ok", "controller", said)
     off = found.servo_period_s / bench.servo_period_s - 1.0
     yield Finding(
         "ok" if abs(off) < _CLOCK_TOLERANCE else "bad",
@@ -102,6 +115,22 @@ def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
         f"{found.dpram}, bench file {wanted}",
     )
     yield Finding("ok", "free memory", f"{found.free_long_words} long words")
+
+
+def _flash(axis: "Axis", backup: Path | None) -> Finding:
+    """Whether the card came up with what was saved."""
+    from pmac_comp.machine.controller import backup as kept
+
+    try:
+        if backup is None:
+            kept.check_flash_status(axis.link)
+            return Finding(
+                "ok", "flash", "no error reported; --backup FILE compares values as well"
+            )
+        kept.check_flash(axis.link, kept.load_backup(backup))
+    except FlashSuspect as error:
+        return Finding("bad", "flash", f"{error.message} {error.hint}")
+    return Finding("ok", "flash", f"no error reported, motor variables as in {backup.name}")
 
 
 def _variables(axis: "Axis", bench: Bench) -> Iterator[Finding]:

@@ -57,7 +57,7 @@ def test_cells() -> None:
 
 
 def test_no_promise_makes_no_empty_table() -> None:
-    from pmac_comp.report.run import _promise_tables
+    from pmac_comp.report.verification import _promise_tables
 
     assert _promise_tables(()) == []
 
