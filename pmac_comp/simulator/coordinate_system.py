@@ -20,7 +20,7 @@ from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.hold_point import HoldPoint
 from pmac_comp.simulator.language.statements import Statement
 from pmac_comp.simulator.machine import Context
-from pmac_comp.simulator.memory import read_float48, write_float48
+from pmac_comp.simulator.memory import read_float48, read_long, write_float48
 from pmac_comp.simulator.motion_planner import LinearMove, Planner, Segments, join
 from pmac_comp.simulator.programs import Program
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
 
 _AXES = "ABCUVWXYZ"
+_ROTARY_AXES = "ABC"
 _CALCULATION_BUDGET = 50_000
 _AHEAD = 1  # moves that wait behind the executing one
 _MOST_TAG = 1 << 30
@@ -580,7 +581,10 @@ class CoordinateSystem:
         for letter, has_velocity in statement.data:
             value = next(values)
             start = self.targets.get(letter, 0.0)
-            targets[letter] = start + value if letter in self.modal.incremental else value
+            if letter in self.modal.incremental:
+                targets[letter] = start + value
+            else:
+                targets[letter] = start + self._rolled_over(letter, start, value)
             if has_velocity:
                 rates[letter] = next(values) / self._isx(90)
         self._calculation_time()
@@ -596,6 +600,27 @@ class CoordinateSystem:
             segments = self._linear(targets, tag)
         self.targets = targets
         self._accept(segments, tag)
+
+    def _rolled_over(self, letter: str, start: float, value: float) -> float:
+        """Distance of an absolute move; rotary axes A, B, C take Ixx27 into account (p. 108)."""
+        distance = value - start
+        motor = next((m for m, d in self.axes.items() if dict(d.terms).get(letter)), None)
+        if letter not in _ROTARY_AXES or motor is None:
+            return distance
+        memory, base = self.card.memory, r.motor_base(motor)
+        range_ct = int(read_long(memory.x, memory.y, base + r.M_IXX27))
+        if not range_ct:
+            return distance
+        scale = abs(dict(self.axes[motor].terms)[letter])
+        turn = abs(range_ct) / scale
+        if range_ct > 0:
+            return (distance + 0.5 * turn) % turn - 0.5 * turn
+        # The sign of the destination is the direction; what lies in the band is no move.
+        band = int(memory.x[base + r.M_IXX28_IXX12]) / 16.0 / scale
+        way = distance % turn
+        if min(way, turn - way) < band:
+            return 0.0
+        return way if value >= 0.0 else way - turn
 
     def _calculation_time(self) -> None:
         """I11: the first move after R, DWELL, PSET or WAIT starts that many ms later (p. 43)."""

@@ -260,6 +260,32 @@ def test_first_move_waits_for_its_calculation_time(card: Card, ask: Ask) -> None
     assert starts[0][2] == starts[200][2] == 1
 
 
+@pytest.mark.parametrize(
+    ("range_ct", "moves", "ends"),
+    [
+        # The manual's example (p. 109): 36 000 counts a turn, 100 a degree.
+        (36000, ["A270", "A0", "A190", "A350"], [-9000, 0, -17000, -1000]),
+        (-36000, ["A-90", "A90", "A0.05", "A-0.0001"], [-9000, 9000, 36000, 36000]),
+        (0, ["A270", "INC A-90"], [27000, 18000]),
+        (36000, ["A170", "INC A270"], [17000, 44000]),
+    ],
+)
+def test_rotary_axes_roll_over(
+    card: Card, ask: Ask, range_ct: int, moves: list[str], ends: list[float]
+) -> None:
+    ask("&1#1->100A")
+    ask(f"I127={range_ct} I116=1000 I117=1000 I113=0 I114=0 I111=0 I128=160")
+    ask("OPEN PROG 1 CLEAR")
+    for line in ("LINEAR ABS TA20 TS0 TM50", *(f"{move} DWELL10 P9=P9+1" for move in moves)):
+        assert ask(line) == "", line
+    ask("CLOSE #1J/ P9=0")
+    position = run(card, ask, 300 * len(moves))
+    rest = position[np.flatnonzero(np.diff(position) == 0.0)]
+    stops = [rest[0], *rest[1:][np.abs(np.diff(rest)) > 20]]
+    distinct = [e for before, e in pairwise([None, *ends]) if e != before]
+    assert stops == pytest.approx(distinct, abs=6)
+
+
 def test_program_start_errors(card: Card, ask: Ask) -> None:
     assert ask("&1R") == "ERR014"
     prepare(ask, "LINEAR INC TA20 TS0 TM500", "X5000")
