@@ -25,7 +25,7 @@ from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.dynamic_law import dynamic_law
+from pmac_comp.workflow.dynamic_law import dynamic_law, with_unmodelled
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -93,6 +93,7 @@ def compute_compensation(
     lead = static_map(bench, route, slow, law, limit) if slow else None
     backlash = lead is not None and has_backlash(lead)
     if route in MOTION_ROUTES:
+        law = with_unmodelled(bench, law, model, captures, lead)
         return _for_motion(bench, model, route, law, lead, motion, backlash=backlash)
     if captures:
         trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
@@ -106,6 +107,7 @@ def compute_compensation(
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit) if slow else None
         backlash = lead is not None and has_backlash(lead)
+        law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
 
 

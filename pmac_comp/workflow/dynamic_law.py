@@ -13,12 +13,15 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
+from pmac_comp.physics.compensate.unmodelled import unmodelled
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
+_EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 Progress = Callable[[str, float], None]
 
 
@@ -68,6 +71,28 @@ def dynamic_law(
     latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
     return replace(law, provenance={**law.provenance, "turn_explained": found.explained})
+
+
+def with_unmodelled(
+    bench: Bench,
+    law: CompensationLaw,
+    model: "DriveModel",
+    captures: Sequence[Capture],
+    lead: LeadMap | None,
+) -> CompensationLaw:
+    """The law with what the captures show beyond the model, which widens its promise."""
+    fine = _EXTENSION_STEPS if bench.encoder.extension == "1/T" else 1.0
+    rest = unmodelled(
+        law,
+        model_loop(model),
+        captures,
+        lead,
+        motor_step_m=bench.motor_resolution_m / fine,
+        table_step_m=bench.scale_resolution_m or 0.0,
+    )
+    if rest is None:
+        return law
+    return replace(law, provenance={**law.provenance, "unmodelled": rest.as_mapping()})
 
 
 def drive_delay_s(model: "DriveModel") -> float:

@@ -1,7 +1,7 @@
 """What the model promised for a run, and what the plant behind a simulated card really did."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import MotionPromise, promise
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.outcome import error_signals
@@ -24,19 +25,27 @@ def promised(
     """What the model promises for the commanded motion of a capture, mean taken out, um.
 
     None without a model or a compensation. The model promises for its own law: what captures
-    corrected beside it is not its word. A table promises nothing beyond the static part; a motion
-    with a known correction is promised with the command that was drawn.
+    corrected beside it is not its word, but what they showed beyond the model widens the promise.
+    A table promises nothing beyond the static part; a motion with a known correction is promised
+    with the command that was drawn.
     """
     if compensation is None or loop is None:
         return None
     motion = Trajectory(capture.time_s, capture.commanded_position_m)
     if compensation.route in MOTION_ROUTES:
-        return asdict(promise_drawn(loop, motion, capture.desired_m))
-    law = compensation.law if compensation.route in TORQUE_ROUTES else CompensationLaw()
-    trim = law.provenance.get("trim", {})
-    law = law.with_values(**{name: getattr(law, name) - change for name, change in trim.items()})
+        drawn = promise_drawn(loop, motion, capture.desired_m)
+        return widened(drawn, _rest_of(compensation.law))
+    on_card = compensation.route in TORQUE_ROUTES
+    law = model_law(compensation.law) if on_card else CompensationLaw()
     latency = LATENCY_CYCLES[compensation.route]
-    return asdict(promise(law, loop, motion, latency_cycles=latency))
+    own = promise(law, loop, motion, latency_cycles=latency)
+    return widened(own, _rest_of(compensation.law))
+
+
+def _rest_of(law: CompensationLaw) -> Unmodelled | None:
+    """What the captures showed beyond the model, as the compensation file keeps it."""
+    found = law.provenance.get("unmodelled")
+    return None if found is None else Unmodelled.from_mapping(found)
 
 
 def promise_drawn(loop: Any, motion: Trajectory, desired_m: FloatArray) -> MotionPromise:

@@ -52,12 +52,13 @@ def test_interval_covers_the_value_and_shrinks_with_runs() -> None:
 def test_promise_is_kept_or_missed() -> None:
     before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
     after = [run(correction_um=-3.0, e_um=3.3, control_um=1.0)]
-    promised = {"e_r_after_um": 0.3}
+    promised = {"e_r_after_um": 0.28, "e_r_after_upper_um": 0.3, "total_after_upper_um": 1.4}
     kept = outcome_of("a", before, after, promise=promised)
     assert kept.mechanical.value == pytest.approx(0.1, rel=0.02)
     assert kept.promise_kept(0.05) is True
-    missed = outcome_of("a", before, after, promise={"e_r_after_um": 0.02})
-    assert missed.promise_kept(0.02) is False
+    for name, most in (("e_r_after_upper_um", 0.02), ("total_after_upper_um", 0.5)):
+        missed = outcome_of("a", before, after, promise={**promised, name: most})
+        assert missed.promise_kept(0.02) is False
     assert outcome_of("a", before, after).promise_kept(0.05) is None
 
 

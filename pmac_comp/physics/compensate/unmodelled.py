@@ -1,0 +1,163 @@
+"""What a model and its law leave of measured errors: the part of a promise that no model makes.
+
+What lives here: the rest of the mechanical and of the total error of captures, after the model,
+the lead map and the torque per turn, and how it widens a promise. What may not: controllers.
+
+What a model does not hold goes through the loop the same way with compensation on as without: the
+rest of runs without compensation is what to expect in runs with it, on top of the model's word.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import LoopRunner, MotionPromise
+from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.lead import LeadMap
+
+# Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
+_BEYOND_WORST = 1.25
+_TURN = ("turn_friction_Nm", "ripple_Nm")
+
+
+@dataclass(frozen=True)
+class Unmodelled:
+    """Rest of captures in um rms: least, typical and largest of the runs.
+
+    Parameters
+    ----------
+    mechanical_um, total_um : tuple of three float
+        Of table minus motor and of table minus command, sensor noise taken out.
+    """
+
+    mechanical_um: tuple[float, float, float]
+    total_um: tuple[float, float, float]
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Sequence[float]]) -> "Unmodelled":
+        """From what ``as_mapping`` gave, read back from a file."""
+        low, mid, high = (float(v) for v in values["mechanical_um"])
+        least, typical, most = (float(v) for v in values["total_um"])
+        return cls((low, mid, high), (least, typical, most))
+
+    def as_mapping(self) -> dict[str, list[float]]:
+        """For a file."""
+        return {name: list(value) for name, value in asdict(self).items()}
+
+
+def unmodelled(
+    law: CompensationLaw,
+    loop: LoopRunner,
+    captures: Sequence[Capture],
+    lead: LeadMap | None,
+    *,
+    motor_step_m: float,
+    table_step_m: float,
+) -> Unmodelled | None:
+    """What a model with its law leaves of captures; None without captures at the table.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        With its torque per turn, and with ``trim`` in its provenance where captures moved it.
+    loop : LoopRunner
+        Closed loop of the model.
+    captures : sequence of Capture
+        Runs without compensation.
+    lead : LeadMap or None
+        Static error.
+    motor_step_m, table_step_m : float
+        Steps of encoder and scale.
+    """
+    rests = [_rests(law, loop, c, lead) for c in captures if c.table_position_m is not None]
+    if not rests:
+        return None
+    scale_um = table_step_m / math.sqrt(12.0) * UM_PER_M
+    both_um = math.hypot(motor_step_m, table_step_m) / math.sqrt(12.0) * UM_PER_M
+    return Unmodelled(
+        _three([mechanical for mechanical, _ in rests], both_um),
+        _three([total for _, total in rests], scale_um),
+    )
+
+
+def _three(values_um: Sequence[float], floor_um: float) -> tuple[float, float, float]:
+    clean = np.sqrt(np.maximum(np.square(values_um) - floor_um**2, 0.0))
+    typical = float(np.sqrt(np.mean(clean**2)))
+    return float(clean.min()), typical, _BEYOND_WORST * float(clean.max())
+
+
+def _rests(
+    law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None
+) -> tuple[float, float]:
+    """Standard deviations in um of what is left of the mechanical and the total error."""
+    r, period = capture.commanded_position_m, capture.sample_period_s
+    per_turn = evaluate_law(_only_turn(law), r, period).torque_Nm
+    signals = loop(r, None, -per_turn)
+    table = capture.table_position_m if capture.table_position_m is not None else r
+    static = 0.0 if lead is None else lead.at(r)
+    mechanical = table - capture.motor_position_m - static
+    mechanical = mechanical - (signals.table_position_m - signals.motor_position_m)
+    own = model_law(law)
+    if own != law:
+        moved = evaluate_law(law.without_torque(), r, period).correction_m
+        mechanical = mechanical + moved - evaluate_law(own.without_torque(), r, period).correction_m
+    total = table - static - signals.table_position_m
+    use = capture.mask
+    return _std_um(mechanical[use]), _std_um(total[use])
+
+
+def _std_um(values: FloatArray) -> float:
+    return float(np.std(values) * UM_PER_M)
+
+
+def _only_turn(law: CompensationLaw) -> CompensationLaw:
+    """The torque per turn alone."""
+    others = dict.fromkeys((name for name in TORQUE_NAMES if name not in _TURN), 0.0)
+    return law.with_values(**others)
+
+
+def model_law(law: CompensationLaw) -> CompensationLaw:
+    """The law as the model alone gives it: without what captures added to it."""
+    trim = law.provenance.get("trim", {})
+    own = {name: getattr(law, name) - change for name, change in trim.items()}
+    return law.with_values(**{**own, **dict.fromkeys(_TURN, 0.0)})
+
+
+def widened(
+    promise: MotionPromise, rest: Unmodelled | None, *, static_um: float = 0.0
+) -> dict[str, float]:
+    """A promise with its interval: what the model expects, and what it does not hold beside it.
+
+    Parameters
+    ----------
+    promise : MotionPromise
+        Of the model.
+    rest : Unmodelled or None
+        What captures showed beyond the model; None leaves the promise as it is.
+    static_um : float
+        Rounding and noise of the tables.
+
+    Returns
+    -------
+    dict
+        Fields of the promise with ``e_r_after`` and ``total_after`` widened by the typical rest,
+        their bounds as ``..._lower_um`` and ``..._upper_um``, and the model's own word as
+        ``model_..._um``.
+    """
+    out = asdict(promise)
+    parts = (
+        ("e_r_after", (0.0, 0.0, 0.0) if rest is None else rest.mechanical_um),
+        ("total_after", (0.0, 0.0, 0.0) if rest is None else rest.total_um),
+    )
+    for name, (least, typical, most) in parts:
+        own = float(out[f"{name}_um"])
+        out[f"model_{name}_um"] = own
+        out[f"{name}_um"] = math.hypot(own, typical, static_um)
+        out[f"{name}_lower_um"] = math.hypot(own, least)
+        out[f"{name}_upper_um"] = math.hypot(own, most, static_um)
+    return out
