@@ -128,7 +128,8 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             upload.prepare()
             parts.append(upload.execute())
     if compensation.route == "law":
-        notes += law_install.install_law(axis.link, context, axis.motor)
+        every = compensation.law.every_cycles
+        notes += law_install.install_law(axis.link, context, axis.motor, every_cycles=every)
         notes += _checked_sign(axis, context)
     if compensation.route == "servo":
         law_install.require_open_servo(axis.link, context, axis.motor)

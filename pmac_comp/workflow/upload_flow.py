@@ -11,6 +11,7 @@ from typing import Any
 
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
     release_time_motor,
@@ -45,10 +46,8 @@ def upload_file(
     with _ready(url, bench, journal, progress) as (axis, context):
         deployment = deploy(axis, compensation, context)
         if persist:
-            from pmac_comp.machine.controller.persist import save
-
             axis.kill()
-            save(axis.link)
+            save_checked(axis.link, context)
     return {
         **deployment.as_result(),
         "summary": "; ".join(deployment.notes) or "uploaded, read back and compared",

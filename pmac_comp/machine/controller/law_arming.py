@@ -8,6 +8,7 @@ from pmac_comp.machine.controller.law_state import (
     GAIN_TOLERANCE,
     LawForm,
     LawHead,
+    degree_refusals,
     is_running,
     read_bank,
     read_law_head,
@@ -15,6 +16,7 @@ from pmac_comp.machine.controller.law_state import (
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motor
 from pmac_comp.machine.controller.numbers import parse_integer, plain
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.variables import write_many
 
 
@@ -41,6 +43,7 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
             hint="Upload a law first.",
             left=ControllerState.DISABLED,
         )
+    raise_all(degree_refusals(link), "Arming")
     if not read_motor(link, head.motor).status.is_closed_loop:
         raise MotorNotSafe(
             f"Motor #{head.motor} is not in closed loop.",

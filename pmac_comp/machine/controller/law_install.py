@@ -30,6 +30,7 @@ from pmac_comp.machine.controller.law_state import (
     GAIN_TOLERANCE,
     LawForm,
     LawHead,
+    degree_refusals,
     is_running,
     read_law_head,
 )
@@ -75,12 +76,28 @@ def definitions(motor: int) -> dict[int, str]:
 
 
 def install_law(
-    link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
+    link: Link,
+    context: Context,
+    motor: int,
+    *,
+    ramp_s: float = DEFAULT_RAMP_s,
+    every_cycles: int = 1,
 ) -> tuple[str, ...]:
     """Put law and guard on the controller, switched off, and prove that they run.
 
     Following of the master word is set up with the word at zero, so nothing moves. Does nothing
     to what is there already; a failure takes back what was done.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and limits.
+    motor : int
+        Motor of the law.
+    ramp_s : float
+        Time in which the gain rises.
+    every_cycles : int
+        Servo cycles between two passes of PLC 0, written to I8 (p. 42).
 
     Returns
     -------
@@ -97,7 +114,7 @@ def install_law(
     """
     with untouched():
         head = read_law_head(link, context.block)
-        goal, done = _missing(link, context, motor, head, ramp_s)
+        goal, done = _missing(link, context, motor, head, ramp_s, every_cycles)
         if goal.is_empty and is_running(link, context.block, context.servo_period_s) is LawForm.PLC:
             return done
         refusals = _refusals(link, motor, head, goal)
@@ -109,14 +126,16 @@ def install_law(
 
 
 def _missing(
-    link: Link, context: Context, motor: int, head: LawHead, ramp_s: float
+    link: Link, context: Context, motor: int, head: LawHead, ramp_s: float, every_cycles: int
 ) -> tuple[Settings, tuple[str, ...]]:
     """Settings that are not there yet, and what putting them there is called."""
     block = context.block
     law, guard = law_program(block, motor), guard_program(block)
-    following = _following(motor)
-    found = read_settings(link, Settings(following, definitions(motor), {LAW: (), GUARD: ()}))
+    following, pace = _following(motor), {"I8": str(every_cycles - 1)}
+    asked = Settings({**following, **pace}, definitions(motor), {LAW: (), GUARD: ()})
+    found = read_settings(link, asked)
     whole = programs.canonical(found.programs[LAW]) == law.tokens and head.motor == motor
+    paced = parse_integer(found.variables["I8"]) == every_cycles - 1
     follows = all(same_value(float(parse_integer(found.variables[k])), float(parse_integer(v)))
                   for k, v in following.items())  # fmt: skip
     guarded = programs.canonical(found.programs[GUARD]) == guard.tokens and 1 in found.running
@@ -127,7 +146,7 @@ def _missing(
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
     variables = {} if whole else _head_values(link, context, motor, ramp_s)
     goal = Settings(
-        {**variables, **({} if follows else following)},
+        {**variables, **({} if paced else pace), **({} if follows else following)},
         {} if whole else definitions(motor),
         programs_missing,
         running=frozenset(number for _, number in programs_missing),
@@ -135,6 +154,7 @@ def _missing(
     notes = (
         "PLC 0 is on the card already" if whole else "PLC 0 was written and listed back",
         "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
+        "" if paced else f"PLC 0 runs every {every_cycles} servo cycles (I8 = {every_cycles - 1})",
         "" if guarded else "the guard (PLC 1) was written and listed back",
     )
     return goal, tuple(note for note in notes if note)
@@ -150,7 +170,7 @@ def _following(motor: int) -> dict[str, str]:
 
 
 def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
-    found: list[SafetyRefusal] = []
+    found: list[SafetyRefusal] = degree_refusals(link)
     if int(read_many(link, [f"I{motor}59"])[f"I{motor}59"]) & 1:
         found.append(
             MotorNotSafe(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from pmac_comp.base.errors import VerifyMismatch
+from pmac_comp.base.errors import SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller.law_bank import (
     BANK_SIZE,
     SIGNATURE_PLC,
@@ -15,7 +15,7 @@ from pmac_comp.machine.controller.law_bank import (
     WorkIndex,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.variables import read_range
+from pmac_comp.machine.controller.variables import read_many, read_range
 
 SIGN_OF_LIFE_CYCLES: Final = 400
 GAIN_TOLERANCE: Final = 1e-6
@@ -127,3 +127,16 @@ def is_running(link: Link, block: LawBlock, servo_period_s: float) -> LawForm:
     link.command(f"P{block.p(Index.SIGNATURE)}=0")
     link.clock.sleep_s(SIGN_OF_LIFE_CYCLES * servo_period_s)
     return read_law_head(link, block).form
+
+
+def degree_refusals(link: Link) -> list[SafetyRefusal]:
+    """Refusal while I15 = 1: the law takes sines of degrees, in radians they would be others."""
+    if int(read_many(link, ["I15"])["I15"]) == 0:
+        return []
+    return [
+        SafetyRefusal(
+            "I15 = 1: sines are taken in radians on this card, the law is in degrees.",
+            code="PC-LAW-036",
+            hint="Ask who needs radians here; if nobody does, set I15 = 0.",
+        )
+    ]

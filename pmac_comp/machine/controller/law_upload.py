@@ -26,7 +26,13 @@ from pmac_comp.machine.controller.law_bank import (
     LawBlock,
     LawParameters,
 )
-from pmac_comp.machine.controller.law_state import LawForm, LawHead, read_bank, read_law_head
+from pmac_comp.machine.controller.law_state import (
+    LawForm,
+    LawHead,
+    degree_refusals,
+    read_bank,
+    read_law_head,
+)
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.safety import check_law, raise_all
@@ -137,7 +143,7 @@ def _refusals(
     clamp_ct: float,
 ) -> list[SafetyRefusal]:
     refusals: list[SafetyRefusal] = check_law(new, clamp_ct, context.limits)
-    refusals += lease_refusals(link, context)
+    refusals += [*lease_refusals(link, context), *degree_refusals(link)]
     if head.motor:
         refusals += motion_refusals(link, [head.motor])
     if not same_value(clamp_ct, head.clamp_ct) and head.is_armed:

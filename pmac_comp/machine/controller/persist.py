@@ -1,13 +1,91 @@
 """SAVE, on demand only, with all motors killed, and everything read again afterwards."""
 
+from dataclasses import dataclass
 from typing import Final
 
-from pmac_comp.base.errors import MotorNotSafe
+from pmac_comp.base.errors import FlashSuspect, MotorNotSafe, VerifyMismatch
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_install import GUARD, LAW
+from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.settings import Buffer, Settings, read_settings
+from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.wire.numbers import read_number
 
 SAVE_TIMEOUT_s: Final = 15.0
+FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What of ours is in memory, as checksums.
+
+    Parameters
+    ----------
+    tables, law, programs : int
+        CRC-32 of all tables, of the bank in use and of the programs; 0 for none.
+    enabled : int
+        I51.
+    """
+
+    tables: int
+    law: int
+    programs: int
+    enabled: int
+
+
+def read_saved(link: Link, block: LawBlock, buffers: tuple[Buffer, ...] = ()) -> Saved:
+    """Checksums of what a SAVE takes into the flash; law and guard PLC always count."""
+    head = read_law_head(link, block)
+    law = read_bank(link, block, head.bank)
+    wanted = Settings(programs=dict.fromkeys((LAW, GUARD, *buffers), ()))
+    return Saved(
+        tables=read_tables(link).crc,
+        law=0 if law is None else law.digest,
+        programs=read_settings(link, wanted).crc,
+        enabled=int(read_number(link.query("I51")[0])),
+    )
+
+
+def persist(link: Link, context: Context, buffers: tuple[Buffer, ...] = ()) -> Saved:
+    """SAVE everything and see that it is still there and that the flash reports no error.
+
+    Only a reset proves what the flash holds; that is left to a person.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and block.
+    buffers : tuple of (ProgramKind, int), optional
+        Programs to compare besides the law and the guard.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor is enabled.
+    VerifyMismatch
+        Something else stands in memory after SAVE.
+    FlashSuspect
+        The card reports a flash or checksum error.
+    """
+    before = read_saved(link, context.block, buffers)
+    save(link)
+    if int(link.query("???")[0].strip()[:6], 16) & FLASH_FAULTS:
+        raise FlashSuspect(
+            "The controller reports a flash error after SAVE.",
+            code="PC-UPL-015",
+            hint="Save again; if it stays, the flash is worn: keep a backup at hand.",
+        )
+    after = read_saved(link, context.block, buffers)
+    if before != after:
+        raise VerifyMismatch(
+            f"After SAVE the controller holds something else: {after} instead of {before}.",
+            code="PC-UPL-009",
+            hint="Find out who writes to this controller, upload again and save again.",
+        )
+    return after
 
 
 def save(link: Link) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import AmplitudeExceeded, MotorNotSafe, SafetyRefusal, SlopeExceeded
-from pmac_comp.machine.controller.comp_table import CompTable, Table
+from pmac_comp.machine.controller.comp_table import CompTable, Table, TorqueTable
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 
 
@@ -73,7 +73,7 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
 
     Each refusal names the position and the value.
     """
-    if not isinstance(table, CompTable):
+    if isinstance(table, TorqueTable):
         return _check_span(table, limits)
     refusals: list[SafetyRefusal] = []
     values_ct = np.array([table.entries[-1] if table.wrap else 0, *table.entries]) / 16.0
