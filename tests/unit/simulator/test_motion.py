@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pmac_comp.files.bench import Bench
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.memory import read_long
 
@@ -384,23 +383,3 @@ def test_position_rename_and_pmatch(card: Card, ask: Ask) -> None:
     ask("#1K")
     assert ask("Z") == ""
     assert float(ask("#1P")) == pytest.approx(0, abs=2)
-
-
-def test_chunking_does_not_change_anything(bench: Bench) -> None:
-    def final(chunks: list[int]) -> tuple[bytes, bytes]:
-        card = Card(bench)
-        port = card.port()
-        for line in (
-            "&1#1->X", "OPEN PROG 1 CLEAR", "LINEAR INC TA50 TS10 F20000", "X1000 DWELL20",
-            "WHILE(P1<5)", "X-200", "P1=P1+1", "ENDWHILE", "CLOSE",
-            "OPEN PLC 3 CLEAR", "P50=P50+1", "P51=M161", "CLOSE", "I5=2 P1=0", "ENABLE PLC 3",
-            "#1J/",
-        ):  # fmt: skip
-            port.line(line)
-        card.run_cycles(25)
-        port.line("&1B1R")
-        for chunk in chunks:
-            card.run_cycles(chunk)
-        return card.memory.x.tobytes(), card.memory.y.tobytes()
-
-    assert final([2000]) == final([1, 7, 92, 400, 3, 497, 1000]) == final([2] * 1000)
