@@ -15,6 +15,7 @@ import contextlib
 import json
 import os
 import signal
+import sys
 import threading
 import time
 import tty
@@ -41,7 +42,24 @@ _LONGEST_LAG_s = 0.25
 _IDLE_s = 0.0002  # between two looks at what the host grants
 _PTY_READ = 4096
 
+_TOLD_LAG_s = 1.0  # time that slipped before a person is told
+_MOST_NOTICES = 100
+
 Session = EthernetSession | AsciiSession
+
+
+def _to_stderr(text: str) -> None:
+    print(f"pmac-comp sim: {text}", file=sys.stderr, flush=True)
+
+
+def _too_slow(factor: float, lost: int, start: int, now: int) -> str:
+    """What is said when time falls behind; `start` has been moved by the lost cycles."""
+    done = now - start - lost
+    share = done / (done + lost)
+    return (
+        f"simulated time falls behind: {share * factor:.2g} of real time instead of {factor:g}. "
+        "A plant written in Python may take longer than a servo period; see tools/bench simulator."
+    )
 
 
 class HostPace:
@@ -173,6 +191,8 @@ class _StreamClient(asyncio.Protocol):
                 return
         transport.resume_reading()
         if self.session.closed:
+            if isinstance(self.session, EthernetSession) and self.session.reason:
+                self.server.tell(f"a client's connection was closed: {self.session.reason}")
             transport.close()
         self._watch_half_request()
 
@@ -290,13 +310,17 @@ class SimulatorServer:
         The card.
     options : ServeOptions
         What to serve.
+    notice : callable
+        Receives what a person at the server should know, a line at a time.
     """
 
     card: Card
     options: ServeOptions
     clients: set[_StreamClient] = field(default_factory=set)
     endpoints: dict[str, str] = field(default_factory=dict)
+    notice: Callable[[str], None] = _to_stderr
     _chunk_cycles: int = field(default=_MAX_CHUNK_CYCLES, init=False)
+    _notices: int = field(default=0, init=False)
 
     async def run(self, ready: Callable[[dict[str, str]], None], stop: asyncio.Event) -> None:
         """Serve until `stop` is set; `ready` is called with the endpoints once they listen."""
@@ -399,6 +423,7 @@ class SimulatorServer:
         loop = asyncio.get_running_loop()
         period_s = self.card.bench.servo_period_s / factor
         start_s, start_cycles = loop.time(), self.card.cycles
+        lost = 0
         while True:
             due = int((loop.time() - start_s) / period_s)
             behind = due - (self.card.cycles - start_cycles)
@@ -407,6 +432,9 @@ class SimulatorServer:
                 slipped = behind - int(_LONGEST_LAG_s / period_s)
                 start_cycles -= slipped
                 behind -= slipped
+                if lost * period_s < _TOLD_LAG_s <= (lost + slipped) * period_s:
+                    self.tell(_too_slow(factor, lost + slipped, start_cycles, self.card.cycles))
+                lost += slipped
             if factor > 1.0 and behind > (allowed := self._allowed()):
                 start_cycles -= behind - allowed
                 behind = allowed
@@ -414,6 +442,12 @@ class SimulatorServer:
                 self._run_chunk(behind)
             self._announce()
             await asyncio.sleep(0 if behind > self._chunk_cycles else _TICK_s)
+
+    def tell(self, text: str) -> None:
+        """Tell the person at the server; what comes too often is told no more."""
+        self._notices += 1
+        if self._notices <= _MOST_NOTICES:
+            self.notice(text)
 
     def _allowed(self) -> int:
         """Cycles that a host which empties the gather ring can follow."""

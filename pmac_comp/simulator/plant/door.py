@@ -7,17 +7,33 @@ Python is executed only from a path that a person typed. Imports ``files`` and `
 import importlib.util
 import math
 import sys
+import traceback
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError, NonFinite
+from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import Bench
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 
 _DEFAULT_FACTORY = "make_plant"
+_TRIAL_STEPS = 3
+# What code of a user's own raises when it is wrong.
+_USER_ERRORS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
 
 
 @runtime_checkable
@@ -58,7 +74,10 @@ class GuardedPlant:
 
     def reset(self, table_position_m: float = 0.0) -> None:
         """Put the drive at rest; it reads the motor angle that belongs to the position."""
-        self.plant.reset(table_position_m)
+        try:
+            self.plant.reset(table_position_m)
+        except _USER_ERRORS as error:
+            raise self._failed("reset", error) from error
         self._reading = (table_position_m / self._lead, table_position_m)
         self._cycle = 0
 
@@ -67,9 +86,21 @@ class GuardedPlant:
         return self._reading
 
     def step(self, torque_command_Nm: float) -> tuple[float, float]:
-        """One servo period; raises NonFinite for values that are not finite numbers."""
-        angle, table = (float(value) for value in self.plant.step(torque_command_Nm))
+        """One servo period.
+
+        Raises
+        ------
+        ModelError
+            The user's code failed, or did not return two numbers.
+        NonFinite
+            They are not finite.
+        """
         self._cycle += 1
+        try:
+            result = self.plant.step(torque_command_Nm)
+        except _USER_ERRORS as error:
+            raise self._failed("step", error) from error
+        angle, table = self._pair(result)
         if not (math.isfinite(angle) and math.isfinite(table)):
             raise NonFinite(
                 f"{self._name} returned ({angle}, {table}) in servo cycle {self._cycle}.",
@@ -86,8 +117,35 @@ class GuardedPlant:
     def set_external_force(self, force_N: float) -> None:
         """Force on the table in N, if the user's plant takes one."""
         push = getattr(self.plant, "set_external_force", None)
-        if push is not None:
+        if push is None:
+            return
+        try:
             push(force_N)
+        except _USER_ERRORS as error:
+            raise self._failed("set_external_force", error) from error
+
+    def _pair(self, result: object) -> tuple[float, float]:
+        """Motor angle and table position out of whatever ``step`` returned."""
+        if isinstance(result, tuple | list | np.ndarray) and len(result) == len(self._reading):
+            try:
+                if all(np.ndim(value) == 0 for value in result):
+                    return float(result[0]), float(result[1])
+            except (TypeError, ValueError):
+                pass
+        raise ModelError(
+            f"{self._name}: step returned {_shown(result)} in servo cycle {self._cycle}.",
+            code="PC-PLT-016",
+            hint="It returns two numbers: motor angle in rad and table position in m.",
+        )
+
+    def _failed(self, what: str, error: BaseException) -> ModelError:
+        line = _line_of(error, self._name)
+        return ModelError(
+            f"{self._name}: {what} failed in servo cycle {self._cycle}{line}: "
+            f"{type(error).__name__}: {error}.",
+            code="PC-PLT-015",
+            hint="The plant file is the user's own; run it with Python by itself first.",
+        )
 
     def record(self, n_cycles: int) -> None:
         """Start a ring of the values before quantisation; 0 stops it."""
@@ -117,7 +175,9 @@ def load_plant(text: str, bench: Bench) -> Plant:
     Raises
     ------
     ConfigError
-        No such file, no such factory, it fails to import, or its result is not a plant.
+        No such file, no such factory, it fails to import or to run, or its result is not a plant.
+    ModelError, NonFinite
+        The plant fails in a trial of a few servo periods without torque.
 
     Returns
     -------
@@ -133,17 +193,46 @@ def load_plant(text: str, bench: Bench) -> Plant:
             code="PC-PLT-012",
             hint="Define make_plant(bench), or name the factory: FILE:FACTORY.",
         )
-    plant = factory(bench)
+    try:
+        plant = factory(bench)
+    except _USER_ERRORS as error:
+        raise ConfigError(
+            f"{factory_name} of {path} failed{_line_of(error, path.name)}: "
+            f"{type(error).__name__}: {error}.",
+            code="PC-PLT-015",
+            hint="It is called with the loaded bench file, see `pmac_comp.files.bench.Bench`.",
+        ) from error
     if not isinstance(plant, Plant):
         raise ConfigError(
             f"{factory_name} of {path} returned {type(plant).__name__}, which is not a plant.",
             code="PC-PLT-013",
             hint="It needs reset(table_position_m=0.0) and step(torque_command_Nm).",
         )
-    plant.reset()
-    if isinstance(plant, BallscrewPlant):
+    # A class of the user's own that inherits from the drive keeps its own step.
+    if type(plant) is BallscrewPlant:
+        plant.reset()
         return plant
-    return GuardedPlant(plant, bench.lead_m_per_rad, path.name)
+    guarded = GuardedPlant(plant, bench.lead_m_per_rad, path.name)
+    guarded.reset()
+    for _ in range(_TRIAL_STEPS):
+        guarded.step(0.0)
+    guarded.reset()
+    return guarded
+
+
+def _shown(result: object) -> str:
+    text = repr(result)
+    return text if len(text) < 80 else f"{type(result).__name__} {text[:60]}..."
+
+
+def _line_of(error: BaseException, name: str) -> str:
+    """Where in the user's file an error came from, as `` (line 12)``, empty if not known."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).name == name
+    ]
+    return f" (line {lines[-1]})" if lines else ""
 
 
 def _split(text: str) -> tuple[Path, str]:
@@ -170,7 +259,7 @@ def _module_from(path: Path) -> object:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except (ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError) as error:
+    except _USER_ERRORS as error:
         del sys.modules[name]
         raise ConfigError(
             f"The plant file {path} cannot be loaded: {error}.",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError, NonFinite
+from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.closed_loop import run_closed_loop
@@ -74,6 +74,80 @@ def test_files_that_do_not_load_are_refused(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         load_plant(str(path), BENCH)
     assert caught.value.code == "PC-PLT-011"
+
+
+WRONG = """
+class Axis:
+    def reset(self, table_position_m=0.0):
+        {reset}
+
+    def step(self, torque_command_Nm):
+        {step}
+
+
+def make_plant(bench):
+    {make}
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "words"),
+    [
+        ({"make": "return bench.screw.lenght_mm"}, "015", ["line 11", "lenght_mm"]),
+        ({"reset": "self.x = 1 / 0"}, "015", ["reset", "line 4", "ZeroDivisionError"]),
+        ({"step": "return self.speed, 0.0"}, "015", ["step", "servo cycle 1", "line 7"]),
+        ({"step": "return 1.0"}, "016", ["returned 1.0"]),
+        ({"step": "return 1.0, 2.0, 3.0"}, "016", ["(1.0, 2.0, 3.0)"]),
+        ({"step": "return [[0.0, 1.0], [0.0, 1.0]]"}, "016", ["step returned"]),
+        ({"step": "return 'far', 'away'"}, "016", ["far"]),
+        ({"step": "return None"}, "016", ["None"]),
+        ({"step": "return float('nan'), 0.0"}, "014", ["servo cycle 1"]),
+        ({"step": "return 0.0, float('inf')"}, "014", ["servo cycle 1"]),
+    ],
+)
+def test_wrong_plants_are_told_before_the_card_starts(tmp_path, body, code, words):
+    parts = {"reset": "pass", "step": "return 0.0, 0.0", "make": "return Axis()", **body}
+    path = tmp_path / "axis.py"
+    path.write_text(WRONG.format(**parts))
+    with pytest.raises((ConfigError, ModelError, NonFinite)) as caught:
+        load_plant(str(path), BENCH)
+    assert caught.value.code == f"PC-PLT-{code}"
+    assert caught.value.hint
+    for word in ("axis.py", *words):
+        assert word in str(caught.value)
+
+
+def test_plant_that_fails_later_stops_the_server_with_its_cycle(tmp_path):
+    path = tmp_path / "axis.py"
+    path.write_text(
+        WRONG.format(
+            reset="self.k = 0",
+            step="self.k += 1; return (0.0, 0.0) if self.k < 50 else 1 / 0",
+            make="return Axis()",
+        )
+    )
+    card = Card(BENCH, plant=load_plant(str(path), BENCH))
+    card.run_cycles(49)
+    with pytest.raises(ModelError, match=r"axis\.py: step failed in servo cycle 50"):
+        card.run_cycles(1)
+
+
+def test_step_of_a_class_that_inherits_from_the_drive_is_the_users(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from pmac_comp.simulator.plant import BallscrewPlant, make_plant as base\n"
+        "class Mine(BallscrewPlant):\n"
+        "    def step(self, torque):\n"
+        "        angle, table = super().step(torque)\n"
+        "        return angle, table + 1e-3\n"
+        "def make_plant(bench):\n"
+        "    one = base(bench)\n"
+        "    one.__class__ = Mine\n"
+        "    return one\n"
+    )
+    plant = load_plant(str(path), BENCH)
+    assert isinstance(plant, GuardedPlant)
+    assert plant.step(0.0)[1] == pytest.approx(1e-3, abs=1e-5)
 
 
 def test_own_drive_from_a_user_file_stays_compiled(tmp_path):
