@@ -125,7 +125,7 @@ def _flash(axis: "Axis", backup: Path | None) -> Finding:
         if backup is None:
             kept.check_flash_status(axis.link)
             return Finding(
-                "ok", "flash", "no error reported; --backup FILE compares values as well"
+                "ok", "flash", "no error reported; --backup FILE compares values too"
             )
         kept.check_flash(axis.link, kept.load_backup(backup))
     except FlashSuspect as error:

@@ -1,0 +1,152 @@
+"""The direction-dependent part: worth a table or not, on the card, through the servo, and back."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import NotIdentifiable, SafetyRefusal
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller.comp_table import TableKind
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.backlash import backlash_table, forward_part, has_backlash
+from pmac_comp.workflow.compensation_file import (
+    Compensation,
+    read_compensation,
+    write_compensation,
+)
+from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
+from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.static_map import Limit, covered_m, static_map
+
+BENCH = load_bench("paper")
+X = np.arange(-0.3, 0.3005, 1e-3)
+LEAD = LeadMap(X, 35e-6 * X, -6e-6 - 10e-6 * X, 0.05e-6)
+COMPENSATION = Compensation("table", CompensationLaw(), LEAD, backlash=True)
+
+
+@pytest.fixture
+def axis() -> Iterator[Axis]:
+    with embedded(make_card(BENCH)) as link:
+        found = Axis(link, BENCH, "test")
+        found.set_up()
+        found.enable()
+        yield found
+
+
+def test_only_a_difference_above_noise_and_size_is_worth_a_table() -> None:
+    assert has_backlash(LEAD)
+    assert not has_backlash(replace(LEAD, noise_m=3e-6))
+    assert not has_backlash(replace(LEAD, reversal_m=0.01 * LEAD.reversal_m))
+
+
+def test_the_tables_together_take_both_directions_away() -> None:
+    table = COMPENSATION.table(BENCH)
+    back = COMPENSATION.backlash_table(BENCH)
+    assert table is not None
+    assert back is not None
+    assert back.quantisation_um <= 0.5 / 16 + 1e-9
+    counts = X[10:-10] / BENCH.motor_resolution_m
+    up = table.table.correction_ct(counts)
+    down = up - back.table.backlash_ct(counts)
+    to_um = BENCH.motor_resolution_m * 1e6
+    inside = slice(10, -10)
+    forward = (LEAD.error_m + 0.5 * LEAD.reversal_m)[inside] * 1e6
+    backward = (LEAD.error_m - 0.5 * LEAD.reversal_m)[inside] * 1e6
+    left_up, left_down = forward + up * to_um, backward + down * to_um
+    # One constant is free: the correction at position zero is zero by the card's rule.
+    assert np.ptp(left_up) < 0.15
+    assert np.ptp(left_down) < 0.15
+    assert np.max(np.abs(left_up - left_down)) < 0.15
+    mean = COMPENSATION.table_correction(BENCH)
+    assert mean is not None
+    assert np.ptp(LEAD.error_m[inside] + mean(X[inside])) < 0.15e-6
+
+
+def test_forward_part_and_file_keep_what_was_measured(tmp_path: Path) -> None:
+    write_compensation(tmp_path / "c.json", COMPENSATION)
+    assert read_compensation(tmp_path / "c.json").backlash
+    assert np.allclose(forward_part(LEAD).error_m - LEAD.error_m, 0.5 * LEAD.reversal_m)
+    assert backlash_table(LEAD, BENCH).table.wrap
+
+
+def test_the_servo_gets_both_directions_and_rollback_takes_all_away(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = read_many(axis.link, ["I185", "I186", "I187"])
+    deploy(axis, COMPENSATION, context_of(axis, tmp_path))
+    kinds = [table.kind for table in read_tables(axis.link)]
+    assert kinds == [TableKind.COMP, TableKind.BLCOMP]
+    assert read_many(axis.link, ["I185"])["I185"] > 0.0
+    capture = axis.run(parse_motion("triangle:amplitude_mm=10,speed_mm_per_s=40", BENCH))
+    correction = (capture.desired_m - capture.commanded_position_m) * 1e6
+    speed = np.gradient(capture.commanded_position_m, capture.sample_period_s)
+    near = np.abs(capture.commanded_position_m) < 2e-3
+    up = float(np.mean(correction[near & (speed > 0.03)]))
+    down = float(np.mean(correction[near & (speed < -0.03)]))
+    # The backward direction gets the difference of both errors more: 6 um at zero, sign kept.
+    assert down - up == pytest.approx(-6.0, abs=0.2)
+
+    class Opened:
+        def __enter__(self) -> Axis:
+            return axis
+
+        def __exit__(self, *_failure: object) -> None:
+            pass
+
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    assert upload_flow.rollback_upload("sim://", "paper", tmp_path)["verdict"] == "OLD"
+    assert len(read_tables(axis.link)) == 0
+    assert read_many(axis.link, list(before)) == before
+
+
+def test_a_law_that_acts_forbids_what_would_correct_friction_twice(
+    axis: Axis, tmp_path: Path
+) -> None:
+    context = context_of(axis, tmp_path)
+    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0)
+    deploy(axis, Compensation("law", law), context)
+    (refusal,) = double_corrections(axis, context, COMPENSATION)
+    assert refusal.code == "PC-DEP-060"
+    with pytest.raises(SafetyRefusal):
+        deploy(axis, COMPENSATION, context)
+    assert len(read_tables(axis.link)) == 0
+
+
+def slow_run(reach_m: float) -> Capture:
+    """Triangle over plus and minus a reach, with the lead error of LEAD and 3 um of backlash."""
+    period = BENCH.servo_period_s
+    n = int(4.0 * reach_m / 0.02 / period)
+    position = reach_m * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * np.arange(n) / n))
+    side = np.sign(np.gradient(position))
+    table = position + 35e-6 * position - 1.5e-6 * side
+    return Capture(
+        time_s=period * np.arange(n),
+        commanded_position_m=position,
+        motor_position_m=position.copy(),
+        table_position_m=table,
+    )
+
+
+def test_slow_runs_of_a_part_of_the_travel_are_refused_or_said() -> None:
+    law, run = CompensationLaw(), slow_run(2e-3)
+    with pytest.raises(NotIdentifiable, match="cover -1"):
+        static_map(BENCH, "table", [run], law, Limit.REFUSE)
+    lead = static_map(BENCH, "table", [run], law, Limit.CLIP)
+    covered = covered_m(BENCH, lead)
+    assert covered is not None
+    assert covered[1] < 0.02
+    # Beyond what was measured the correction is gone after the fade.
+    assert np.max(np.abs(lead.at(np.array([-0.2, 0.05, 0.29])))) < 1e-12
+    assert (
+        covered_m(BENCH, static_map(BENCH, "table", [slow_run(0.2995)], law, Limit.REFUSE)) is None
+    )
