@@ -77,18 +77,33 @@ def identify(
 def predict(
     bench: BenchOption,
     model: Annotated[Path, typer.Option("--model", "-m", help="Model file")],
-    command: Annotated[Path, typer.Option("--command", "-c", help="CSV with the command")],
+    command: Annotated[
+        Path, typer.Option("--command", "-c", help="Command as CSV, or a capture (.csv .h5 .mat)")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write")],
     effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
-    """Predict motor and table position and torque for a command from rest."""
+    """Predict motor and table position and torque for a command from rest.
+
+    The command is a CSV file with time_s,commanded_position_mm or any capture, whose corrected
+    command and load are used where it holds them. The answer has the columns of a capture at the
+    times of the command; a command on another grid than the servo's is interpolated.
+    """
     from pmac_comp.workflow.identification import predict_files
 
     result = predict_files(bench, model, command, output.checked_target(out), effects=effects)
-    output.finish(
-        result, json_target, lambda: output.echo(f"{out}: {result['samples']} samples predicted")
-    )
+
+    def show() -> None:
+        if result["resampled"]:
+            output.echo(f"note: {result['resampled']}")
+        output.echo(
+            f"{out}: {result['samples']} samples predicted, table - motor "
+            f"{result['mechanical_rms_um']:.3f} um rms, motor - command "
+            f"{result['control_rms_um']:.3f} um rms"
+        )
+
+    output.finish(result, json_target, show)
 
 
 def diagnose(
@@ -100,11 +115,23 @@ def diagnose(
     model: Annotated[
         Path | None, typer.Option("--model", help="Base model instead of the default one")
     ] = None,
+    base: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--base",
+            help="Effect of the base model (repeatable) instead of coulomb and viscous, e.g. "
+            "--base viscous",
+        ),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
     effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
-    """Find where simulation and measurement disagree and name the missing effect."""
+    """Find where simulation and measurement disagree and name the missing effect.
+
+    Without --validate part of the captures is held back for judging. With --json FILE the grown
+    model is stored beside it as FILE.model.json.
+    """
     from pmac_comp.workflow.diagnosis import diagnose_files
 
     progress = ProgressLines()
@@ -113,6 +140,7 @@ def diagnose(
         validate or [],
         bench,
         model=model,
+        base=tuple(base or ()),
         effects=effects,
         model_out=None
         if json_target in {"", "-"}

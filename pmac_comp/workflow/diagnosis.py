@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model
@@ -116,12 +117,23 @@ def diagnose_files(
     bench: str,
     *,
     model: Path | None = None,
+    base: Sequence[str] = (),
     effects: Path | None = None,
     model_out: Path | None = None,
     progress: Progress | None = None,
 ) -> DiagnosisOutcome:
-    """Diagnose capture files; the grown model goes to ``model_out`` where one is named."""
+    """Diagnose capture files; the grown model goes to ``model_out`` where one is named.
+
+    ``base`` names the effects of the base model instead of Coulomb and viscous friction; ``model``
+    gives a whole base model instead.
+
+    Raises
+    ------
+    ConfigError
+        Both are given, or the captures do not belong to the bench.
+    """
     loaded = load_bench(bench)
+    start = _base_model(loaded, model, base, effects)
     digests = {path: file_digest(path) for path in [*captures, *validate]}
     check_not_twice({str(p): digests[p] for p in captures}, {str(p): digests[p] for p in validate})
     read = {path: read_capture(path) for path in digests}
@@ -133,7 +145,7 @@ def diagnose_files(
         [read[path] for path in captures],
         loaded,
         validate=[read[path] for path in validate],
-        model=None if model is None else load_model(model, loaded, effects=effects),
+        model=start,
         effects=effects,
         data=[(path.name, digests[path]) for path in captures],
         progress=progress,
@@ -141,6 +153,34 @@ def diagnose_files(
     if model_out is not None:
         write_model(model_out, outcome.model)
     return replace(outcome, bench_name=bench, model_path=model_out, remark=remark)
+
+
+def _base_model(
+    bench: Bench, model: Path | None, base: Sequence[str], effects: Path | None
+) -> "DriveModel | None":
+    """Base model that was asked for; None for the usual one."""
+    from pmac_comp.physics.model.drive import DriveModel
+    from pmac_comp.physics.model.effect import effect_library
+
+    if model is not None and base:
+        raise ConfigError(
+            "Two base models are asked for.",
+            code="PC-DIA-013",
+            hint="Give either --model FILE or --base EFFECT.",
+        )
+    if model is not None:
+        return load_model(model, bench, effects=effects)
+    if not base:
+        return None
+    known = {**effect_library(), **user_effects(effects)}
+    strange = [name for name in base if name.partition("@")[0] not in known]
+    if strange:
+        raise ConfigError(
+            f"There is no effect {', '.join(strange)}.",
+            code="PC-DIA-014",
+            hint=f"Known effects: {', '.join(sorted(known))}.",
+        )
+    return DriveModel(bench, tuple(base), {}, library=known)
 
 
 def _model_file(found: "Diagnosis", bench: Bench, data: Sequence[tuple[str, str]]) -> ModelFile:
