@@ -24,6 +24,7 @@ from pmac_comp.simulator.axes import read_definition
 from pmac_comp.simulator.commanded_faults import LinkFaults
 from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
+from pmac_comp.simulator.dpram_ascii import DpramAscii
 from pmac_comp.simulator.dpram_reports import DpramReports
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.flash import Flash, FlashDamaged, Image
@@ -119,6 +120,7 @@ class Card:
         self.plcs = Plcs(self)
         self.rotary = RotaryBuffers(self)
         self.reports = DpramReports(self)
+        self.dpram_ascii = DpramAscii(self)
         self.systems = {n: CoordinateSystem(self, n) for n in range(1, r.COORDINATE_SYSTEMS + 1)}
         self.flash = Flash(flash)
         self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
@@ -186,6 +188,7 @@ class Card:
     def _background(self) -> None:
         self._keep_background = False
         self.reports.background(self._elapsed)
+        self.dpram_ascii.background()
         self.plcs.background()
         for _ in range(len(self._queue)):
             text, modal, port = self._queue.popleft()
@@ -275,13 +278,18 @@ class Card:
             self.execute_line(context)
         except CardError as error:
             if self.variables.int_i(6) != 2:
-                self.announce(port, f"\x07ERR{error.code:03d}")
+                self.announce(port, f"\x07ERR{error.code:03d}", commanded=True)
         for line in context.lines:
-            self.announce(port, line)
+            self.announce(port, line, commanded=True)
 
-    def announce(self, port: str, text: str) -> None:
-        """Unsolicited text of a program to a port (``S`` main serial, empty: nowhere)."""
-        if port:
+    def announce(self, port: str, text: str, *, commanded: bool = False) -> None:
+        """Unsolicited text of a program, or of its command, to a port.
+
+        ``S`` is the main serial port, ``R`` the dual-ported RAM, empty means nowhere.
+        """
+        if port == "R":
+            self.dpram_ascii.announce(text, commanded=commanded)
+        elif port:
             for listener in self.listeners:
                 listener(port, text)
 
@@ -614,6 +622,7 @@ class Card:
         """Power-up (``$$$``), or ``$$$***`` which goes to factory values in memory only."""
         if factory:
             self._factory_reset()
+            self.dpram_ascii.power_up()
             return
         for system in self.systems.values():
             system.axes.clear()
@@ -628,6 +637,7 @@ class Card:
             system.power_up()
         damaged = self._restore()
         self._after_restore()
+        self.dpram_ascii.power_up()
         if damaged:
             self.memory.x[r.GLOBAL_STATUS] |= r.G1_FLASH_ERROR | r.G1_CHECKSUM
 

@@ -53,16 +53,16 @@ class Port:
         """Answer to one command line, framed by I3, I4 and I6."""
         raw = text.encode("latin-1", "replace") if isinstance(text, str) else text
         lines: list[str] = []
-        error, silent = self._execute(raw, lines)
+        error, silent = self.execute(raw, lines)
         if silent and error is None:
             return b""
         return self._reply(lines, raw, error=error)
 
     def verdict(self, raw: bytes) -> int | None:
         """Execute one command line for its error number only, None if it was carried out."""
-        return self._execute(raw, [])[0]
+        return self.execute(raw, [])[0]
 
-    def _execute(self, raw: bytes, lines: list[str]) -> tuple[int | None, bool]:
+    def execute(self, raw: bytes, lines: list[str]) -> tuple[int | None, bool]:
         """Execute a line into `lines`; its error and whether it ends without acknowledgement."""
         self._last_line = raw
         try:

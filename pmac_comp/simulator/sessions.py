@@ -210,14 +210,18 @@ class EthernetSession:
 
     def _set_memory(self, request: Request) -> bytes:
         self._check_window(request.value, len(request.payload))
-        self.card.memory.write_bytes(request.value, request.payload)
+        self._write(request.value, request.payload)
         return _ONE_BYTE
+
+    def _write(self, offset: int, data: bytes) -> None:
+        self.card.memory.write_bytes(offset, data)
+        self.card.dpram_ascii.host_wrote(offset, len(data))
 
     def _change_cell(self, offset: int, and_mask: int, or_mask: int) -> bytes:
         self._check_window(offset, 4)
         (cell,) = struct.unpack("<I", self.card.memory.read_bytes(offset, 4))
         cell = (cell & and_mask) | or_mask
-        self.card.memory.write_bytes(offset, struct.pack("<I", cell))
+        self._write(offset, struct.pack("<I", cell))
         return _ONE_BYTE
 
     def _set_bit(self, request: Request) -> bytes:

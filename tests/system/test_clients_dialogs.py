@@ -225,6 +225,29 @@ def test_pgpmac_shares_memory_and_waits_for_readiness(packets: Packets) -> None:
     assert ask("M4501") == b"771\r\x06"
 
 
+def test_pgpmac_speaks_through_the_dual_ported_ram(packets: Packets) -> None:
+    def ask(text: str) -> list[tuple[int, bytes]]:
+        for cell in (0xF40, 0xE9C):
+            packets.request(UPLOAD, SETMEM, cell, data=bytes(4))
+        packets.request(UPLOAD, SETMEM, 0xEA0, data=text.encode() + b"\0")
+        packets.request(UPLOAD, SETBIT, 0xE9C, 1, data=struct.pack("<I", 1))
+        found: list[tuple[int, bytes]] = []
+        until = time.monotonic() + 5
+        while not found or found[-1][0] & 0xFF == 0x0D:
+            assert time.monotonic() < until
+            block = packets.request(UPLOAD, GETMEM, 0xE9C, want=424)
+            (word,) = struct.unpack_from("<H", block, 0xA4)
+            if word:
+                found.append((word, block[0xA8:].partition(b"\0")[0]))
+                packets.request(UPLOAD, SETMEM, 0xF40, data=bytes(4))
+        return found
+
+    assert ask("P20=3 P21=4") == [(0x06, b"")]
+    assert ask("P20,2") == [(0x0D, b"3"), (0x06, b"4")]
+    assert ask("#1J/") == [(0x06, b"")]
+    assert ask("NOSUCHWORD") == [(0x8003, b"")]
+
+
 def test_dpmac_downloads_lines_and_asks_the_interface(packets: Packets) -> None:
     def download(*lines: bytes) -> bytes:
         return packets.request(DOWNLOAD, WRITEBUFFER, data=b"".join(x + b"\0" for x in lines))
