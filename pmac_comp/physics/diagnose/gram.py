@@ -76,12 +76,15 @@ class Gram:
         Number of whitened samples in each block.
     prior : Prior
         Of the k columns.
+    record : ndarray of int, shape (b,), or None
+        Which record each block belongs to.
     """
 
     blocks: FloatArray
     fitting: BoolArray
     rows: FloatArray
     prior: Prior
+    record: IntArray | None = None
 
     @property
     def n_columns(self) -> int:
@@ -95,7 +98,7 @@ class Gram:
 
     def with_bounds(self, prior: Prior) -> "Gram":
         """The same data under other bounds."""
-        return Gram(self.blocks, self.fitting, self.rows, prior)
+        return Gram(self.blocks, self.fitting, self.rows, prior, self.record)
 
     def solve(
         self, indices: Sequence[int] | IntArray, *, weights: FloatArray | None = None

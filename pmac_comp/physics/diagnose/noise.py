@@ -19,7 +19,7 @@ def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
 
     The larger of two. One is what the sensors' steps do in the simulated loop, together with what
     the data shows beyond them at frequencies at which no drive moves. The other is how far the
-    data itself differs between repeats of the same command; it cannot exceed what the model
+    data itself differs between repeats of the same command. Neither can exceed what the model
     leaves, which contains it.
     """
     judging = bench.judging_records
@@ -28,8 +28,7 @@ def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
     total, count = 0.0, 0
     for record, complete, (steps, left) in zip(judging, whole, parts, strict=True):
         n = int(np.count_nonzero(record.valid))
-        repeat = min(repeatability_m(complete), left)
-        total += n * max(steps, repeat) ** 2
+        total += n * min(max(steps, repeatability_m(complete)), left) ** 2
         count += n
     return 1e6 * float(np.sqrt(total / max(count, 1)))
 

@@ -224,6 +224,7 @@ class Workbench:
             np.concatenate([np.full(len(p[1]), j[3]) for p, j in zip(parts, jobs, strict=True)]),
             np.concatenate([p[1] for p in parts]),
             prior,
+            np.concatenate([np.full(len(p[1]), j[4]) for p, j in zip(parts, jobs, strict=True)]),
         )
 
     def noise_from(self, noise_like: Sequence[FloatArray], floor_m: FloatArray) -> Noise:
