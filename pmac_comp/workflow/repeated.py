@@ -6,6 +6,7 @@ terms of the contract, and ``--refine``. What may not: the learning rule (``phys
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +14,15 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.exact import Learning, learn
+from pmac_comp.physics.compensate.exact import Learning, MEASURED_CUTOFF_Hz, learn
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion
 
 Progress = Callable[[str, float], None]
+_FRESH_RUNS = 2
+_STEP_m = 1e-9  # a command that moved by more has begun
 
 
 @dataclass(frozen=True)
@@ -31,14 +34,59 @@ class Refinement:
     model_um: float
     learning: Learning
 
+    @property
+    def confirmed_um(self) -> float:
+        """Rms of the total error of fresh runs with what was learned."""
+        fresh = self.learning.confirmed_um
+        return float(np.sqrt(np.mean(np.square(fresh)))) if fresh else min(self.learning.history_um)
+
+    @property
+    def model_share(self) -> float:
+        """Share of the error without anything that the model alone takes away."""
+        return 1.0 - self.model_um / max(self.without_um, 1e-12)
+
+    @property
+    def learning_share(self) -> float:
+        """Share of it that learning takes away on top of the model."""
+        return (self.model_um - self.confirmed_um) / max(self.without_um, 1e-12)
+
     def lines(self) -> tuple[str, ...]:
         """Sentences for people."""
-        steps = " -> ".join(f"{value:.2f}" for value in self.learning.history_um)
-        end = "by its stop rule" if self.learning.converged else "after the passes allowed"
-        return (
-            f"learning on '{self.motion}': total error {self.without_um:.2f} um without anything, "
-            f"{self.model_um:.2f} um with the model alone, then {steps} um; ended {end}",
+        learning = self.learning
+        steps = " -> ".join(f"{value:.2f}" for value in learning.history_um)
+        part = " -> ".join(f"{value:.2f}" for value in learning.learnable_um)
+        end = "by its stop rule" if learning.converged else "after the passes allowed"
+        proof = (
+            f"it converges: by {learning.contraction:.2f} per pass"
+            if learning.contraction < 1.0
+            else "nothing was left that learning could take away"
         )
+        return (
+            f"'{self.motion}', total error rms: {self.without_um:.2f} um without anything, "
+            f"{self.model_um:.2f} um with the model alone, {self.confirmed_um:.2f} um with what "
+            f"was learned (on {len(learning.confirmed_um)} fresh runs, which differ among "
+            f"themselves by {learning.scatter_um:.2f} um)",
+            f"the model takes {100 * self.model_share:.0f} % of it away, learning "
+            f"{100 * self.learning_share:.0f} % more",
+            f"learning: {steps} um, below {learning.cutoff_Hz:.0f} Hz {part} um; {proof}; ended "
+            f"{end}",
+        )
+
+    def as_result(self) -> dict[str, Any]:
+        """Mapping for ``--json``."""
+        return {
+            "motion": self.motion,
+            "without_um": self.without_um,
+            "model_um": self.model_um,
+            "learned_um": self.confirmed_um,
+            "model_share": self.model_share,
+            "learning_share": self.learning_share,
+            "history_um": list(self.learning.history_um),
+            "learnable_um": list(self.learning.learnable_um),
+            "contraction": self.learning.contraction,
+            "converged": self.learning.converged,
+            "scatter_um": self.learning.scatter_um,
+        }
 
 
 def with_offset(motion: Motion, offset_m: FloatArray) -> Motion:
@@ -64,9 +112,9 @@ def run_with_offset(
 def as_compensated(capture: Capture, motion: Motion, drawn: Motion) -> Capture:
     """Capture of a drawn motion in the terms of the contract: command and desired position."""
     planned = drawn.position_m
-    first = int(np.flatnonzero(np.abs(planned - planned[0]) > 1e-9)[0])
+    first = int(np.flatnonzero(np.abs(planned - planned[0]) > _STEP_m)[0])
     gathered = capture.commanded_position_m
-    start = int(np.flatnonzero(np.abs(gathered - gathered[0]) > 1e-9)[0])
+    start = int(np.flatnonzero(np.abs(gathered - gathered[0]) > _STEP_m)[0])
     index = np.clip(np.arange(capture.n) - start + first, 0, planned.size - 1)
     correction = (planned - motion.position_m)[index]
     return replace(
@@ -74,12 +122,15 @@ def as_compensated(capture: Capture, motion: Motion, drawn: Motion) -> Capture:
     )
 
 
-def on_motion_grid(motion: Motion, capture: Capture, values: FloatArray) -> FloatArray:
-    """Values of a capture at the samples of the motion, aligned by its first step."""
-    drawn = capture.desired_m
-    start = int(np.flatnonzero(np.abs(drawn - drawn[0]) > 1e-9)[0])
-    first = int(np.flatnonzero(np.abs(motion.position_m - motion.position_m[0]) > 1e-9)[0])
-    index = np.clip(np.arange(motion.position_m.size) - first + start, 0, capture.n - 1)
+def on_motion_grid(drawn: Motion, capture: Capture, values: FloatArray) -> FloatArray:
+    """Values of a capture at the samples of the motion that was drawn, aligned by its first step.
+
+    The offset is part of what was drawn: it may move the axis before the motion itself does.
+    """
+    seen, planned = capture.desired_m, drawn.position_m
+    start = int(np.flatnonzero(np.abs(seen - seen[0]) > _STEP_m)[0])
+    first = int(np.flatnonzero(np.abs(planned - planned[0]) > _STEP_m)[0])
+    index = np.clip(np.arange(planned.size) - first + start, 0, capture.n - 1)
     return np.asarray(values[index])
 
 
@@ -92,6 +143,9 @@ def refine_motion(
     progress: Progress | None = None,
 ) -> Refinement:
     """Learn on top of the compensation: the error that the scale measures is fed back.
+
+    The motion runs from a program that carries the learned offset; tables and law act beside it.
+    A correction that is for this motion only (``cam``, ``program``) is where learning starts from.
 
     Raises
     ------
@@ -109,11 +163,29 @@ def refine_motion(
         table = capture.table_position_m
         if table is None:
             raise ConfigError("Learning needs a scale at the table.", code="PC-REF-001")
-        return on_motion_grid(motion, capture, table - capture.commanded_position_m)
+        drawn = with_offset(motion, offset)
+        return on_motion_grid(drawn, capture, table - capture.commanded_position_m)
 
     switch(axis, context, compensation, on=False)
     without = float(np.std(total(nothing)) * 1e6)
     switch(axis, context, compensation, on=True)
     limit = axis.bench.safety.max_correction_um / 1e6
-    learned = learn(total, nothing.size, axis.scales.period_s, passes=passes, limit_m=limit)
+    learned = learn(
+        total,
+        nothing.size,
+        axis.scales.period_s,
+        start_m=_start_offset(compensation, motion),
+        passes=passes,
+        cutoff_Hz=MEASURED_CUTOFF_Hz,
+        limit_m=limit,
+        confirm=_FRESH_RUNS,
+    )
     return Refinement(motion.name, without, learned.history_um[0], learned)
+
+
+def _start_offset(compensation: Compensation, motion: Motion) -> FloatArray | None:
+    """The model's own correction of this very motion, None where the law or tables carry it."""
+    known, correction = compensation.motion_position_m, compensation.motion_correction_m
+    if known is None or correction is None or known.shape != motion.position_m.shape:
+        return None
+    return correction if np.allclose(known, motion.position_m, atol=1e-9) else None

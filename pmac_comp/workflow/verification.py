@@ -72,7 +72,7 @@ class Verification:
             },
             "static": None if self.static is None else self.static.as_result(),
             "ringing": None if self.ringing is None else self.ringing.as_result(),
-            "learning": None if self.learning is None else _learned(self.learning),
+            "learning": None if self.learning is None else self.learning.as_result(),
             "remarks": list(self.remarks),
         }
 
@@ -114,16 +114,6 @@ class Verification:
         out += [] if self.static is None else self.static.lines()
         out += [] if self.ringing is None else self.ringing.lines()
         return [*out, *(f"  note: {line}" for line in self.remarks)]
-
-
-def _learned(found: Refinement) -> dict[str, Any]:
-    return {
-        "motion": found.motion,
-        "without_um": found.without_um,
-        "model_um": found.model_um,
-        "history_um": list(found.learning.history_um),
-        "converged": found.learning.converged,
-    }
 
 
 def _pair(before: Spread, after: Spread) -> str:

@@ -1,0 +1,78 @@
+"""``--refine`` on the simulated card: learning on top of the law, against errors no model holds."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.trajectory import sinusoid
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.repeated import Refinement, refine_motion
+from pmac_comp.workflow.simulated import embedded
+
+BENCH = load_bench("paper_x4")
+HIDDEN = {
+    "lead_cyclic": {"amplitude_um": 3.0, "order_per_rev": 1.0, "phase_rad": 0.4},
+    "friction_per_rev": {"amplitude_Nm": 0.05, "order_per_rev": 1.0, "phase_rad": 0.7},
+}
+
+
+@pytest.fixture(scope="module")
+def refined(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Refinement]:
+    folder: Path = tmp_path_factory.mktemp("refine")
+    plant = make_plant(BENCH, effects=HIDDEN, spread=0.0)
+    truth = plant.truth
+    model = DriveModel.base(
+        BENCH,
+        {
+            "coulomb.guide_N": truth.guide_coulomb_N,
+            "coulomb.nut_Nm": truth.nut_coulomb_Nm,
+            "coulomb.motor_Nm": truth.motor_coulomb_Nm,
+            "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
+        },
+    )
+    law = design_law(BENCH, model_loop(model), latency_cycles=1)
+    motion = Motion(
+        "sine",
+        sinusoid(period_s=BENCH.servo_period_s, amplitude_m=0.02, frequency_Hz=1.0, cycles=2.0),
+    )
+    with embedded(Card(BENCH, plant=plant)) as link:
+        axis = Axis(link, BENCH, "card")
+        axis.set_up()
+        axis.enable()
+        context = context_of(axis, folder)
+        compensation = Compensation("law", law)
+        deploy(axis, compensation, context)
+        yield refine_motion(axis, context, compensation, motion, passes=6)
+
+
+def test_learning_takes_away_what_the_model_does_not_hold(refined: Refinement) -> None:
+    # The law takes friction and elasticity away, the cyclic lead error stays: 3 / sqrt(2) um.
+    assert refined.model_um < 0.5 * refined.without_um
+    assert refined.model_um > 1.5
+    assert refined.confirmed_um < 0.25 * refined.model_um
+    assert refined.model_share > 0.5
+    assert 0.05 < refined.learning_share < 1.0 - refined.model_share
+
+
+def test_convergence_is_shown_by_the_fall_of_what_can_be_learned(refined: Refinement) -> None:
+    learning = refined.learning
+    assert learning.converged
+    assert learning.contraction < 0.7
+    assert learning.learnable_um[1] < 0.5 * learning.learnable_um[0]
+    assert len(learning.confirmed_um) == 2
+    assert learning.scatter_um < refined.confirmed_um
+
+
+def test_a_person_reads_both_shares(refined: Refinement) -> None:
+    text = " ".join(refined.lines())
+    assert f"the model takes {100 * refined.model_share:.0f} %" in text
+    assert "it converges" in text
