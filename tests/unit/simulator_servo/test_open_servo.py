@@ -133,6 +133,28 @@ def test_shipped_algorithm_is_the_pid_when_its_law_is_off(make_servo):
     assert np.max(np.abs(plain - user)) <= 1.0
 
 
+@pytest.mark.parametrize(
+    ("settings", "allowed_ct"),
+    [
+        ({36: -1.6, 37: 0.9, 38: -1.2, 39: 0.5}, 1.0),
+        ({64: 8, 65: 16 * 3}, 1.0),
+        ({67: 16 * 5}, 1.0),
+        ({36: -1.6, 37: 0.9, 38: -1.2, 39: 0.5, 64: -8, 65: 16, 67: 16 * 20, 68: 200}, 1.0),
+    ],
+    ids=["notch", "dead band", "error limit", "all"],
+)
+def test_shipped_algorithm_carries_the_rest_of_the_pid(make_servo, settings, allowed_ct):
+    moved = []
+    for one in (make_servo(), with_servo(make_servo, SHIPPED), make_servo()):
+        if len(moved) < 2:
+            for tail, value in settings.items():
+                one.variables.write_i(100 + tail, value)
+        moved.append(run_jogs(one))
+    # It does make a difference, and the same one in both.
+    assert np.max(np.abs(moved[0] - moved[2])) > 1.0
+    assert np.max(np.abs(moved[0] - moved[1])) <= allowed_ct
+
+
 def load_bank(servo, values, *, bank=0, sealed=True):
     for offset in range(30):
         servo.variables.write("P", 7010 + 30 * bank + offset, values.get(offset, 0.0))
