@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -101,7 +102,7 @@ class Table:
         """Lines that define and fill the table, I30 first."""
         return [f"I30={int(self.wrap)}", self.definition, *entry_lines(self.entries)]
 
-    @property
+    @cached_property
     def canonical(self) -> str:
         """Text that the checksum is taken of: all that the card lists."""
         values = " ".join(map(str, self.entries))
@@ -163,7 +164,7 @@ class CompTable(Table):
             f"#{self.source}{desired},#{self.target},{self.span_ct}"
         )
 
-    @property
+    @cached_property
     def canonical(self) -> str:
         """Text that the checksum is taken of; the D of the source is not always listed."""
         values = " ".join(map(str, self.entries))

@@ -4,6 +4,7 @@ import socket
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -54,7 +55,7 @@ class Context:
     stop_requested: Callable[[], bool] = _never
     group: int = 0
 
-    @property
+    @cached_property
     def owner(self) -> int:
         """Number that stands for this host and folder in the lease, never 0."""
         text = f"{socket.gethostname()}:{self.store.resolve()}"

@@ -60,6 +60,8 @@ def plain(value: float) -> str:
 
 def parse_integer(text: str) -> int:
     """Integer of a decimal or ``$hex`` answer; raises RemoteProtocolError otherwise."""
+    if text.isascii() and text.isdigit():
+        return int(text)
     value = read_number(text)
     if value != int(value):
         raise RemoteProtocolError(

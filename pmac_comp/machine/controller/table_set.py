@@ -8,6 +8,7 @@ therefore may mean to take others off and to put them back, and this module plan
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from pmac_comp.base.errors import CommandRefused, RemoteProtocolError
 from pmac_comp.machine.controller.comp_table import (
@@ -57,7 +58,7 @@ class TableSet:
         changed.update({(t.kind, t.motor): t for t in new})
         return TableSet(tuple(changed.values()))
 
-    @property
+    @cached_property
     def crc(self) -> int:
         """CRC-32 over all tables in order; 0 for none."""
         if not self.tables:
