@@ -1,0 +1,108 @@
+"""The order of an improvement: what is uploaded when, what is put back, what people are told."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from pmac_comp.workflow import improve
+from pmac_comp.workflow.improve import Improvement, improve_axis, is_better
+from pmac_comp.workflow.verification import Verification
+
+
+def verification(mechanical: float, total: float) -> Verification:
+    motion = SimpleNamespace(
+        name="sine",
+        e_before=SimpleNamespace(value=5.0),
+        e_r_after=SimpleNamespace(value=mechanical),
+        total_after=SimpleNamespace(value=total),
+        as_result=lambda: {"motion": "sine"},
+    )
+    return Verification((motion,), 0.05, simulated=False, before=("run without compensation",))
+
+
+class Bench:
+    """Everything that improve_axis calls, as a list of what was called."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, named: tuple[str, ...]) -> None:
+        self.done: list[str] = []
+        self.answers = [verification(1.0, 2.0)]
+        self.validated: Any = None
+        self.diagnosis = SimpleNamespace(
+            diagnosis=SimpleNamespace(named=named, model="grown"),
+            model="file",
+            sources=(),
+            lines=lambda: ["verdict: named"],
+            as_result=lambda: {},
+        )
+        for name, fake in {
+            "run_all": lambda *a, **k: ["run"],
+            "calibration_motions": lambda *a: [],
+            "lead_motions": lambda *a: [],
+            "verification_motions": lambda *a: [],
+            "write_capture": lambda *a: None,
+            "write_model": lambda *a: None,
+            "write_compensation": lambda *a: None,
+            "store": lambda *a: None,
+            "context_of": lambda *a: "context",
+            "identify_captures": lambda *a, **k: SimpleNamespace(
+                identification=SimpleNamespace(model="first")
+            ),
+            "compute_compensation": lambda bench, drive, **k: f"compensation of {drive}",
+            "deploy": lambda axis, compensation, context: self.done.append(f"up {compensation}"),
+            "switch": lambda axis, context, what, on: self.done.append(f"off {what}"),
+            "verify_axis": lambda *a, **k: self.answers.pop(0),
+            "diagnose_captures": self.diagnosed,
+        }.items():
+            monkeypatch.setattr(improve, name, fake)
+
+    def diagnosed(self, *args: Any, validate: Any, **rest: Any) -> Any:
+        self.validated = validate
+        return self.diagnosis
+
+    def run(self, tmp_path: Path) -> Improvement:
+        return improve_axis(SimpleNamespace(bench="bench"), tmp_path)
+
+
+def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, tmp_path) -> None:
+    bench = Bench(monkeypatch, ("backlash",))
+    bench.answers.append(verification(0.4, 1.5))
+    found = bench.run(tmp_path)
+    first, grown = "compensation of first", "compensation of grown"
+    assert bench.done == [f"up {first}", f"off {first}", f"up {grown}"]
+    assert found.kept == "grown"
+    assert bench.validated == ("run without compensation",)
+    assert any("mechanical error, quadratic mean: 1.000 -> 0.400 um" in x for x in found.lines())
+
+
+def test_a_grown_model_that_is_worse_is_taken_back(monkeypatch, tmp_path) -> None:
+    bench = Bench(monkeypatch, ("payload",))
+    bench.answers.append(verification(1.6, 2.4))
+    found = bench.run(tmp_path)
+    first, grown = "compensation of first", "compensation of grown"
+    assert bench.done[-2:] == [f"off {grown}", f"up {first}"]
+    assert found.kept == "first"
+    assert "not better" in found.lines()[-1]
+
+
+def test_nothing_named_uploads_nothing_a_second_time(monkeypatch, tmp_path) -> None:
+    bench = Bench(monkeypatch, ())
+    found = bench.run(tmp_path)
+    assert bench.done == ["up compensation of first"]
+    assert found.after_growth is None
+    assert found.as_result()["grown_model"] is None
+    assert found.rows() == [("sine", 5.0, 1.0, None)]
+    assert "added nothing" in found.lines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("mechanical", "total"), [(0.5, 2.0), (1.0, 1.0), (1.01, 2.0), (1.05, 1.0)]
+)
+def test_one_error_falls_or_nothing_changes(mechanical: float, total: float) -> None:
+    assert is_better(verification(1.0, 2.0), verification(mechanical, total))
+
+
+@pytest.mark.parametrize(("mechanical", "total"), [(1.1, 2.0), (1.0, 2.2), (0.95, 3.0)])
+def test_one_error_rises_by_more_than_the_other_falls(mechanical: float, total: float) -> None:
+    assert not is_better(verification(1.0, 2.0), verification(mechanical, total))
