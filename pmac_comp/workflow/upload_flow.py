@@ -9,19 +9,28 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
+from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
+    CAM_PROGRAM,
     release_time_motor,
     rest_time_motor,
 )
 from pmac_comp.workflow.compensation_file import (
     read_compensation,
 )
-from pmac_comp.workflow.deploy import Progress, context_of, deploy, stand_at_zero
+from pmac_comp.workflow.deploy import DEFAULT_JOURNAL, Progress, context_of, deploy, stand_at_zero
+from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
+
+_PROGRAMS = {
+    "cam": ((ProgramKind.PROG, CAM_PROGRAM),),
+    "program": ((ProgramKind.PROG, COMPENSATED_PROGRAM),),
+}
 
 
 @contextmanager
@@ -43,17 +52,36 @@ def upload_file(
 ) -> dict[str, Any]:
     """Upload a compensation file."""
     compensation = read_compensation(new)
+    said: list[str] = []
     with _ready(url, bench, journal, progress) as (axis, context):
-        deployment = deploy(axis, compensation, context)
+        try:
+            deployment = deploy(axis, compensation, context)
+        except PmacCompError as error:
+            error.hint = error.hint or _after_failure(error, url, bench)
+            raise
+        said += deployment.notes or ["uploaded, read back and compared"]
         if persist:
             axis.kill()
-            save_checked(axis.link, context)
+            save_checked(axis.link, context, _PROGRAMS.get(compensation.route, ()))
+            said.append(f"motor #{axis.motor} was killed, all of it saved to flash and read again")
+    again = "" if journal == Path(DEFAULT_JOURNAL) else f" --journal {journal}"
     return {
         **deployment.as_result(),
-        "summary": "; ".join(deployment.notes) or "uploaded, read back and compared",
-        "next": f"Check it: pmac-comp verify {url} --compensation {new}. "
-        f"Take it back: pmac-comp rollback {url}.",
+        "saved": persist,
+        "summary": "; ".join(said),
+        "next": f"Check it: pmac-comp verify {url} --bench {bench} --compensation {new}\n"
+        f"Take it back: pmac-comp rollback {url} --bench {bench}{again}",
     }
+
+
+def _after_failure(error: PmacCompError, url: str, bench: str) -> str:
+    """What to do next after an upload that stopped, by the state it left."""
+    if error.left is ControllerState.OLD:
+        return "The controller is as it was; nothing is to be undone."
+    return (
+        f"Go on or go back with `pmac-comp recover {url} --bench {bench}`, then look with "
+        f"`pmac-comp status {url} --bench {bench}`."
+    )
 
 
 def recover_upload(

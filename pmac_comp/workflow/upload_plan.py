@@ -38,6 +38,11 @@ _ENABLE_STEP = "PC-SAF-004"
 _SERIAL_CHARACTERS_PER_s = 0.1  # of the baud rate: ten bits each
 _PACKETS_CHARACTERS_PER_s = 1e5
 _STEPS_s = 0.5  # questions, seal and switch
+_NOT_SAVED = "  nothing is saved to flash: after a reset the controller comes up as before"
+_SAVED = (
+    "  then the motor is killed and everything on the controller is saved to flash (SAVE), which "
+    "takes seconds without any limit checks, and is read again"
+)
 _BOTH_WAYS = 2.0  # written and read back
 _DEFAULT_BAUD = 38400.0
 
@@ -69,15 +74,17 @@ class UploadPreview:
         }
 
 
-def plan_upload(url: str, bench: str, new: Path) -> UploadPreview:
-    """Preview of an upload."""
+def plan_upload(url: str, bench: str, new: Path, *, persist: bool = False) -> UploadPreview:
+    """Preview of an upload; ``persist`` says that it will be saved to flash afterwards."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
         context = context_of(axis)
-        return preview(axis, context, compensation, url)
+        return preview(axis, context, compensation, url, persist=persist)
 
 
-def preview(axis: Axis, context: Context, compensation: Compensation, url: str) -> UploadPreview:
+def preview(
+    axis: Axis, context: Context, compensation: Compensation, url: str, *, persist: bool = False
+) -> UploadPreview:
     """Preview on a connected axis."""
     lines: list[str] = []
     refusals = double_corrections(axis, context, compensation)
@@ -106,7 +113,7 @@ def preview(axis: Axis, context: Context, compensation: Compensation, url: str) 
         first = context.block.bank(1)
         lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
     text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route)]
-    text += ["  nothing is saved to flash: after a reset the controller comes up as before"]
+    text += [_SAVED if persist else _NOT_SAVED]
     text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(
         url, compensation.route, tuple(text), tuple(lines), tuple(refusals), change
