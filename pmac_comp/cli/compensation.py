@@ -54,6 +54,14 @@ def compensate(
             "--command", "-c", help="The motion of cam and program: CSV, or as `capture --motion`"
         ),
     ] = "",
+    aim: Annotated[
+        str,
+        typer.Option(
+            "--aim",
+            help="What cam and program take away: total (table to command, with the lag) or "
+            "mechanical (e_r)",
+        ),
+    ] = "total",
     limit: Annotated[
         bool,
         typer.Option("--limit", help="Clip to the limits and to the measured travel, and say so"),
@@ -68,7 +76,7 @@ def compensate(
     json_target: JsonOption = "",
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
-    from pmac_comp.workflow.computing import compensate_files
+    from pmac_comp.workflow.computing import aim_of, compensate_files
     from pmac_comp.workflow.static_map import Limit
 
     progress = ProgressLines()
@@ -80,6 +88,7 @@ def compensate(
         slow=tuple(slow or ()),
         captures=tuple(captures or ()),
         command=command,
+        aim=aim_of(aim),
         limit=Limit.CLIP if limit else Limit.REFUSE,
         every_cycles=every,
         effects=effects,

@@ -13,19 +13,26 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
-from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture
-from pmac_comp.machine.controller import law_cost
 from pmac_comp.physics.compensate.design import model_loop
-from pmac_comp.physics.compensate.exact import exact_correction
+from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.trim import trimmed_law
+from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.dynamic_law import dynamic_law, with_unmodelled
+from pmac_comp.workflow.law_cost import (
+    CHEAP_FRAC,
+    CheaperLaw,
+    cheaper_laws,
+    cost_remarks,
+    share_frac,
+)
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -33,7 +40,6 @@ from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
-_CHEAP_SHARE = 0.25
 
 
 def compute_compensation(
@@ -44,6 +50,7 @@ def compute_compensation(
     slow: tuple[Capture, ...] = (),
     captures: tuple[Capture, ...] = (),
     motion: Motion | None = None,
+    aim: Aim = Aim.TOTAL,
     every_cycles: int = 1,
     provenance: dict[str, Any] | None = None,
     limit: Limit = Limit.REFUSE,
@@ -64,6 +71,8 @@ def compute_compensation(
         leaves of them.
     motion : Motion or None
         The one motion of ``cam`` and ``program``.
+    aim : Aim
+        What their correction takes away: the total error, with the loop's lag in it, or e_r.
     every_cycles : int
         Servo cycles between two passes of the law on the controller (route ``law``).
     provenance : dict, optional
@@ -94,7 +103,7 @@ def compute_compensation(
     backlash = lead is not None and has_backlash(lead)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
-        return _for_motion(bench, model, route, law, lead, motion, backlash=backlash)
+        return _for_motion(bench, model, route, law, lead, motion, aim, backlash=backlash)
     if captures:
         trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
         trim = {
@@ -118,6 +127,7 @@ def _for_motion(
     law: CompensationLaw,
     lead: LeadMap | None,
     motion: Motion | None,
+    aim: Aim,
     *,
     backlash: bool,
 ) -> Compensation:
@@ -130,9 +140,9 @@ def _for_motion(
         )
     limit_m = bench.safety.max_correction_um / UM_PER_M
     exact = exact_correction(
-        model_loop(model), motion.position_m, bench.servo_period_s, limit_m=limit_m
+        model_loop(model), motion.position_m, bench.servo_period_s, limit_m=limit_m, aim=aim
     )
-    said = {"total_um": list(exact.history_um), "motion": motion.name}
+    said = {"error_um": list(exact.history_um), "aim": aim.value, "motion": motion.name}
     return Compensation(
         route,
         replace(law, provenance={**law.provenance, "exact": said}),
@@ -144,6 +154,24 @@ def _for_motion(
     )
 
 
+def aim_of(text: str) -> Aim:
+    """Aim by its name.
+
+    Raises
+    ------
+    ConfigError
+        No such aim.
+    """
+    try:
+        return Aim(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"'{text}' is not an aim.",
+            code="PC-DEP-012",
+            hint="Use " + " or ".join(aim.value for aim in Aim) + ".",
+        ) from error
+
+
 def compensate_files(
     bench: str,
     model: Path,
@@ -153,6 +181,7 @@ def compensate_files(
     slow: tuple[Path, ...] = (),
     captures: tuple[Path, ...] = (),
     command: str = "",
+    aim: Aim = Aim.TOTAL,
     limit: Limit = Limit.REFUSE,
     every_cycles: int = 1,
     effects: Path | None = None,
@@ -171,6 +200,7 @@ def compensate_files(
         slow=tuple(read_capture(path) for path in slow),
         captures=tuple(read_capture(path) for path in captures),
         motion=parse_motion(command, loaded) if command else None,
+        aim=aim,
         provenance={
             "bench_digest": loaded.digest,
             "model": model.name,
@@ -189,6 +219,9 @@ def compensate_files(
         )
     tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
     write_compensation(out, compensation)
+    offers: tuple[CheaperLaw, ...] = ()
+    if route == "law" and share_frac(loaded, compensation.law.every_cycles) > CHEAP_FRAC:
+        offers = cheaper_laws(loaded, drive, model_law(compensation.law), progress)
     return {
         "route": route,
         "file": out,
@@ -196,7 +229,7 @@ def compensate_files(
         "remarks": [
             *cuts,
             *static_remarks(loaded, compensation),
-            *cost_remarks(loaded, route),
+            *cost_remarks(loaded, route, compensation.law.every_cycles, offers),
         ],
         "law": None if route in MOTION_ROUTES else compensation.law.as_mapping(),
     }
@@ -234,14 +267,16 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
     position, correction = compensation.motion_position_m, compensation.motion_correction_m
     if position is None or correction is None:
         return {}
-    exact = compensation.law.provenance.get("exact", {"total_um": [math.nan]})
+    exact = compensation.law.provenance.get("exact", {})
+    history = exact.get("error_um", [math.nan])
+    aim = exact.get("aim", Aim.TOTAL.value)
     out = {
         "route": compensation.route,
         "motion": f"{(position.size - 1) * bench.servo_period_s:.3f} s, {position.size} samples",
         "largest correction um": float(np.max(np.abs(correction)) * UM_PER_M),
-        "total error before um rms": exact["total_um"][0],
-        "total error after um rms (model)": min(exact["total_um"]),
-        "passes": len(exact["total_um"]) - 1,
+        f"{aim} error before um rms": history[0],
+        f"{aim} error after um rms (model)": min(history),
+        "passes": len(history) - 1,
     }
     if compensation.route == "cam":
         return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
@@ -316,22 +351,3 @@ def static_remarks(bench: Bench, compensation: Compensation) -> list[str]:
             "mm only, where it was measured; beyond, the correction fades to zero"
         )
     return out
-
-
-def cost_remarks(bench: Bench, route: str) -> list[str]:
-    """What the route costs on the card's processor, and the way out where that is much."""
-    if route != "law":
-        return []
-    cost = law_cost.law_cost_us(bench.controller.cpu_clock_MHz)
-    period = bench.servo_period_s * US_PER_S
-    share = cost / period
-    text = (
-        f"PLC 0 takes about {cost:.0f} us of each {period:.0f} us servo period "
-        f"({100 * share:.0f} %) at {bench.controller.cpu_clock_MHz:g} MHz"
-    )
-    if share <= _CHEAP_SHARE:
-        return [text]
-    return [
-        text + ": more than a quarter. Run it every second cycle (I8 = 1; the law allows for "
-        "it), or use --route servo, whose compiled form costs about a tenth"
-    ]

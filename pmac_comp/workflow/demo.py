@@ -19,13 +19,14 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.computing import compute_compensation, cost_remarks, describe
+from pmac_comp.workflow.computing import compute_compensation, describe
 from pmac_comp.workflow.deploy import (
     Deployment,
     context_of,
     deploy,
 )
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
+from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.simulated import (
     ServedClock,
@@ -254,7 +255,7 @@ def _whole_job(
         verification=verification,
         steps=tuple(watch.steps),
         plant_notes=recorder.notes(),
-        remarks=tuple(cost_remarks(axis.bench, route)),
+        remarks=tuple(cost_remarks(axis.bench, route, compensation.law.every_cycles)),
     )
 
 

@@ -19,7 +19,6 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.computing import cost_remarks
 from pmac_comp.workflow.deploy import (
     SIGN_OFFSETS_um,
     context_of,
@@ -28,6 +27,7 @@ from pmac_comp.workflow.deploy import (
     stale_tables,
 )
 from pmac_comp.workflow.difference import Difference, difference_on
+from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import TORQUE_ROUTES
@@ -112,7 +112,8 @@ def preview(
         lines += program_lines(axis, context, compensation.route)
         first = context.block.bank(1)
         lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
-    text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route)]
+    every = compensation.law.every_cycles
+    text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route, every)]
     text += [_SAVED if persist else _NOT_SAVED]
     text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(

@@ -18,8 +18,8 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.computing import cost_remarks
 from pmac_comp.workflow.deploy import check_law_on_card, context_of, deploy, switch
+from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.repeated import run_with_offset
 from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
