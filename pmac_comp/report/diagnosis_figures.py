@@ -13,7 +13,7 @@ from pmac_comp.report.figures import AFTER, BEFORE, PROMISE, svg, thin_pair
 
 _BINS = 40
 _LEAST_PER_BIN = 8
-_SHOWN = (0.2, 99.8)  # percentiles: a start transient must not set the scale of the rest
+_SHOWN = (0.5, 99.5)  # percentiles: a start transient must not set the scale of the rest
 _COLOURS = {"chosen": AFTER, "tied": PROMISE, "lost": "#b9b9b2"}
 
 
@@ -78,7 +78,7 @@ def _limit(axis: Axes, curves: Sequence[FloatArray]) -> None:
     """Limits that hold all but a few samples, and say so where some lie outside."""
     values = np.concatenate(curves)
     low, high = np.percentile(values, _SHOWN)
-    room = 0.15 * max(high - low, 1e-3)
+    room = 0.25 * max(high - low, 1e-3)
     axis.set_ylim(low - room, high + room)
     outside = int(np.count_nonzero((values < low - room) | (values > high + room)))
     if outside:
@@ -174,6 +174,7 @@ def _candidate_bars(axis: Axes, group: Sequence[Evidence], title: str) -> None:
     axis.margins(x=0.28)
     axis.set_title(title, fontsize=8.5, loc="left")
     axis.grid(visible=False, axis="y")
+    axis.set_axisbelow(True)
 
 
 def _p_text(p_value: float) -> str:
@@ -196,6 +197,7 @@ def growth_figure(path: Sequence[Growth], noise_floor_um: float) -> str:
         axis.margins(x=0.15)
         axis.set_xlabel("gap on captures not used for fitting, um rms")
         axis.grid(visible=False, axis="y")
+        axis.set_axisbelow(True)
         figure.legend(loc="outside upper right")
 
     return svg(draw, 7.2, 1.0 + 0.36 * len(path))
