@@ -366,11 +366,13 @@ def _slip_elements(
 ) -> float:
     """Mean force of parallel slip elements over a substep; ``ends`` gets their end forces."""
     n = int(par[s.GMS_N])
+    # Stiffness belongs to the plain Coulomb level, which Stribeck and the like move.
+    plain = par[s.GUIDE + s.LEVEL] if par[s.GUIDE + s.LEVEL] > 0.0 else level
     total = 0.0
     stiffness = 0.0
     for i in range(n):
         total += forces[i]
-        stiffness += par[s.GMS + 2 * i] * level / par[s.GMS + 2 * i + 1]
+        stiffness += par[s.GMS + 2 * i] * plain / par[s.GMS + 2 * i + 1]
     shift = (moved - mobility * total) / (1.0 + 0.5 * mobility * stiffness)
     mean = 0.0
     for _ in range(2):
@@ -378,7 +380,7 @@ def _slip_elements(
         slope = 0.0
         for i in range(n):
             top = par[s.GMS + 2 * i] * level
-            spring = top / par[s.GMS + 2 * i + 1]
+            spring = par[s.GMS + 2 * i] * plain / par[s.GMS + 2 * i + 1]
             end = forces[i] + spring * shift
             if end > top:
                 end = top
@@ -391,7 +393,7 @@ def _slip_elements(
         shift -= miss / (1.0 + mobility * slope)
     for i in range(n):
         top = par[s.GMS + 2 * i] * level
-        end = forces[i] + top / par[s.GMS + 2 * i + 1] * shift
+        end = forces[i] + par[s.GMS + 2 * i] * plain / par[s.GMS + 2 * i + 1] * shift
         ends[i] = min(max(end, -top), top)
     return mean
 
@@ -1020,9 +1022,14 @@ def _bristle(
     h: float,
     speed: float,
 ) -> tuple[float, float]:
-    """Bristle element of one site over a substep; its damping fades with speed."""
+    """Bristle element of one site over a substep; its damping fades with speed.
+
+    As in LuGre the stiffness stays where the level moves (Stribeck, warm-up): the distance follows.
+    """
     bristle = par[site + s.BRISTLE]
     distance = par[site + s.BREAK]
+    if par[site + s.LEVEL] > 0.0:
+        distance *= level / par[site + s.LEVEL]
     damping = 0.0
     if bristle > 0.0:
         ratio = speed * bristle / level
