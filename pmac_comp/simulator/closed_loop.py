@@ -217,9 +217,9 @@ def run_closed_loop(
         plant.reset(float(commanded[0]))
     out = np.zeros((commanded.size, N_RESULTS))
     if isinstance(plant, BallscrewPlant):
-        load = force if external_force_N is not None else np.zeros(0)
+        # Also without a load: that of an earlier run is over.
         _run_ballscrew(
-            setting, gains, plant.state, plant.par, plant.log, desired, forward, load, out
+            setting, gains, plant.state, plant.par, plant.log, desired, forward, force, out
         )
     else:
         _run_python(setting, gains, plant, desired, forward, force, out)
