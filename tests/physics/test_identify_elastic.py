@@ -78,6 +78,8 @@ def test_data_teaches_more_than_the_bench_file(found: Identification) -> None:
 def test_words_say_what_cannot_be_told_apart(found: Identification) -> None:
     text = " ".join(found.statements)
     assert "viscous.nut_Nms_per_rad and viscous.motor_Nms_per_rad cannot be told apart" in text
+    assert "First resonance at 0 mm" in text
+    assert "chain." not in text
 
 
 def test_sandwich_of_file_and_model(found: Identification) -> None:

@@ -9,8 +9,13 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.bench import Bench
 from pmac_comp.physics.identify.output_error import Fit
+from pmac_comp.physics.identify.persistence import file_key
 from pmac_comp.physics.identify.result import correlation_of
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.quasi_static import modes_Hz
 
 # Functionals that compensation needs; sums where the parts cannot be told apart by design.
 ESSENTIAL: Mapping[str, tuple[str, ...]] = {
@@ -47,6 +52,7 @@ _SEPARATORS = {
 }
 _UNDETERMINED = 0.5  # std over size: worse than this and the sign is all that is known
 _TIED = 0.95
+_RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
 _FROM_BENCH = 0.5  # share of the prior's variance that remains
 
 
@@ -101,8 +107,9 @@ def _tied_pairs(fit: Fit) -> list[str]:
             if abs(correlation[i, j]) > _TIED:
                 pair = frozenset({first, fit.names[j]})
                 help_ = _SEPARATORS.get(pair, "runs that move them differently would")
+                one, other = _in_files(fit, first), _in_files(fit, fit.names[j])
                 found.append(
-                    f"{first} and {fit.names[j]} cannot be told apart on these runs (correlation "
+                    f"{one} and {other} cannot be told apart on these runs (correlation "
                     f"{correlation[i, j]:.2f}); {help_}."
                 )
     return found
@@ -111,7 +118,7 @@ def _tied_pairs(fit: Fit) -> list[str]:
 def _from_bench(fit: Fit) -> list[str]:
     share = informed_frac(fit)
     names = [
-        name
+        _in_files(fit, name)
         for name, part in zip(fit.names, share, strict=True)
         if part < _FROM_BENCH and fit.model.spec(name).kind == "known"
     ]
@@ -120,3 +127,26 @@ def _from_bench(fit: Fit) -> list[str]:
     return [
         "These values rest mainly on the bench file, not on the captures: " + ", ".join(names) + "."
     ]
+
+
+def _in_files(fit: Fit, name: str) -> str:
+    """Name of a parameter as the table and the model file have it."""
+    return file_key(fit.model.spec(name), rigid=fit.model.is_rigid)
+
+
+def resonance_statement(model: DriveModel, bench: Bench) -> tuple[str, ...]:
+    """What the measured resonance of the bench file says of the fitted chain, if it states one."""
+    stated, at_mm = bench.known.resonance_Hz, bench.known.resonance_at_mm or 0.0
+    if stated is None or model.is_rigid:
+        return ()
+    found = float(modes_Hz(model, at_mm / MM_PER_M)[0])
+    text = (
+        f"First resonance at {at_mm:g} mm: {found:.1f} Hz from the identified chain, {stated:g} Hz "
+        "stated in the bench file"
+    )
+    if abs(found / stated - 1.0) < _RESONANCE_FRAC:
+        return (f"{text}.",)
+    return (
+        f"{text}. They do not agree: check table_mass_kg and the stiffnesses in [nominal], or "
+        "whether the load was another when it was measured.",
+    )

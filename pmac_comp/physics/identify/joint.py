@@ -21,10 +21,12 @@ from pmac_comp.physics.identify.derivatives import BORDER_SAMPLES
 from pmac_comp.physics.identify.identifiability import (
     informed_frac,
     require_identifiable,
+    resonance_statement,
     statements,
 )
 from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.identify.output_error import Fit, refine, require_converged
+from pmac_comp.physics.identify.plausibility import require_plausible
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
     CaptureResiduals,
@@ -100,11 +102,14 @@ def identify(
         Something that compensation needs is not determined; the hint names the run to make.
     DidNotConverge
         The refinement did not settle.
+    CaptureError
+        A capture contradicts the bench file grossly (signs, units, channels, samples).
     """
     if not captures:
         raise ModelError(
             "No capture was given.", code="PC-IDN-011", hint="Give at least one capture."
         )
+    require_plausible(captures, bench)
     start = DriveModel.base(bench) if model is None else model
     if start.is_rigid and model is None:
         return _identify_rigid(captures, bench, start, progress)
@@ -126,7 +131,10 @@ def _identify_elastic(
         tell("linear start from the two regressions", 0.0)
         start = starting_model(captures, bench, start)
     plain = has_scale and set(start.effects) <= _NO_DETAIL_AT_REST
-    records = [rec.prepare(capture, bench, skip_reversals=plain) for capture in captures]
+    leave_out: rec.LeaveOut = "nothing"
+    if has_scale:
+        leave_out = "reversals" if plain else "rest"
+    records = [rec.prepare(capture, bench, leave_out=leave_out) for capture in captures]
     own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
     free_map = static_map == "free" or (static_map == "auto" and not own)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
@@ -137,6 +145,7 @@ def _identify_elastic(
         bench,
         names=names,
         weights="white" if start.is_rigid else "coloured",
+        steady=[rec.steady_rows(r) for r in records] if leave_out == "rest" else None,
         progress=tell,
         executor=executor,
     )
@@ -155,7 +164,7 @@ def _identify_elastic(
         correlation=correlation_of(fit.covariance),
         noise=_noise(residuals),
         residuals=residuals,
-        statements=statements(fit),
+        statements=(*statements(fit), *resonance_statement(fit.model, bench)),
         method="two linear regressions, then output error through the closed loop",
         figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
         static_map=None

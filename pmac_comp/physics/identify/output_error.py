@@ -8,7 +8,7 @@ Imports ``physics.model``, ``base`` and this package.
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -44,7 +44,14 @@ _DITHERS = 4
 # A block that decides a direction alone says nothing about its own scatter: beyond this share of
 # the information its score is not enlarged further.
 _MAX_LEVERAGE = 0.7
-_QUANTISED_ROUNDS = 2
+_BASE = ("chain", "coulomb", "viscous")
+# Each of these rounds sees other chances of rounding: full steps first, then ever smaller shares,
+# so that the last points are averages instead of the last throw.
+_QUANTISED_GAINS = (1.0, 1.0, 0.5, 0.33, 0.25, 0.2)
+_QUANTISED_DONE = 1.0  # of a standard deviation, after the second round
+# The mean of four roundings leaves a quarter of their scatter: so much more misfit is normal.
+_CHAOS = 1.5
+_ROUGH = 1.1
 
 
 @dataclass(frozen=True)
@@ -97,6 +104,7 @@ class _Problem:
     floors: Mapping[str, float]
     count_m: float
     executor: Executor
+    steady: Sequence[BoolArray] | None  # rows away from rest and reversals
 
     @property
     def nuisance_information(self) -> FloatArray:
@@ -151,6 +159,7 @@ class _Normal:
     block_hessians: FloatArray
     prior_scores: FloatArray
     nuisance: FloatArray
+    steady: tuple[FloatArray, FloatArray] | None = None  # Hessian and gradient of steady rows alone
 
 
 def refine(
@@ -161,6 +170,7 @@ def refine(
     *,
     names: Iterable[str] | None = None,
     weights: Literal["coloured", "white"] = "coloured",
+    steady: Sequence[BoolArray] | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Fit:
@@ -180,6 +190,9 @@ def refine(
         Whether residuals are whitened by an autoregressive model. What a rigid model leaves of a
         real drive is mostly its own error, not sensor noise: ``white`` then keeps the simulated
         position near the measured one at all frequencies alike.
+    steady : sequence of ndarray of bool, or None
+        Rows of each record that friction in detail does not touch. Where these alone would put the
+        base parameters elsewhere, the intervals are widened by the distance.
     progress : callable or None
         Called with a text and the fraction done.
     executor : Executor or None
@@ -193,10 +206,10 @@ def refine(
         The model is unstable at the start.
     """
     if executor is not None:
-        problem = _problem(records, nuisance, model, bench, names, executor)
+        problem = _problem(records, nuisance, model, bench, names, executor, steady)
         return _refine(problem, weights, progress)
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
-        problem = _problem(records, nuisance, model, bench, names, own)
+        problem = _problem(records, nuisance, model, bench, names, own, steady)
         return _refine(problem, weights, progress)
 
 
@@ -216,6 +229,7 @@ def _problem(
     bench: Bench,
     names: Iterable[str] | None,
     executor: Executor,
+    steady: Sequence[BoolArray] | None,
 ) -> _Problem:
     wanted = None if names is None else set(names)
     specs = tuple(
@@ -243,6 +257,7 @@ def _problem(
         floors,
         bench.motor_resolution_m,
         executor,
+        steady,
     )
 
 
@@ -261,7 +276,7 @@ def _refine(problem: _Problem, weights: str, progress: Progress | None) -> Fit:
         np.array([problem.model.parameters[spec.name] for spec in problem.specs]) / problem.scales
     )
     filters = _white_filters(problem, problem.residuals(theta))
-    total = _WHITE_ROUNDS + _COLOURED_ROUNDS + _QUANTISED_ROUNDS
+    total = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(_QUANTISED_GAINS)
     rounds, step = 0, np.inf
     for phase, limit in (("white", _WHITE_ROUNDS), ("coloured", _COLOURED_ROUNDS)):
         for _ in range(limit):
@@ -276,25 +291,64 @@ def _refine(problem: _Problem, weights: str, progress: Progress | None) -> Fit:
         left = _without(problem, residuals, eta)
         reweigh = _coloured_filters if weights == "coloured" else _white_filters
         filters = reweigh(problem, left)
-    final = None
-    for _ in range(_QUANTISED_ROUNDS if weights == "coloured" else 0):
+    last = _normal(problem, theta, filters)
+    if weights == "coloured":
         tell("accounting for what the encoder rounds", rounds / total)
-        final = _normal(problem, theta, filters, quantised=True)
-        theta, step = _plain_step(problem, theta, final)
-        rounds += 1
+        theta, last, more, step = _with_rounding(problem, theta, last, filters, step)
+        rounds += more
     tell("refined", 1.0)
-    last = _normal(problem, theta, filters) if final is None else final
     return _finished(problem, theta, last, rounds, step)
 
 
-def _finished(
-    problem: _Problem, theta: FloatArray, final: _Normal, rounds: int, step: float
-) -> Fit:
+def _with_rounding(
+    problem: _Problem,
+    theta: FloatArray,
+    smooth: _Normal,
+    filters: list[list[Whitener]],
+    step: float,
+) -> tuple[FloatArray, _Normal, int, float]:
+    """Point, normal equations, rounds and last step with what rounding does on average.
+
+    Rounding in the loop can be chaos (a motor that hunts between two counts): where the rounding
+    simulations fit clearly worse than the smooth one, or a step makes them so, they are not
+    followed.
+    """
+    best = None
+    tried = theta
+    for i, gain in enumerate(_QUANTISED_GAINS):
+        at = _normal(problem, tried, filters, quantised=True)
+        if best is None and at.cost > _CHAOS * smooth.cost:
+            return theta, smooth, i + 1, step
+        if best is not None and at.cost > _ROUGH * best.cost:
+            tried = 0.5 * (theta + tried)
+            continue
+        theta, best = tried, at
+        goal, _ = _plain_step(problem, theta, at)
+        std = np.sqrt(np.diag(_covariance(problem, theta, at)))
+        step = float(np.sqrt(np.mean(((goal - theta) / std) ** 2)))
+        tried = theta + gain * (goal - theta)
+        if i > 0 and step < _QUANTISED_DONE:
+            return tried, at, i + 1, step
+    return theta, smooth if best is None else best, len(_QUANTISED_GAINS), step
+
+
+def _covariance(problem: _Problem, theta: FloatArray, final: _Normal) -> FloatArray:
+    """Sandwich covariance of the scaled parameters, prior included, shape (p, p)."""
     prior = np.diag(problem.weight)
     inverse = np.asarray(np.linalg.inv(final.hessian + prior), dtype=np.float64)
     scores = _jackknifed(final, inverse)
     meat = scores.T @ scores + final.prior_scores
     covariance = inverse @ (meat + prior) @ inverse
+    if final.steady is not None:
+        shift = _shift_on_steady_rows(problem, theta, *final.steady)
+        covariance = covariance + np.outer(shift, shift)
+    return np.asarray(covariance)
+
+
+def _finished(
+    problem: _Problem, theta: FloatArray, final: _Normal, rounds: int, step: float
+) -> Fit:
+    covariance = _covariance(problem, theta, final)
     outer = np.outer(problem.scales, problem.scales)
     return Fit(
         model=problem.model_at(theta),
@@ -308,6 +362,22 @@ def _finished(
         rounds=rounds,
         step=step,
     )
+
+
+def _shift_on_steady_rows(
+    problem: _Problem, theta: FloatArray, hessian: FloatArray, gradient: FloatArray
+) -> FloatArray:
+    """Where the base parameters would go on the steady rows alone, less where they are, shape (p,).
+
+    A model that is wrong about the moments after a reversal is pulled by them, and blocks of time
+    that all pull the same way do not show it as scatter (a specification test of Hausman's kind).
+    """
+    base = np.array([spec.name.partition(".")[0] in _BASE for spec in problem.specs])
+    gradient = gradient - problem.weight * (theta - problem.centre)
+    matrix = hessian + np.diag(problem.weight)
+    shift = np.zeros(theta.size)
+    shift[base] = np.linalg.solve(matrix[np.ix_(base, base)], gradient[base])
+    return shift
 
 
 def _jackknifed(final: _Normal, inverse: FloatArray) -> FloatArray:
@@ -346,6 +416,8 @@ def _coloured_filters(problem: _Problem, residuals: list[FloatArray]) -> list[li
 
 
 def _robust_std(values: FloatArray) -> float:
+    if values.size == 0:
+        return 0.0
     centred = values - np.median(values)
     return float(np.sqrt(np.mean(np.clip(centred, *np.quantile(centred, [0.02, 0.98])) ** 2)))
 
@@ -388,7 +460,12 @@ def _normal(
             )
             rows = whitener.rows(record.valid)
             parts.append((i, c, np.where(rows[:, None], whitener.apply(stack), 0.0)))
-    return _assembled(problem, parts, theta.size)
+    whole = _assembled(problem, parts, theta.size)
+    if problem.steady is None:
+        return whole
+    kept = [(i, c, part * filters[i][c].rows(problem.steady[i])[:, None]) for i, c, part in parts]
+    some = _assembled(problem, kept, theta.size)
+    return replace(whole, steady=(some.hessian, some.gradient))
 
 
 def _nuisance_of(problem: _Problem, i: int, record: Record, c: int) -> FloatArray:

@@ -13,7 +13,7 @@ position is used.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -27,6 +27,7 @@ from pmac_comp.physics.identify.derivatives import bridged, usable_rows
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 
+LeaveOut = Literal["nothing", "rest", "reversals"]
 EXTERNAL_FORCE = "external_force_N"
 TORQUE_FEEDFORWARD = "torque_feedforward_Nm"
 _KNOT_SPACING_m = 0.05
@@ -37,6 +38,8 @@ _RATE_Hz = 320.0  # of the compared rows
 _HALF_TAPS = 4  # half length of the low pass in thinned rows
 _REST_m_per_s = 2e-4
 _STILL_m = 1e-6
+_STANDS_m = 1e-9  # what a standing command moves by, round-off of the file included
+_RING_s = 0.1  # a stop rings out and friction relaxes within this
 # The 28 Hz loop needs about 12 ms to rise and twice that to settle after the friction step.
 _AFTER_s, _BEFORE_s = 0.045, 0.010
 
@@ -79,7 +82,12 @@ class Record:
         return self.factor * self.capture.sample_period_s
 
 
-def prepare(capture: Capture, bench: Bench, *, skip_reversals: bool = False) -> Record:
+def prepare(
+    capture: Capture,
+    bench: Bench,
+    *,
+    leave_out: Literal["nothing", "rest", "reversals"] = "nothing",
+) -> Record:
     """Record of a capture, ready for comparison.
 
     Parameters
@@ -88,9 +96,11 @@ def prepare(capture: Capture, bench: Bench, *, skip_reversals: bool = False) -> 
         One run.
     bench : Bench
         Its bench.
-    skip_reversals : bool
-        Leave out standstill and the first moments after each reversal: what friction does there
-        in detail (presliding, Stribeck) is not in a Coulomb model and would bend its parameters.
+    leave_out : "nothing", "rest" or "reversals"
+        Rows that do not count. ``rest``: longer standstill, where the integrator hunts between two
+        counts of the encoder in a way that no model can foresee. ``reversals``: any standstill and
+        the first moments after each reversal as well; what friction does there in detail
+        (presliding, Stribeck) is not in a Coulomb model and would bend its parameters.
 
     Raises
     ------
@@ -112,7 +122,7 @@ def prepare(capture: Capture, bench: Bench, *, skip_reversals: bool = False) -> 
         channels=tuple(named),
         full=full,
         measured=thinned(full, factor),
-        valid=_rows_that_count(capture, factor, skip_reversals=skip_reversals),
+        valid=_rows_that_count(capture, factor, leave_out),
         factor=factor,
         stride=stride,
         commanded_m=_on_servo_grid(bridged(capture.commanded_position_m, mask), stride),
@@ -248,11 +258,31 @@ def _stride(capture: Capture, bench: Bench) -> int:
     return stride
 
 
-def _rows_that_count(capture: Capture, factor: int, *, skip_reversals: bool) -> BoolArray:
+def _rows_that_count(capture: Capture, factor: int, leave_out: LeaveOut) -> BoolArray:
     clean = usable_rows(capture.mask, _HALF_TAPS * factor) if factor > 1 else capture.mask
-    if skip_reversals and EXTERNAL_FORCE not in capture.extra:
+    if EXTERNAL_FORCE in capture.extra:
+        return clean[::factor]
+    if leave_out == "reversals":
         clean = clean & _steady_direction(capture)
+    elif leave_out == "rest":
+        clean = clean & _moving_lately(capture)
     return clean[::factor]
+
+
+def steady_rows(record: Record) -> BoolArray:
+    """Compared rows away from rest and from the moments after a reversal, shape (m,)."""
+    if EXTERNAL_FORCE in record.capture.extra:
+        return record.valid
+    return record.valid & _steady_direction(record.capture)[:: record.factor]
+
+
+def _moving_lately(capture: Capture) -> BoolArray:
+    """Samples whose command moved within the last moments, shape (n,)."""
+    steps = np.abs(np.diff(bridged(capture.commanded_position_m, capture.mask), prepend=np.nan))
+    moves = np.concatenate(([0], np.cumsum(np.nan_to_num(steps) > _STANDS_m)))
+    index = np.arange(capture.n)
+    low = np.maximum(index - round(_RING_s / capture.sample_period_s), 0)
+    return np.asarray(moves[index + 1] > moves[low])
 
 
 def _steady_direction(capture: Capture) -> BoolArray:

@@ -1,0 +1,205 @@
+"""Captures that cannot be what the bench file says: refused before anything is fitted to them.
+
+What lives here: rough checks of signs, units, channels and samples, each with what to look at. What
+may not: statistics of a fit. Imports ``files``, ``base`` and the derivatives of this package.
+
+Every bound here is far outside what friction, elasticity and tolerances can do.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import CaptureError, SampleGap
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.derivatives import bridged, motion_of
+
+_MOVES_m = 2e-4  # less motion than this says nothing about ratios
+_FOLLOWS = (0.7, 1.4)  # motor over command
+_SCALE = 0.01  # table over motor less one: lead error and growth are below 1e-4
+_REPEATED = 0.02  # share of moving samples
+_FLAT = 0.02  # share of samples at the very top of the torque
+_INERTIA = (0.7, 1.6)  # torque per acceleration over what the bench file says
+_NO_LAG_m_per_m_per_s2 = 0.2e-6
+
+
+def require_plausible(captures: Sequence[Capture], bench: Bench) -> None:
+    """Raise CaptureError where a capture contradicts the bench file grossly.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs to identify from.
+    bench : Bench
+        Their bench.
+
+    Raises
+    ------
+    CaptureError
+        Channel swapped, reversed, in other units or clipped; motor without power.
+    SampleGap
+        Samples that repeat the ones before.
+    """
+    for i, capture in enumerate(captures):
+        name = str(capture.attributes.get("motion") or f"capture {i + 1}")
+        _require_fresh_samples(capture, name)
+        if int(capture.mask.sum()) < 100:
+            continue
+        _require_motor_follows(capture, bench, name)
+        _require_table_follows(capture, name)
+        _require_whole_torque(capture, bench, name)
+        _require_signs(capture, bench, name)
+
+
+def _require_fresh_samples(capture: Capture, name: str) -> None:
+    columns = [
+        column
+        for column in (
+            capture.commanded_position_m,
+            capture.motor_position_m,
+            capture.torque_command_Nm,
+        )
+        if column is not None
+    ]
+    same = np.all([np.diff(column) == 0.0 for column in columns], axis=0)
+    moving = np.abs(np.diff(_smooth_command(capture))) > 1e-8
+    ok = capture.mask[1:] & capture.mask[:-1] & moving
+    share = float(np.mean(same[ok])) if ok.sum() > 100 else 0.0
+    if share > _REPEATED:
+        raise SampleGap(
+            f"{name}: {100 * share:.0f} % of the samples in motion repeat the one before in every "
+            "channel.",
+            code="PC-IDN-041",
+            hint="Gather fewer channels or at a lower rate, and state the true sample period.",
+        )
+
+
+def _smooth_command(capture: Capture) -> FloatArray:
+    """Command averaged over five samples, so that a repeated one still counts as motion."""
+    command = bridged(capture.commanded_position_m, capture.mask)
+    return np.convolve(np.pad(command, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+
+
+def _require_motor_follows(capture: Capture, bench: Bench, name: str) -> None:
+    ratio = _ratio(capture.motor_position_m, capture.desired_m, capture)
+    if ratio is None or _FOLLOWS[0] < ratio < _FOLLOWS[1]:
+        return
+    stands = float(np.ptp(capture.motor_position_m[capture.mask])) < _MOVES_m
+    if not stands and _share_at(capture, _least_limit_Nm(bench)) > _FLAT:
+        return  # a saturated drive may do anything
+    if stands:
+        what = "the motor did not move with the command"
+        hint = "Was the motor powered and the loop closed? Check the channel of the motor."
+    elif ratio < 0.0:
+        what = "the motor moved against the command"
+        hint = "Check the sign of the motor channel."
+    else:
+        what = f"the motor moved {ratio:.4g} times what was commanded"
+        hint = "Check units, pitch_mm and counts_per_rev of the motor channel."
+    raise CaptureError(f"{name}: {what}.", code="PC-IDN-042", hint=hint)
+
+
+def _require_table_follows(capture: Capture, name: str) -> None:
+    if capture.table_position_m is None:
+        return
+    ratio = _ratio(capture.table_position_m, capture.motor_position_m, capture)
+    if ratio is None or abs(ratio - 1.0) < _SCALE:
+        return
+    if abs(ratio) < 0.05:
+        what, hint = "the table does not move with the motor", "Is the scale connected?"
+    elif ratio < 0.0:
+        what, hint = "the scale counts against the motor", "Reverse the sign of the table channel."
+    else:
+        what = f"the table moved {ratio:.5g} times what the motor did"
+        hint = "Check units and resolution_um of the scale, and pitch_mm and counts_per_rev."
+    raise CaptureError(f"{name}: {what}.", code="PC-IDN-043", hint=hint)
+
+
+def _require_whole_torque(capture: Capture, bench: Bench, name: str) -> None:
+    if capture.torque_command_Nm is None:
+        return
+    top = float(np.abs(capture.torque_command_Nm[capture.mask]).max())
+    share = _share_at(capture, top)
+    if top > 0.0 and share > _FLAT and top < 0.98 * _least_limit_Nm(bench):
+        raise CaptureError(
+            f"{name}: the torque stands at {top:.4g} N m in {100 * share:.0f} % of the samples, "
+            f"below the limit of the bench file ({_least_limit_Nm(bench):.4g} N m): the channel "
+            "was clipped.",
+            code="PC-IDN-044",
+            hint="Capture it with more range, mark those samples invalid, or state the true "
+            "torque_limit_Nm.",
+        )
+
+
+def _share_at(capture: Capture, level_Nm: float) -> float:
+    """Share of the samples whose torque is at a level or above."""
+    if capture.torque_command_Nm is None:
+        return 0.0
+    size = np.abs(capture.torque_command_Nm[capture.mask])
+    return float(np.mean(size > level_Nm * (1.0 - 1e-3)))
+
+
+def _least_limit_Nm(bench: Bench) -> float:
+    motor = bench.encoder.motor_number
+    dac = float(bench.controller.ivariables.get(f"I{motor}69", 32767.0))
+    law = dac * bench.drive.torque_per_dac_Nm if bench.controller.kind == "pmac" else np.inf
+    return float(min(bench.drive.torque_limit_Nm, law))
+
+
+def _require_signs(capture: Capture, bench: Bench, name: str) -> None:
+    """Table lags where it is accelerated, torque grows with it, both by about what is stated."""
+    motion = motion_of(capture.motor_position_m, capture.sample_period_s, capture.mask)
+    a, v = motion.acceleration_m_per_s2, motion.velocity_m_per_s
+    keep = motion.usable & (np.abs(v) > 2e-3)
+    if keep.sum() < 500 or float(np.std(a[keep])) < 0.3:
+        return
+    columns = np.column_stack([a, v, np.sign(v), np.ones_like(a), motion.position_m])[keep]
+
+    def per_acceleration(values: FloatArray) -> float:
+        scale = np.abs(columns).max(axis=0)
+        scale[scale == 0.0] = 1.0
+        found, *_ = np.linalg.lstsq(columns / scale, values[keep], rcond=None)
+        return float(found[0] / scale[0])
+
+    if capture.table_position_m is not None:
+        error = bridged(capture.table_position_m - capture.motor_position_m, capture.mask)
+        if per_acceleration(error) > _NO_LAG_m_per_m_per_s2:
+            raise CaptureError(
+                f"{name}: the table runs ahead of the motor where it is accelerated; a drive lags.",
+                code="PC-IDN-045",
+                hint="Are the channels of motor and table swapped?",
+            )
+    if capture.torque_command_Nm is None or float(np.ptp(capture.torque_command_Nm)) == 0.0:
+        return
+    expected = _inertia_kgm2(bench)
+    if expected is None:
+        return
+    ratio = bench.lead_m_per_rad * per_acceleration(capture.torque_command_Nm) / expected
+    if not _INERTIA[0] < ratio < _INERTIA[1]:
+        raise CaptureError(
+            f"{name}: the torque per acceleration is {ratio:.3g} times what inertias, mass and "
+            "pitch of the bench file make it.",
+            code="PC-IDN-046",
+            hint="Check pitch_mm, torque_per_dac_Nm, table_mass_kg and the sign and unit of the "
+            "torque channel.",
+        )
+
+
+def _inertia_kgm2(bench: Bench) -> float | None:
+    nominal = bench.nominal
+    if nominal.table_mass_kg is None or nominal.motor_inertia_kgm2 is None:
+        return None
+    rotary = nominal.motor_inertia_kgm2 + (nominal.screw_inertia_kgm2 or 0.0)
+    return rotary + nominal.table_mass_kg * bench.lead_m_per_rad**2
+
+
+def _ratio(values: FloatArray, against: FloatArray, capture: Capture) -> float | None:
+    """Slope of one position on another; None without enough motion."""
+    x, y = against[capture.mask], values[capture.mask]
+    if not bool(np.all(np.isfinite(x)) and np.all(np.isfinite(y))) or float(np.ptp(x)) < _MOVES_m:
+        return None
+    x = (x - x.mean()) * MM_PER_M
+    return float(x @ (y - y.mean()) * MM_PER_M / (x @ x))

@@ -1,0 +1,87 @@
+"""Captures that contradict the bench file are refused with what to look at."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import CaptureError
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.plausibility import require_plausible
+from pmac_comp.physics.signals.trajectory import sinusoid
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+
+BENCH = load_bench("paper")
+MOTION = sinusoid(
+    period_s=BENCH.servo_period_s, amplitude_m=0.01, frequency_Hz=3.0, cycles=5, centre_m=0.1
+)
+RUN = closed_loop_capture(BENCH, make_plant(BENCH, effects=None, seed=3), MOTION.position_m)
+TABLE = RUN.table_position_m
+TORQUE = RUN.torque_command_Nm
+assert TABLE is not None
+assert TORQUE is not None
+
+
+def repeated() -> Capture:
+    index = np.arange(RUN.n) // 2 * 2
+    assert TABLE is not None
+    assert TORQUE is not None
+    return replace(
+        RUN,
+        commanded_position_m=RUN.commanded_position_m[index],
+        motor_position_m=RUN.motor_position_m[index],
+        table_position_m=TABLE[index],
+        torque_command_Nm=TORQUE[index],
+        desired_position_m=None,
+        extra={},
+    )
+
+
+SPOILT: dict[str, tuple[Capture, str]] = {
+    "clipped torque": (replace(RUN, torque_command_Nm=np.clip(TORQUE, -1.0, 1.0)), "clipped"),
+    "swapped": (replace(RUN, motor_position_m=TABLE, table_position_m=RUN.motor_position_m),
+                "swapped"),
+    "reversed scale": (replace(RUN, table_position_m=-TABLE), "sign"),
+    "scale in um": (replace(RUN, table_position_m=1e3 * TABLE), "units"),
+    "dead scale": (replace(RUN, table_position_m=np.full(RUN.n, 0.1)), "connected"),
+    "torque reversed": (replace(RUN, torque_command_Nm=-TORQUE), "sign"),
+    "torque in percent": (replace(RUN, torque_command_Nm=5.0 * TORQUE), "torque_per_dac_Nm"),
+    "repeated samples": (repeated(), "rate"),
+    "motor without power": (
+        replace(RUN, motor_position_m=np.full(RUN.n, 0.1), table_position_m=np.full(RUN.n, 0.1)),
+        "powered",
+    ),
+    "motor in counts": (replace(RUN, motor_position_m=RUN.motor_position_m * 1e3), "units"),
+    "motor reversed": (replace(RUN, motor_position_m=-RUN.motor_position_m), "sign"),
+}  # fmt: skip
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("case", SPOILT)
+def test_f40_a_spoilt_capture_is_told(case: str) -> None:
+    capture, word = SPOILT[case]
+    with pytest.raises(CaptureError) as caught:
+        require_plausible([capture], BENCH)
+    assert word in f"{caught.value.message} {caught.value.hint}"
+
+
+@pytest.mark.faults
+def test_f40_half_the_pitch_is_told() -> None:
+    screw = BENCH.screw.model_copy(update={"pitch_mm": 5.0})
+    with pytest.raises(CaptureError, match="torque per acceleration"):
+        require_plausible([RUN], BENCH.model_copy(update={"screw": screw}))
+
+
+def weaker(bench: Bench) -> Bench:
+    drive = bench.drive.model_copy(update={"torque_limit_Nm": 2.0})
+    return bench.model_copy(update={"drive": drive})
+
+
+@pytest.mark.parametrize("change", [lambda bench: bench, weaker])
+def test_whole_captures_pass_saturated_or_not(change: Callable[[Bench], Bench]) -> None:
+    bench = change(BENCH)
+    run = closed_loop_capture(bench, make_plant(bench, effects={}, seed=4), MOTION.position_m)
+    require_plausible([run], bench)
