@@ -1,5 +1,6 @@
 """Identification and prediction on files: captures and benches in, models and captures out."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture, write_capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 _PERIOD_TOLERANCE = 1e-3
+_COARSEST = 12.0  # servo periods per sample of a command that is interpolated
 
 
 @dataclass(frozen=True)
@@ -161,28 +164,34 @@ def check_period(capture: Capture, bench: Bench, name: str) -> None:
 def predict_files(
     bench: str, model: Path, command: Path, out: Path, *, effects: Path | None = None
 ) -> dict[str, Any]:
-    """Predict a command from rest and write the capture; the contract's ``predict``."""
+    """Predict a command from rest and write the capture; the contract's ``predict``.
+
+    ``command`` is a command file or a capture; of a capture the corrected command and the load are
+    used too where it holds them. A command on another grid than the servo's is brought onto that,
+    and the answer is given at the times of the command.
+    """
     from pmac_comp.physics.model.drive import simulate
 
     loaded = load_bench(bench)
     drive = load_model(model, loaded, effects=effects)
-    time_s, position = read_command(command)
-    period = float((time_s[-1] - time_s[0]) / (time_s.size - 1))
-    if abs(period / loaded.servo_period_s - 1.0) > _PERIOD_TOLERANCE:
-        raise ConfigError(
-            f"{command.name} has a step of {period * 1e6:.2f} us, the servo period is "
-            f"{loaded.servo_period_s * 1e6:.2f} us.",
-            code="PC-IDF-002",
-            hint="Sample the command at the servo period.",
-        )
-    response = simulate(drive, position)
+    given = _inputs(command)
+    grid = _ServoGrid(given.time_s, loaded.servo_period_s)
+    response = simulate(
+        drive,
+        grid.onto(given.commanded_m),
+        desired_position_m=grid.onto_optional(given.desired_m),
+        torque_feedforward_Nm=grid.onto_optional(given.feedforward_Nm),
+        external_force_N=grid.onto_optional(given.force_N),
+    )
+    motor, table = grid.back(response.motor_position_m), grid.back(response.table_position_m)
+    desired = given.commanded_m if given.desired_m is None else given.desired_m
     capture = Capture(
-        time_s=time_s,
-        commanded_position_m=position,
-        desired_position_m=response.desired_position_m,
-        motor_position_m=response.motor_position_m,
-        table_position_m=None if loaded.scale is None else response.table_position_m,
-        torque_command_Nm=response.torque_command_Nm,
+        time_s=given.time_s,
+        commanded_position_m=given.commanded_m,
+        desired_position_m=desired,
+        motor_position_m=motor,
+        table_position_m=None if loaded.scale is None else table,
+        torque_command_Nm=grid.back(response.torque_command_Nm),
         attributes={
             "source": "predicted by a model, not measured",
             "model": model.name,
@@ -190,11 +199,103 @@ def predict_files(
         },
     )
     write_capture(out, capture)
-    error = response.table_position_m - response.motor_position_m
     return {
         "out": out,
         "samples": capture.n,
         "effects": list(drive.effects),
-        "mechanical_rms_um": float(np.sqrt(np.mean(error**2)) * 1e6),
-        "control_rms_um": float(np.sqrt(np.mean(response.control_error_m**2)) * 1e6),
+        "resampled": grid.note(),
+        "mechanical_rms_um": float(np.sqrt(np.mean((table - motor) ** 2)) * 1e6),
+        "control_rms_um": float(np.sqrt(np.mean((motor - desired) ** 2)) * 1e6),
     }
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What drives a prediction, each shape (n,)."""
+
+    time_s: FloatArray
+    commanded_m: FloatArray
+    desired_m: FloatArray | None = None
+    feedforward_Nm: FloatArray | None = None
+    force_N: FloatArray | None = None
+
+
+def _inputs(command: Path) -> _Inputs:
+    from pmac_comp.physics.identify.records import EXTERNAL_FORCE, TORQUE_FEEDFORWARD
+
+    if command.suffix.lower() == ".csv" and not _is_capture(command):
+        return _Inputs(*read_command(command))
+    capture = read_capture(command)
+    if not capture.mask.all():
+        raise CaptureError(
+            f"{command.name} has {int((~capture.mask).sum())} samples marked as lost or clipped; "
+            "the command there is not known.",
+            code="PC-IDF-003",
+            hint="Give the command as a CSV file with time_s and commanded_position_mm.",
+        )
+    extra = capture.extra
+    return _Inputs(
+        capture.time_s,
+        capture.commanded_position_m,
+        capture.desired_position_m,
+        extra.get(TORQUE_FEEDFORWARD),
+        extra.get(EXTERNAL_FORCE),
+    )
+
+
+def _is_capture(command: Path) -> bool:
+    """Whether a CSV file holds what was measured, not only a command."""
+    try:
+        with command.open(encoding="utf-8-sig") as stream:
+            lines = (line for line in stream if line.strip() and not line.startswith("#"))
+            header = [name.strip() for name in next(lines, "").split(",")]
+    except (OSError, UnicodeDecodeError):
+        return False  # ``read_command`` says what is wrong
+    return {"motor_position_mm", "desired_position_mm"} <= set(header)
+
+
+class _ServoGrid:
+    """Times of a command and the servo's own, and the way from one to the other."""
+
+    def __init__(self, time_s: FloatArray, period_s: float) -> None:
+        self._time = time_s - time_s[0]
+        self._period = period_s
+        self._given = float(self._time[-1] / (time_s.size - 1))
+        self.same = abs(self._given / period_s - 1.0) <= _PERIOD_TOLERANCE
+        n = math.ceil(self._time[-1] / period_s - 1e-6) + 1
+        if self._given > _COARSEST * period_s:
+            raise ConfigError(
+                f"The command has a step of {self._given * 1e3:.3g} ms, the servo period is "
+                f"{period_s * 1e6:.2f} us: what happens in between is not in it.",
+                code="PC-IDF-002",
+                hint="Sample the command at the servo period, or at least every "
+                f"{_COARSEST * period_s * 1e3:.1f} ms; time_s is in seconds.",
+            )
+        self._fine = self._time if self.same else period_s * np.arange(max(n, 2))
+
+    def onto(self, values: FloatArray) -> FloatArray:
+        """Values at the servo's times; the last one is held."""
+        if self.same:
+            return values
+        from scipy.interpolate import make_interp_spline
+
+        degree = min(3, values.size - 1)
+        inside = np.minimum(self._fine, self._time[-1])
+        return np.asarray(make_interp_spline(self._time, values, k=degree)(inside))
+
+    def onto_optional(self, values: FloatArray | None) -> FloatArray | None:
+        """``onto``, of nothing nothing."""
+        return None if values is None else self.onto(values)
+
+    def back(self, values: FloatArray) -> FloatArray:
+        """Values at the times of the command."""
+        return values if self.same else np.interp(self._time, self._fine, values)
+
+    def note(self) -> str:
+        """What was done to the grid, empty where nothing was."""
+        if self.same:
+            return ""
+        return (
+            f"the command's step of {self._given * 1e6:.2f} us was brought onto the servo period, "
+            f"{self._period * 1e6:.2f} us; between servo cycles the prediction is interpolated"
+        )
