@@ -41,12 +41,13 @@ def compensate(
     slow: Annotated[
         list[Path] | None,
         typer.Option(
-            "--slow", help="Slow bidirectional run for lead and backlash table (repeatable)"
+            "--slow",
+            help="Slow run in both directions for lead and backlash table; a file or folder",
         ),
     ] = None,
     captures: Annotated[
         list[Path] | None,
-        typer.Option("--captures", help="Calibration run that trims the law (repeatable)"),
+        typer.Option("--captures", help="Calibration runs that trim the law; a file or a folder"),
     ] = None,
     command: Annotated[
         str,
@@ -76,6 +77,7 @@ def compensate(
     json_target: JsonOption = "",
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
+    from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.computing import aim_of, compensate_files
     from pmac_comp.workflow.static_map import Limit
 
@@ -85,8 +87,8 @@ def compensate(
         model,
         output.checked_target(out),
         route=route,
-        slow=tuple(slow or ()),
-        captures=tuple(captures or ()),
+        slow=capture_paths(slow or ()),
+        captures=capture_paths(captures or ()),
         command=command,
         aim=aim_of(aim),
         limit=Limit.CLIP if limit else Limit.REFUSE,
@@ -235,10 +237,12 @@ def verify(
         Path | None, typer.Option("--compensation", help="Compensation file, for the promise")
     ] = None,
     before: Annotated[
-        list[Path] | None, typer.Option("--before", help="Stored capture without compensation")
+        list[Path] | None,
+        typer.Option("--before", help="Stored runs without it; file or folder"),
     ] = None,
     after: Annotated[
-        list[Path] | None, typer.Option("--after", help="Stored capture with compensation")
+        list[Path] | None,
+        typer.Option("--after", help="Stored runs with it; file or folder"),
     ] = None,
     motion: Annotated[
         list[str] | None, typer.Option("--motion", help="As in `capture` (repeatable)")
@@ -260,12 +264,15 @@ def verify(
     json_target: JsonOption = "",
 ) -> None:
     """Measure before and after on fresh runs, alternating, against the promise."""
+    from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.compensation_file import check_bench
     from pmac_comp.workflow.verify import verify_files, verify_on_controller
 
     progress = ProgressLines()
     if before or after:
-        outcome = verify_files(bench, before or [], after or [], model=model, law=law)
+        first = capture_paths(before or (), side="before")
+        second = capture_paths(after or (), side="after")
+        outcome = verify_files(bench, first, second, model=model, law=law)
     else:
         if not url:
             raise ConfigError(

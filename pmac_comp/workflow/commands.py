@@ -1,16 +1,18 @@
-"""Command files: the two columns that ``predict``, ``cam`` and ``--motion FILE`` need."""
+"""Files that commands are given: command files, and lists of captures with folders in them."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
-from pmac_comp.base.errors import CaptureError, SampleGap
+from pmac_comp.base.errors import CaptureError, ConfigError, SampleGap
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.capture import read_capture
 
 _TIME, _POSITION = "time_s", "commanded_position_mm"
+_CAPTURES = frozenset({".h5", ".hdf5", ".csv", ".mat"})
 
 
 def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -56,6 +58,35 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
             hint="Give one row per servo period.",
         )
     return time_s, position_mm / MM_PER_M
+
+
+def capture_paths(paths: Sequence[Path], *, side: str = "") -> tuple[Path, ...]:
+    """Files of a list that may hold folders: a folder stands for its captures in order of name.
+
+    With a ``side`` (``before`` or ``after``) a folder that ``verify --out`` wrote stands for its
+    runs of that side.
+
+    Raises
+    ------
+    ConfigError
+        A folder without captures.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _CAPTURES)
+        if side and (path / "verification.json").is_file():
+            inside = [p for p in inside if side in p.stem]
+        if not inside:
+            raise ConfigError(
+                f"The folder {path} holds no captures.",
+                code="PC-CMD-005",
+                hint="Give files, or a folder with .h5, .csv or .mat files.",
+            )
+        found += inside
+    return tuple(found)
 
 
 def _rows(path: Path) -> list[list[str]]:
