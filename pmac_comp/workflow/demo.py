@@ -33,6 +33,7 @@ from pmac_comp.workflow.simulated import (
     TruthRecorder,
     default_servo,
     make_card,
+    warm_up,
 )
 from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
@@ -177,6 +178,7 @@ def run_demo(
     watch = Stopwatch(progress)
     with watch.step("starting the simulated Turbo PMAC"):
         servo = default_servo() if route == "servo" else None
+        warm_up(loaded, plant)
         card = make_card(loaded, plant=plant, servo=servo)
         recorder = TruthRecorder(card)
     from pmac_comp.simulator.server import HostPace, ServeOptions, running_server

@@ -65,7 +65,7 @@ def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
     from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
     from pmac_comp.physics.model.drive import DriveModel, simulate
     from pmac_comp.physics.signals.trajectory import dwell
-    from pmac_comp.workflow.simulated import make_card
+    from pmac_comp.workflow.simulated import warm_up
 
     def tell(text: str, fraction: float) -> None:
         if progress is not None:
@@ -78,7 +78,7 @@ def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
     tell("compiling the law", 0.4)
     evaluate_law(CompensationLaw(), rest.position_m, bench.servo_period_s)
     tell("compiling the simulated card", 0.5)
-    make_card(bench).run_cycles(10)
+    warm_up(bench)
     tell("kernels are compiled", 1.0)
     yield Finding("ok", "kernels", f"compiled or loaded in {time.monotonic() - start:.1f} s")
 
@@ -124,9 +124,7 @@ def _flash(axis: "Axis", backup: Path | None) -> Finding:
     try:
         if backup is None:
             kept.check_flash_status(axis.link)
-            return Finding(
-                "ok", "flash", "no error reported; --backup FILE compares values too"
-            )
+            return Finding("ok", "flash", "no error reported; --backup FILE compares values too")
         kept.check_flash(axis.link, kept.load_backup(backup))
     except FlashSuspect as error:
         return Finding("bad", "flash", f"{error.message} {error.hint}")

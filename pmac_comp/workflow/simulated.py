@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pmac_comp.simulator.server import HostPace
 
 _LOOK_s = 2e-4
+_WARM_UP_s = 0.05
 _REQUEST_CYCLES = 2  # servo cycles that a request takes: the host is never infinitely fast
 
 
@@ -124,6 +125,14 @@ def open_embedded(bench: Bench, endpoint: Endpoint) -> Iterator[Commander]:
         yield link
 
 
+def warm_up(bench: Bench, plant: str | None = None) -> None:
+    """Compile what a card needs to run programs, before anybody waits for its answers."""
+    programs = [f"OPEN PLC {n} CLEAR P{n}=P{n}+1 CLOSE" for n in (0, 2)]
+    with embedded(make_card(bench, plant=plant)) as link:
+        link.write_buffer(["I5=3", *programs, "ENABLE PLC 0", "ENABLE PLC 2"])
+        link.clock.sleep_s(_WARM_UP_s)
+
+
 def default_servo() -> Path:
     """Source of the open servo that comes with the installation."""
     return firmware_path("feedforward_servo.txt")
@@ -150,9 +159,9 @@ def serve_forever(
 
     if tcp is None and udp is None and ascii_port is None and not pty:
         tcp = 1025
-    card = make_card(
-        load_bench(bench), plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults
-    )
+    loaded = load_bench(bench)
+    warm_up(loaded, plant)
+    card = make_card(loaded, plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults)
     options = ServeOptions(
         tcp=tcp, udp=udp, ascii_port=ascii_port, pty=pty, host=host, speed=speed, force=force
     )
