@@ -1,7 +1,8 @@
 """Commands on captures and models: ``identify``, ``predict``, ``diagnose``, ``compare``."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -168,7 +169,8 @@ def compare(
     """Fit rival models to the same captures and show what each leaves uncorrected.
 
     Beside them what one would do otherwise (scale feedback, notch, friction feedforward, learning),
-    simulated on the identified model.
+    simulated on the identified model. On a bench without a scale friction models are compared on
+    the motor of one record: closed loop lap by lap, and one step ahead.
     """
     from pmac_comp.workflow.comparison import compare_files
 
@@ -181,6 +183,9 @@ def compare(
         write_comparison_report(result, output.checked_target(report))
 
     def show() -> None:
+        if "laps" in result:
+            _show_rigid(result)
+            return
         output.table(
             "what each model leaves uncorrected (rms, captures not used for fitting)",
             ("model", "left um", "of um", "parameters", "source"),
@@ -210,3 +215,31 @@ def compare(
             output.echo(f"report: {report}")
 
     output.finish(result, json_target, show)
+
+
+def _show_rigid(result: Mapping[str, Any]) -> None:
+    laps = result["laps"]
+    output.table(
+        f"motor position from the command alone, um rms (fitted: first {laps['fitted']} of "
+        f"{laps['all']} laps)",
+        ("coulomb + viscous +", "judged laps", "each lap", "one step nm", "parameters"),
+        [
+            (
+                r["name"],
+                round(r["left_rms_um"], 2),
+                "  ".join(f"{value:.2f}" for value in r["laps_um"]),
+                round(r["one_step_nm"], 1),
+                r["n_parameters"],
+            )
+            for r in result["models"]
+        ],
+    )
+    for name, why in result["refused"].items():
+        output.echo(f"  {name}: {why}")
+    if result["floor_um"] is not None:
+        best = min((r["left_rms_um"] for r in result["models"]), default=float("nan"))
+        output.echo(
+            f"  laps differ from each other by {result['floor_um']:.2f} um rms, the floor of any "
+            f"model; the best leaves {best:.2f} um. One step ahead the encoder's lattice is "
+            f"{result['lattice_nm']:.0f} nm."
+        )

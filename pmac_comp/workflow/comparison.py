@@ -5,8 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import read_capture
+from pmac_comp.base.errors import ModelError
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture, read_capture
 from pmac_comp.workflow.identification import check_period
 
 Progress = Callable[[str, float], None]
@@ -22,7 +23,8 @@ def compare_files(
     """Fit every rival and the full model to captures, judge them on others.
 
     The alternatives to compensation are simulated on the commands of the judged captures, with the
-    identified model as the plant.
+    identified model as the plant. On benches without a scale friction models are compared on the
+    motor of one record, lap by lap.
     """
     from pmac_comp.physics.identify.compare import compare_models, parted
     from pmac_comp.physics.identify.records import prepare
@@ -33,6 +35,8 @@ def compare_files(
     for path, capture in read.items():
         check_period(capture, loaded, path.name)
     given = [read[path] for path in captures], [read[path] for path in validate]
+    if loaded.scale is None:
+        return _compare_rigid(given[0] + given[1], loaded, progress)
     found = compare_models(*given, loaded, progress=progress)
     model = found.identification.model
     commands = [prepare(capture, loaded).commanded_m for capture in parted(*given)[1]]
@@ -42,4 +46,30 @@ def compare_files(
         "judged_on": found.judged_on,
         "models": [asdict(row) for row in found.rows],
         "alternatives": {"simulated": True, "basis": BASIS, "rows": [asdict(w) for w in ways]},
+    }
+
+
+def _compare_rigid(
+    captures: Sequence[Capture], bench: Bench, progress: Progress | None
+) -> dict[str, Any]:
+    """Benches without a scale: friction models on the motor of one record, lap by lap."""
+    from pmac_comp.physics.identify.compare_rigid import compare_rigid
+
+    if len(captures) != 1:
+        raise ModelError(
+            f"{len(captures)} captures were given; without a scale one record is fitted in its "
+            "first half and judged in its second.",
+            code="PC-CMP-007",
+            hint="Give one record, best of a motion that repeats itself.",
+        )
+    found = compare_rigid(captures[0], bench, progress=progress)
+    return {
+        "kind": "comparison",
+        "judged_on": "measured",
+        "models": [asdict(row) for row in found.rows],
+        "refused": found.refused,
+        "laps": {"fitted": found.fitted_laps, "all": found.n_laps},
+        "floor_um": found.floor_um,
+        "lattice_nm": found.lattice_nm,
+        "alternatives": {"simulated": True, "basis": "", "rows": []},
     }

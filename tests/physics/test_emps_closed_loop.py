@@ -8,6 +8,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.physics.identify import Identification, identify, model_from_file, to_model_file
+from pmac_comp.physics.identify.compare_rigid import compare_rigid
 
 ROOT = Path(__file__).resolve().parents[2]
 EMPS = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared/data/emps")) / "DATA_EMPS.mat"
@@ -52,3 +53,15 @@ def test_model_file_gives_the_model_back(found: Identification) -> None:
     again = model_from_file(to_model_file(found, bench), bench)
     assert found.model is not None
     assert dict(again.parameters) == pytest.approx(dict(found.model.parameters), rel=1e-12)
+
+
+def test_models_are_judged_lap_by_lap() -> None:
+    growth = (("bias_force",), ("bias_force", "friction_asymmetry", "viscous_nonlinear"))
+    compared = compare_rigid(read_capture(EMPS), load_bench("emps"), growth=growth)
+    plain, grown = compared.rows
+    assert compared.n_laps == 4
+    assert compared.floor_um == pytest.approx(0.26, abs=0.02)
+    # Ball-screw facts, section 4: 1.6 um with the published parameters.
+    assert plain.left_rms_um < 1.75
+    assert grown.left_rms_um < 1.1
+    assert grown.one_step_nm < plain.one_step_nm < 70.0  # the lattice is 50 nm
