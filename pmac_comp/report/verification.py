@@ -79,10 +79,16 @@ def verification_sections(verification: Verification) -> list[Section]:
     sections += [_motion_section(verification, m) for m in verification.motions]
     if verification.lead is not None:
         summary = verification.lead.summary()
+        rows = [(name.replace("_", " "), value) for name, value in summary.items()]
         sections.append(
             Section(
                 "Static lead error",
-                tables=[Table(("quantity", "value"), list(summary.items()))],
+                tables=[
+                    Table(
+                        ("quantity", "value"),
+                        rows,
+                    )
+                ],
                 figures=[
                     (
                         figures.lead_figure(verification.lead, verification.table_correction),
