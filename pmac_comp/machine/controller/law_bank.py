@@ -24,8 +24,9 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
 
-    x = r - X0           v = dr        a = dv        j = da        (differences over dn cycles)
-    d = (v + L1 a + L2 j) dn                              way of a cycle L1 cycles later
+    x = r - X0           v = dr                                   (differences over dn cycles)
+    j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
+    d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
     c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
@@ -123,7 +124,7 @@ class BankIndex(IntEnum):
     TC = 11  # DAC units
     J0 = 12  # counts per (count/SC^3)
     L1 = 13  # SC, look-ahead of the friction states
-    L2 = 14  # SC^2, half the square of it
+    JL = 14  # counts/SC^3, largest jerk that the law follows
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant
     LR = 17  # SC, look-ahead of the angle
@@ -210,7 +211,7 @@ class LawParameters:
     TC: float = 0.0
     J0: float = 0.0
     L1: float = 0.0
-    L2: float = 0.0
+    JL: float = 0.0
     T_INV: float = 0.0
     T0: float = 0.0
     TE: float = 0.0
@@ -229,7 +230,7 @@ class LawParameters:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT") if getattr(self, n) < 0.0]
+        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT", "JL") if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
 
@@ -333,11 +334,10 @@ def evaluate(
     p = parameters
     r = finite_array("position_ct", position_ct)
     v = np.diff(r, prepend=r[0])
-    a = np.diff(v, prepend=0.0)
-    j = np.diff(a, prepend=0.0)
+    a, j = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
     x = r - p.X0
     start = dict(start_state or {})
-    ahead = v + p.L1 * a + p.L2 * j
+    ahead = v + p.L1 * (a + 0.5 * p.L1 * j)
     s = _friction_state(ahead * p.S_INV, start.get("s", 0.0))
     t = _friction_state(ahead * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
@@ -350,6 +350,17 @@ def evaluate(
         torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),
         n_clamped=int(np.count_nonzero(np.abs(c) > clamp_ct)),
     )
+
+
+def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
+    """Acceleration that follows no faster than a limit per cycle, and its jerk."""
+    followed, jerk = np.empty_like(acceleration), np.empty_like(acceleration)
+    value = 0.0
+    for k, wanted in enumerate(acceleration.tolist()):
+        jerk[k] = min(max(wanted - value, -limit), limit)
+        value += jerk[k]
+        followed[k] = value
+    return followed, jerk
 
 
 def _friction_state(u: FloatArray, start: float, *, fade: float = 0.0) -> FloatArray:

@@ -21,6 +21,8 @@ def ordinary_pass(lines: Sequence[str]) -> list[str]:
         "IF(M7003=1 OR M7004=0)",
         "IF(P7112>16)",
         "IF(P7113!=P7001+1)",
+        "IF(P7118>P7174)",
+        "IF(P7118<0-P7174)",
         "IF(P7122>P7004)",
         "IF(P7122<0-P7004)",
         "IF(P7124>P7181)",
@@ -48,7 +50,7 @@ def ordinary_pass(lines: Sequence[str]) -> list[str]:
 
 
 def _operations(line: str) -> int:
-    functions = line.count("ABS(")
+    functions = line.count("ABS(") + line.count("SIN(")
     operators = sum(line.count(c) for c in "+-*/%<>")
     return operators + functions + line.count("=") + line.count("AND") + line.count("OR")
 

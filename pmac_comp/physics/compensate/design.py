@@ -47,6 +47,7 @@ _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 _START_BREAKAWAY_m = 1.2e-6
 _DRIVE_DELAY_s = 1.2e-3  # of dead time and current loop: where the look-ahead starts from
+_JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
 _MOST_STEPS = 10
 _FEW_STEPS = 4  # from a start that is nearly right
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
@@ -238,12 +239,19 @@ def design_law(
         every_cycles=every_cycles,
         lookahead_s=start.lookahead_s + (every_cycles - 1) * bench.servo_period_s,
         provenance=dict(provenance or {}),
+        jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
         valid_speed_m_per_s=max(float(np.max(np.abs(m.velocity_m_per_s))) for m in chosen),
         valid_acceleration_m_per_s2=max(
             float(np.max(np.abs(m.acceleration_m_per_s2))) for m in chosen
         ),
     )
     return _refined(start, loop, chosen, latency_cycles, progress)
+
+
+def _largest_jerk(motion: Trajectory) -> float:
+    """Largest jerk in m/s3 of a motion as a law sees it, by differences at the sample period."""
+    jerk = np.diff(motion.position_m, 3) / motion.sample_period_s**3
+    return float(np.max(np.abs(jerk)))
 
 
 def slower_law(

@@ -7,6 +7,7 @@ coefficients (``design``). Imports ``base`` only.
 With ``r`` the commanded position, ``v a j`` its backward differences at the servo period and ``x``
 the distance from the law's origin::
 
+    j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
     w  = v + L a + L^2/2 j                              speed expected L seconds later
     s' = (|w| (sgn w - s)) / break-away distance        friction state, follows distance
     correction = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j     added to the command
@@ -17,7 +18,8 @@ the distance from the law's origin::
 ``t`` is a second friction state with the break-away distance of the motor's friction; it fades at
 rest within 0.2 s. The look-ahead L covers the delay of door, drive and loop: at a reversal the
 friction's step must meet the axis on time, and a lead by derivatives makes a spike of a step that
-rings the first mode instead.
+rings the first mode instead. The same holds for steps of the acceleration: the law follows them
+no faster than J, which motions with limited jerk never meet.
 """
 
 import math
@@ -49,6 +51,8 @@ class CompensationLaw:
         J0 (m per m/s3), damping of the chain.
     breakaway_m, torque_breakaway_m : float
         Distances over which the friction states follow a reversal.
+    jerk_limit_m_per_s3 : float
+        J, above what the motions the law was fitted on have.
     lookahead_s : float
         L, from latency, delay and current loop to the motor's own reversal.
     torque_inertia_Nm_s2_per_m, torque_jerk_Nm_s3_per_m, torque_viscous_Nm_s_per_m : float
@@ -103,6 +107,7 @@ class CompensationLaw:
     torque_limit_Nm: float = 0.0
     valid_speed_m_per_s: float = 0.0
     valid_acceleration_m_per_s2: float = 0.0
+    jerk_limit_m_per_s3: float = 1e6
     every_cycles: int = 1
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -119,6 +124,8 @@ class CompensationLaw:
                 code="PC-LAW-021",
                 hint=f"Choose 1 to {_MOST_CYCLES}.",
             )
+        if self.jerk_limit_m_per_s3 <= 0.0:
+            small.append("jerk_limit_m_per_s3")
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
@@ -204,7 +211,9 @@ def evaluate_law(
     position = finite_array("position_m", position_m)
     values = np.array([float(getattr(law, name)) for name in coefficient_names()])
     every = law.every_cycles
-    correction, torque = _evaluate(values, position[::every], every * period_s)
+    correction, torque = _evaluate(
+        values, position[::every], every * period_s, law.jerk_limit_m_per_s3
+    )
     correction = np.repeat(correction, every)[: position.size]
     torque = np.repeat(torque, every)[: position.size]
     clamped = np.abs(correction) > law.amplitude_limit_m
@@ -236,16 +245,18 @@ def delayed(values: FloatArray, cycles: int) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(p: FloatArray, r: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
+def _evaluate(
+    p: FloatArray, r: FloatArray, period: float, limit: float
+) -> tuple[FloatArray, FloatArray]:
     n = r.size
     correction = np.empty(n)
     torque = np.empty(n)
     v = a = s = t = 0.0
     for k in range(n):
-        v1, a1 = v, a
+        v1 = v
         v = (r[k] - r[k - 1]) / period if k > 0 else 0.0
-        a = (v - v1) / period
-        j = (a - a1) / period
+        j = min(max(((v - v1) / period - a) / period, -limit), limit)
+        a += j * period
         # Implicit Euler of the friction states: holds at standstill, never overshoots.
         step = (v + p[8] * a + 0.5 * p[8] * p[8] * j) * period
         u = step / p[7]

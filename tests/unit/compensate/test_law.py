@@ -23,6 +23,7 @@ LAW = CompensationLaw(
     jerk_s3=1e-9,
     breakaway_m=5e-6,
     lookahead_s=1.8e-3,
+    jerk_limit_m_per_s3=40.0,
     torque_inertia_Nm_s2_per_m=0.01,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_viscous_Nm_s_per_m=0.1,
@@ -133,3 +134,31 @@ def test_f34_values_that_are_not_finite_are_refused(bad: float) -> None:
     position[7] = bad
     with pytest.raises(NonFinite, match="index 7"):
         evaluate_law(LAW, position, PERIOD)
+
+
+def test_steps_of_the_acceleration_are_followed_at_the_jerk_limit() -> None:
+    step = trapezoid(
+        period_s=PERIOD, distance_m=0.05, speed_m_per_s=0.2, acceleration_m_per_s2=3.0, dwell_s=0.1
+    )
+    law = CompensationLaw(inertia_s2=2.2e-6, jerk_limit_m_per_s3=500.0)
+    got = evaluate_law(law, step.position_m, PERIOD).correction_m
+    steepest = np.max(np.abs(np.diff(got))) / PERIOD
+    assert steepest == pytest.approx(2.2e-6 * 500.0, rel=1e-6)
+    # It arrives: the plateau of the acceleration is corrected in full.
+    assert np.max(got) == pytest.approx(2.2e-6 * 3.0, rel=1e-3)
+    free = evaluate_law(law.with_values(jerk_limit_m_per_s3=1e6), step.position_m, PERIOD)
+    assert np.max(np.abs(np.diff(free.correction_m))) / PERIOD > 10.0 * steepest
+
+
+def test_motions_with_limited_jerk_never_meet_the_limit() -> None:
+    move = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.05,
+        speed_m_per_s=0.2,
+        acceleration_m_per_s2=4.0,
+        s_curve_s=0.015,
+    )
+    limited = evaluate_law(LAW.with_values(jerk_limit_m_per_s3=500.0), move.position_m, PERIOD)
+    free = evaluate_law(LAW.with_values(jerk_limit_m_per_s3=1e6), move.position_m, PERIOD)
+    # The limited acceleration adds up what the other takes as a difference.
+    assert np.max(np.abs(limited.correction_m - free.correction_m)) < 1e-12
