@@ -15,7 +15,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.estimates import estimates_of
 from pmac_comp.physics.diagnose.growth import Grown, Rules, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
-from pmac_comp.physics.diagnose.lookalikes import separating_experiment
+from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare
 from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
 from pmac_comp.physics.diagnose.result import (
@@ -26,7 +26,8 @@ from pmac_comp.physics.diagnose.result import (
     Trace,
     Verdict,
 )
-from pmac_comp.physics.diagnose.words import statements_of
+from pmac_comp.physics.diagnose.statistics import sign_flip_p
+from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
@@ -147,7 +148,20 @@ def _assembled(
         residual=left.regions if left.visible else (),
         separating_experiment=experiment,
         findings=findings,
-        statements=statements_of(verdict, named, tied, estimates, where, before, after, left),
+        statements=statements_of(
+            Story(
+                verdict,
+                named,
+                tied,
+                estimates,
+                where,
+                before,
+                after,
+                left,
+                ruled_out(grown, library) if named else (),
+                library,
+            )
+        ),
         model=grown.final.model,
         estimates=estimates,
         path=_path(grown, before, after),
@@ -188,6 +202,28 @@ def _experiment(
         rivals = [c.effect for c in grown.rounds[-1].contenders[:2]]
         return separating_experiment(rivals, library, grown.final.model.bench)
     return None
+
+
+def ruled_out(grown: Grown, library: Mapping[str, Effect]) -> tuple[Rival, ...]:
+    """Look-alikes of the accepted effects that the data rules out, with their evidence."""
+    found: dict[str, Rival] = {}
+    taken = {c.effect for c in grown.accepted}
+    for done in grown.rounds:
+        winner = done.accepted
+        if winner is None:
+            continue
+        tried = {c.effect: c for c in done.contenders}
+        gains = {s.start.effect: s.gain for s in done.screening.ranked}
+        for name, gain in gains.items():
+            if name in taken or name in done.tied or not alike(name, winner.effect, library):
+                continue
+            p_value = None
+            if name in tried:
+                lost = tried[name].fitted.blocks - winner.fitted.blocks
+                p_value = sign_flip_p(lost, seed=7)
+            share = gain / max(gains[winner.effect], 1e-12)
+            found.setdefault(name, Rival(name, p_value, share))
+    return tuple(found.values())
 
 
 def _evidence(grown: Grown, library: Mapping[str, Effect]) -> tuple[Evidence, ...]:

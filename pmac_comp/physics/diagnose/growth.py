@@ -33,7 +33,7 @@ from pmac_comp.physics.diagnose.statistics import (
     studentised,
 )
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
-from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
 
 Progress = Callable[[str], None]
@@ -155,9 +155,7 @@ def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
 
     def rounded(i: int) -> FloatArray:
         record = bench.records[i]
-        response = simulate(
-            model, record.commanded_m, desired_position_m=record.desired_m, quantise=True
-        )
+        response = record.response(model, quantise=True)
         return record.coarsen(record.channels_of(response)) - sharp[i]
 
     noise = list(bench.executor.map(rounded, range(len(bench.records))))

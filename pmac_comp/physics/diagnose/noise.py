@@ -9,7 +9,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.physics.diagnose.records import Record
 from pmac_comp.physics.diagnose.workbench import Workbench
-from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.model.drive import DriveModel
 
 _LARGEST_PERIOD_FRAC = 0.5
 
@@ -36,15 +36,7 @@ def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
 def _noise_parts_m(record: Record, model: DriveModel) -> tuple[float, float]:
     """Noise by sensors, and rms of all that the model leaves."""
     smooth = record.channels_of(record.response(model))[:, -1]
-    stepped = record.channels_of(
-        simulate(
-            model,
-            record.commanded_m,
-            desired_position_m=record.desired_m,
-            external_force_N=record.external_force_N,
-            quantise=True,
-        )
-    )[:, -1]
+    stepped = record.channels_of(record.response(model, quantise=True))[:, -1]
     left = record.measured_m[:, -1] - smooth
     steps = float(np.std((stepped - smooth)[record.valid]))
     extra = _white_power(record, left) - _white_power(record, stepped - smooth)

@@ -21,11 +21,13 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
 _TAKE_UP_m = 50e-6
+_FORGETTING = 6.0
 _FORCE_COLUMN = "external_force_N"
 
 
@@ -53,6 +55,9 @@ class Record:
         Servo samples per coarse sample.
     period_s : float
         Servo period.
+    rest_torque_Nm : float
+        What the controller's integrator holds when the run begins: on a real axis it rests
+        anywhere within the friction.
     """
 
     name: str
@@ -65,6 +70,7 @@ class Record:
     valid: BoolArray
     factor: int
     period_s: float
+    rest_torque_Nm: float = 0.0
 
     @property
     def channels(self) -> int:
@@ -100,19 +106,25 @@ class Record:
         probe_torque_Nm: FloatArray | None = None,
         probe_force_N: FloatArray | None = None,
         substeps: int | None = None,
+        quantise: bool = False,
     ) -> Response:
         """Closed-loop simulation of this record's command on the servo grid."""
         force = self.external_force_N
         if probe_force_N is not None:
             force = probe_force_N if force is None else force + probe_force_N
+        # An integrator that starts at a value is one that starts at zero beside a constant.
+        torque = np.full(self.commanded_m.size, self.rest_torque_Nm)
+        if probe_torque_Nm is not None:
+            torque += probe_torque_Nm
         return simulate(
             model,
             self.commanded_m,
             desired_position_m=self.desired_m,
-            torque_feedforward_Nm=probe_torque_Nm,
+            torque_feedforward_Nm=torque,
             external_force_N=force,
             time_origin_s=float(self.capture.time_s[0]),
             substeps=substeps,
+            quantise=quantise,
         )
 
     def channels_of(self, response: Response) -> FloatArray:
@@ -182,27 +194,54 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     force = capture.extra.get(_FORCE_COLUMN)
     torque = capture.torque_command_Nm
     valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
-    valid &= _under_way(on_servo_grid(_filled(capture.desired_m, capture.mask)))
+    desired = on_servo_grid(_filled(capture.desired_m, capture.mask))
+    given = None if torque is None else on_servo_grid(_filled(torque, capture.mask))
+    valid &= _under_way(desired, 0.0 if given is not None else _forgetting_s(bench), period_s)
     return Record(
         name=name,
         capture=capture,
         commanded_m=on_servo_grid(_filled(capture.commanded_position_m, capture.mask)),
-        desired_m=on_servo_grid(_filled(capture.desired_m, capture.mask)),
+        desired_m=desired,
         measured_m=measured,
-        torque_Nm=None if torque is None else on_servo_grid(_filled(torque, capture.mask)),
+        torque_Nm=given,
         external_force_N=None if force is None else on_servo_grid(force),
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
+        rest_torque_Nm=_rest_torque_Nm(bench, desired, measured[:, 0], given),
     )
 
 
-def _under_way(desired_m: FloatArray) -> BoolArray:
-    """Samples after the first motion: where in a gap or a stick a run begins, nobody knows."""
+def _under_way(desired_m: FloatArray, forgetting_s: float, period_s: float) -> BoolArray:
+    """Samples after the first motion: where in a gap or a stick a run begins, nobody knows.
+
+    Nor what an integrator holds, if the torque was not captured, until it has forgotten it.
+    """
     away = np.abs(desired_m - desired_m[0])
     taken_up = min(_TAKE_UP_m, 0.25 * float(away.max()))
     moved = np.flatnonzero(away > taken_up)
-    return np.arange(desired_m.size) >= (int(moved[0]) if moved.size else 0)
+    first = int(moved[0]) if moved.size else 0
+    first += min(round(forgetting_s / period_s), desired_m.size // 3)
+    return np.arange(desired_m.size) >= first
+
+
+def _forgetting_s(bench: Bench) -> float:
+    """Time in which an integrator forgets where it began; 0 without one."""
+    vector = DriveModel.base(bench).kernel_vector()
+    if vector[slots.KI] <= 0.0:
+        return 0.0
+    return float(_FORGETTING * vector[slots.KP] / vector[slots.KI])
+
+
+def _rest_torque_Nm(
+    bench: Bench, desired_m: FloatArray, motor_m: FloatArray, torque_Nm: FloatArray | None
+) -> float:
+    """Torque of the integrator at the first sample; 0 where it cannot be known."""
+    vector = DriveModel.base(bench).kernel_vector()
+    if torque_Nm is None or vector[slots.KI] <= 0.0 or desired_m[1] != desired_m[0]:
+        return 0.0
+    held = torque_Nm[0] - vector[slots.KP] * (desired_m[0] - motor_m[0]) - vector[slots.OFFSET]
+    return float(np.clip(held, -vector[slots.LIMIT], vector[slots.LIMIT]))
 
 
 def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -27,6 +27,7 @@ _TOLD = 0.05  # of the variance that the grown model removed: the form is right 
 _MODEL_um = 0.08
 _ONSETS = 1.5
 _TRIM = 0.1
+_LARGEST_SHAPE = 3.0
 _TRIM_BLOCK = 50  # coarse samples, a ninth of a second
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 
@@ -93,7 +94,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     explained = excess_um**2 < 0.5 * (base_um**2 - floor_um**2)
     return Remainder(
         explained=bool(explained),
-        unexplained=bool(by_rivals or quiet_um > worth),
+        unexplained=bool(by_rivals or quiet_um > worth or (excess_um > worth and not explained)),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
@@ -142,7 +143,10 @@ def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
             left = left - np.median(left)
         if doubtful is not None:
             shapes = doubtful[i][judged, -1]
-            left = left - shapes @ np.linalg.lstsq(shapes, left, rcond=None)[0]
+            # The shapes are one standard deviation each: they may not grow without bound.
+            noise = 2.0 * float(np.var(np.diff(left))) / (4.0 * _LARGEST_SHAPE**2)
+            matrix = shapes.T @ shapes + noise * np.eye(shapes.shape[1])
+            left = left - shapes @ np.linalg.solve(matrix, shapes.T @ left)
         powers.append(block_means(left**2, _TRIM_BLOCK))
     ranked = np.sort(np.concatenate(powers)) if powers else np.zeros(1)
     kept = ranked[: max(1, round((1.0 - _TRIM) * ranked.size))]

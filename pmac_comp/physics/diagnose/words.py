@@ -1,55 +1,134 @@
-"""Sentences for a person: what was found, how much it is worth, what it could be instead.
+"""Sentences for a person: what was seen, its cause and size, what it is worth, what it is not.
 
 What lives here: text only. May import ``result`` and ``remainder``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from pmac_comp.physics.diagnose.localise import Region
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate
+from pmac_comp.physics.identify.result import Z95
+from pmac_comp.physics.model.effect import Effect
 
 
-def statements_of(
-    verdict: str,
-    named: Sequence[str],
-    tied: Sequence[Sequence[str]],
-    estimates: Sequence[Estimate],
-    where: Sequence[Region],
-    before: Gap,
-    after: Gap,
-    left: Remainder,
-) -> tuple[str, ...]:
-    """Sentences in the order in which a person asks: what, how sure, where, what is left."""
-    said = [_headline(verdict, named, tied, left)]
-    said += [f"{e.name} = {e.value:.4g} +/- {1.96 * e.std:.2g} {e.unit} (95 %)" for e in estimates]
-    said.append(
-        f"The gap on runs not used for fitting goes from {before.position_um:.3g} to "
-        f"{after.position_um:.3g} um rms; the noise floor is {left.noise_floor_um:.3g} um."
-    )
-    if before.torque_Nm is not None and after.torque_Nm is not None:
-        said.append(
-            f"The torque gap goes from {before.torque_Nm:.3g} to {after.torque_Nm:.3g} N m rms."
-        )
-    said += [f"Base model: {region.describe()}." for region in where[:2]]
-    if left.visible:
-        said += [f"Left: {region.describe()}." for region in left.regions[:3]]
+@dataclass(frozen=True)
+class Rival:
+    """A look-alike that lost: by a paired test of full refits, or already in the screening.
+
+    Parameters
+    ----------
+    name : str
+        Effect.
+    p_value : float or None
+        That the winner is better by chance; None if the screening left it out.
+    share : float
+        Gain as a share of the winner's.
+    """
+
+    name: str
+    p_value: float | None
+    share: float
+
+    def describe(self) -> str:
+        """Name with its evidence."""
+        if self.p_value is not None:
+            return f"{self.name} (p {self.p_value:.1g})"
+        return f"{self.name} (earns {100 * max(self.share, 0.0):.0f} % as much)"
+
+
+@dataclass(frozen=True)
+class Story:
+    """What there is to tell.
+
+    Parameters
+    ----------
+    verdict : str
+        One of the four verdicts.
+    named, tied : sequences
+        As in the result.
+    estimates : sequence of Estimate
+        Parameters of the named effects.
+    where : sequence of Region
+        Where the base model disagrees.
+    before, after : Gap
+        On runs that judge.
+    left : Remainder
+        What is left.
+    rivals : sequence of Rival
+        Look-alikes that are ruled out.
+    library : Mapping of str to Effect
+        Effects with their own words.
+    """
+
+    verdict: str
+    named: Sequence[str]
+    tied: Sequence[Sequence[str]]
+    estimates: Sequence[Estimate]
+    where: Sequence[Region]
+    before: Gap
+    after: Gap
+    left: Remainder
+    rivals: Sequence[Rival]
+    library: Mapping[str, Effect]
+
+
+def statements_of(story: Story) -> tuple[str, ...]:
+    """Sentences in the order in which a person asks: what, how large, how sure, what is left."""
+    said = [f"Seen: {region.describe()}." for region in story.where[:2] if story.verdict != "none"]
+    said.append(_headline(story))
+    said += [_cause(name, story) for name in story.named]
+    said.append(_worth(story))
+    before, after = story.before.torque_Nm, story.after.torque_Nm
+    if before is not None and after is not None and story.named:
+        said.append(f"The torque gap goes from {before:.3g} to {after:.3g} N m rms.")
+    if story.left.visible:
+        said += [f"Left: {region.describe()}." for region in story.left.regions[:3]]
     return tuple(said)
 
 
-def _headline(
-    verdict: str, named: Sequence[str], tied: Sequence[Sequence[str]], left: Remainder
-) -> str:
-    if verdict == "none":
+def _headline(story: Story) -> str:
+    if story.verdict == "none":
         return "Nothing is missing that these runs can show: what is left is noise."
-    found = f"Found: {', '.join(named)}." if named else "No effect of the library explains it."
-    if verdict == "unknown":
+    found = "No effect of the library explains it."
+    if story.named:
+        found = f"Found: {', '.join(story.named)}."
+    if story.verdict == "unknown":
         return (
-            f"{found} Something without a name is left, {left.excess_um:.3g} um rms beyond the "
-            "noise."
+            f"{found} Something without a name is left, {story.left.excess_um:.3g} um rms beyond "
+            "the noise."
         )
-    if tied:
-        groups = "; ".join(" or ".join(group) for group in tied)
+    if story.tied:
+        groups = "; ".join(" or ".join(group) for group in story.tied)
         return f"{found} These runs cannot separate {groups}."
     return found
+
+
+def _cause(name: str, story: Story) -> str:
+    """Where it acts, the trace it leaves and its size."""
+    effect = story.library.get(name)
+    sizes = ", ".join(_size(e) for e in story.estimates if e.name.partition(".")[0] == name)
+    seen = f" ({effect.where}: {effect.signature})" if effect is not None else ""
+    return f"{name}{seen}: {sizes} (95 %)." if sizes else f"{name}{seen}."
+
+
+def _size(estimate: Estimate) -> str:
+    bare = estimate.name.partition(".")[2]
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    return f"{bare} = {estimate.value:.4g} +/- {Z95 * estimate.std:.2g}{unit}"
+
+
+def _worth(story: Story) -> str:
+    before, after = story.before.position_um, story.after.position_um
+    floor = f"the noise floor is {story.left.noise_floor_um:.3g} um"
+    if not story.named:
+        return f"The gap on runs not used for fitting is {after:.3g} um rms; {floor}."
+    text = (
+        f"With it the gap falls from {before:.3g} to {after:.3g} um rms on runs not used for "
+        f"fitting; {floor}"
+    )
+    if story.rivals:
+        text += f"; look-alikes ruled out: {', '.join(r.describe() for r in story.rivals)}"
+    return f"{text}."
