@@ -228,7 +228,7 @@ def compensate_files(
         "summary": describe(loaded, compensation),
         "remarks": [
             *cuts,
-            *static_remarks(loaded, compensation),
+            *table_remarks(loaded, compensation),
             *cost_remarks(loaded, route, compensation.law.every_cycles, offers),
         ],
         "law": None if route in MOTION_ROUTES else compensation.law.as_mapping(),
@@ -326,7 +326,7 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     ]
 
 
-def static_remarks(bench: Bench, compensation: Compensation) -> list[str]:
+def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
     """What the tables take away and what not, for people."""
     lead = compensation.lead
     if lead is None:

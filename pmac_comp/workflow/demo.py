@@ -19,7 +19,7 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.computing import compute_compensation, describe
+from pmac_comp.workflow.computing import compute_compensation, describe, table_remarks
 from pmac_comp.workflow.deploy import (
     Deployment,
     context_of,
@@ -257,7 +257,10 @@ def _whole_job(
         verification=verification,
         steps=tuple(watch.steps),
         plant_notes=recorder.notes(),
-        remarks=tuple(cost_remarks(axis.bench, route, compensation.law.every_cycles)),
+        remarks=(
+            *table_remarks(axis.bench, compensation),
+            *cost_remarks(axis.bench, route, compensation.law.every_cycles),
+        ),
     )
 
 

@@ -5,12 +5,15 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.static_check import StaticOutcome
+
+_GREW = 1.2  # the reversal value of so few targets scatters
 
 
 @dataclass(frozen=True)
@@ -140,3 +143,17 @@ def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple
     if worse:
         remarks.append(f"the mechanical error grew on: {'; '.join(worse)}")
     return tuple(remarks)
+
+
+def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
+    """What the positioning test shows beside its figures."""
+    if static is None or static.before is None or static.after is None:
+        return ()
+    before, after = (s.figures().reversal_value_m for s in (static.before, static.after))
+    if after <= _GREW * before:
+        return ()
+    return (
+        f"the reversal value at rest grew from {before * UM_PER_M:.2f} to {after * UM_PER_M:.2f} "
+        "um: the wind-up that friction leaves while the axis moves relaxes when it rests, the "
+        "correction does not",
+    )

@@ -29,14 +29,16 @@ from pmac_comp.workflow.outcome import (
     outcome_of,
     sensor_floor_um,
 )
+from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import promised, true_errors
 from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
+from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, runs_of
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.simulated import Truth
 from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approaches, is_static
-from pmac_comp.workflow.verification import Verification, verdict_remarks
+from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks
 
 Progress = Callable[[str, float], None]
 Pair = tuple[list[Capture], list[Capture]]
@@ -198,7 +200,9 @@ def verify_on_controller(
                 progress=progress,
             )
             if refine:
-                motion = chosen[0] if motions else verification_motions(axis.bench, seed)[0]
+                motion = chosen[0]
+                if compensation.route in MOTION_ROUTES:
+                    motion = motion_of(compensation, axis.bench)
                 learned = refine_motion(axis, context, compensation, motion, refine, progress)
                 remarks = (*verification.remarks, *learned.lines())
                 verification = replace(verification, remarks=remarks, learning=learned)
@@ -338,7 +342,7 @@ def summed_up(
         tuple(c for pair in groups for c in pair[1]),
         lead,
         table,
-        (*verdict_remarks(outcomes, floor), *remarks),
+        (*verdict_remarks(outcomes, floor), *static_remarks(static), *remarks),
         "" if compensation is None else compensation.route,
         together("mechanical_m"),
         together("total_m"),
