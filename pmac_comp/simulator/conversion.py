@@ -38,7 +38,7 @@ from pmac_comp.simulator.registers import ECT_BASE, ECT_LINES
 # What an entry remembers, by result line.
 (R_INPUT, R_OUTPUT, R_INTEGRAL, R_HIGH, R_LOW, N_REMEMBERED) = range(6)
 (
-    METHOD_TIMER,
+    METHOD_TIMER,  # these two first: they are told from the others by their number
     METHOD_COUNT,
     METHOD_ADC,
     METHOD_PARALLEL,
@@ -196,40 +196,47 @@ def convert(x: Space, y: Space, entries: IntArray, n: int, memory: FloatArray) -
     ``memory`` has one row per line of the table (``R_...``), used by the line of the result.
     """
     for i in range(n):
-        entry = entries[i]
-        method = entry[E_METHOD]
-        source = entry[E_SOURCE]
-        out = entry[E_OUT]
-        own = memory[out - ECT_BASE]
-        result = 0
-        if method in (METHOD_TIMER, METHOD_COUNT):
-            result = (int(x[source + 2]) >> 1) << 5
-            if method == METHOD_TIMER and y[source] > 0:
-                result += min(int(y[source + 1]) * 32 // int(y[source]), 31)
-        elif method == METHOD_PARALLEL:
-            result = _follow(entry, own, _parallel_word(x, y, entry))
-        elif method == METHOD_SUM:
-            result = _sum(x, entry, int(x[out]))
-        elif method == METHOD_ADC:
-            result = (_adc(y, entry) >> 8) << 5
-        elif method in (METHOD_EXPONENTIAL, METHOD_TRACKING):
-            result = _filtered(entry, own, int(x[source]))
-        elif method == METHOD_TIME_BASE:
-            change = _signed24(int(x[source]) - int(x[entry[E_FIRST]]))
-            x[entry[E_FIRST]] = x[source]
-            result = 2 * entry[E_GAIN] * change
-        elif method == METHOD_INTEGRATED_ADC:
-            result = _integrated(y, entry, own)
-        elif method in (METHOD_FROZEN, METHOD_RUNNING, METHOD_ARMED):
-            result = _triggered(x, y, entry)
-        elif method == METHOD_FLAGS:
-            result = (int(x[source + 2]) >> 1) << 5
-            result += (int(x[source + entry[E_SECOND]]) >> 19) & 31
-        elif method == METHOD_BYTES:
-            result = _follow(entry, own, _byte_word(y, entry))
-        else:
-            result = _sine_cosine(x, y, entry, own)
-        x[out] = result & _WORD
+        method = entries[i, E_METHOD]
+        if method > METHOD_COUNT:
+            # Apart, because views of rows cost more than all that most entries need.
+            _convert_other(x, y, entries[i], memory)
+            continue
+        source = entries[i, E_SOURCE]
+        result = (int(x[source + 2]) >> 1) << 5
+        if method == METHOD_TIMER and y[source] > 0:
+            result += min(int(y[source + 1]) * 32 // int(y[source]), 31)
+        x[entries[i, E_OUT]] = result & _WORD
+
+
+@njit(cache=True)
+def _convert_other(x: Space, y: Space, entry: IntArray, memory: FloatArray) -> None:
+    method, source, out = entry[E_METHOD], entry[E_SOURCE], entry[E_OUT]
+    own = memory[out - ECT_BASE]
+    result = 0
+    if method == METHOD_PARALLEL:
+        result = _follow(entry, own, _parallel_word(x, y, entry))
+    elif method == METHOD_SUM:
+        result = _sum(x, entry, int(x[out]))
+    elif method == METHOD_ADC:
+        result = (_adc(y, entry) >> 8) << 5
+    elif method in (METHOD_EXPONENTIAL, METHOD_TRACKING):
+        result = _filtered(entry, own, int(x[source]))
+    elif method == METHOD_TIME_BASE:
+        change = _signed24(int(x[source]) - int(x[entry[E_FIRST]]))
+        x[entry[E_FIRST]] = x[source]
+        result = 2 * entry[E_GAIN] * change
+    elif method == METHOD_INTEGRATED_ADC:
+        result = _integrated(y, entry, own)
+    elif method in (METHOD_FROZEN, METHOD_RUNNING, METHOD_ARMED):
+        result = _triggered(x, y, entry)
+    elif method == METHOD_FLAGS:
+        result = (int(x[source + 2]) >> 1) << 5
+        result += (int(x[source + entry[E_SECOND]]) >> 19) & 31
+    elif method == METHOD_BYTES:
+        result = _follow(entry, own, _byte_word(y, entry))
+    else:
+        result = _sine_cosine(x, y, entry, own)
+    x[out] = result & _WORD
 
 
 @njit(cache=True)

@@ -102,13 +102,14 @@ class Plcs:
 
     def any_background(self) -> bool:
         """Whether some PLC 1-31 wants to scan."""
-        if not self.card.variables.int_i(5) & 2:
+        plcs = self.card.programs.plcs
+        if not plcs or not self.card.variables.int_i(5) & 2:
             return False
-        return any(n and self.enabled(n) for n in self.card.programs.plcs)
+        return any(n and self.enabled(n) for n in plcs)
 
     def background(self) -> None:
         """One scan of each enabled PLC 1-31."""
-        if not self.card.variables.int_i(5) & 2:
+        if not self.card.programs.plcs or not self.card.variables.int_i(5) & 2:
             return
         for number in sorted(self.card.programs.plcs):
             program = self.card.programs.plcs[number]

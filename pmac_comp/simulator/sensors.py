@@ -89,8 +89,9 @@ def _latch_encoder(x: Space, y: Space, world: FloatArray, channel: int) -> None:
     if table < world[W_MLIM]:
         flags |= NEGATIVE_FLAG
     x[channel] = (int(x[channel]) & ~_FLAGS) | flags
-    control, select = int(world[W_CAPTURE]), int(world[W_FLAG_SELECT])
-    encoder.capture_channel(x, channel, control, select, before, count, per_rev)
+    if not x[channel] & encoder.CAPTURED:
+        control, select = int(world[W_CAPTURE]), int(world[W_FLAG_SELECT])
+        encoder.capture_channel(x, channel, control, select, before, count, per_rev)
 
 
 @njit(cache=True)
