@@ -5,6 +5,8 @@ hidden in the simulated plant (code that shares nothing with the fitted model), 
 are 3 to 20 times the noise after a refit of the base (``ladder``: 0.7 to 20), six runs for fitting
 and three for judging, with quantisation, jitter of the scale and a random force on the table.
 Results go to a JSON-lines file, one line per case, so that the campaign can be stopped and resumed.
+One process keeps little more than one core busy (28 s of CPU in 25 s): give as many workers as
+there are cores, and 0.6 GB of memory each.
 
     python diagnose_hidden.py run --out FILE --kind hidden --cases 200 --workers 2
     python diagnose_hidden.py run --out FILE --kind clean --cases 300 --workers 2
