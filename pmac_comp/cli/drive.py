@@ -14,7 +14,11 @@ BenchOption = Annotated[
 ]
 CapturesArgument = Annotated[list[Path], typer.Argument(help="Captures: .h5 .csv .mat")]
 EffectsOption = Annotated[
-    Path | None, typer.Option("--effects", help="Python file with effects of your own")
+    Path | None,
+    typer.Option(
+        "--effects",
+        help="Python file with effects of your own, as configs/effect_worn_stretch.py",
+    ),
 ]
 
 

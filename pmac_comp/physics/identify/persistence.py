@@ -12,7 +12,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.model_file import Correlation, DataSource, ModelFile, ModelParameter, Noise
 from pmac_comp.physics.identify.result import Identification, ParameterEstimate
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.model.effect import Effect
+from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 from pmac_comp.physics.model.parameters import ParameterSpec
 
 # On one-mass benches the bias is the published "offset", a force that the drive must add.
@@ -84,6 +84,16 @@ def model_from_file(
     ModelError
         An effect or parameter is not known; user effects are handed in as ``library``.
     """
+    known_effects = {**effect_library(), **(library or {})}
+    missing = [name for name in stored.effects if split_name(name)[0] not in known_effects]
+    if missing:
+        raise ModelError(
+            f"The model contains {', '.join(missing)}, which is no built-in effect"
+            + (" and not in the file of effects." if library else "."),
+            code="PC-IDN-032",
+            hint="Name the file with the effects of your own that it was identified with: "
+            "--effects FILE.",
+        )
     empty = DriveModel(bench, tuple(stored.effects), {}, dict(library or {}))
     known = {file_key(spec, rigid=empty.is_rigid): spec for spec in empty.specs}
     unknown = sorted(set(stored.parameters) - set(known))

@@ -105,7 +105,8 @@ def effect_library() -> Mapping[str, Effect]:
 def load_effects(path: Path | str) -> Mapping[str, Effect]:
     """Effects of a user's own Python file, which defines ``EFFECT`` or ``EFFECTS``.
 
-    The file is executed: it must be one that the person at the keyboard has named.
+    The file is executed: it must be one that the person at the keyboard has named. A worked example
+    is ``configs/effect_worn_stretch.py``.
 
     Raises
     ------
