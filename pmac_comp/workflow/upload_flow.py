@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller import motors, recovery
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
@@ -61,8 +61,7 @@ def upload_file(
             raise
         said += deployment.notes or ["uploaded, read back and compared"]
         if persist:
-            axis.kill()
-            save_checked(axis.link, context, _PROGRAMS.get(compensation.route, ()))
+            _save(axis, context, compensation.route)
             said.append(f"motor #{axis.motor} was killed, all of it saved to flash and read again")
     again = "" if journal == Path(DEFAULT_JOURNAL) else f" --journal {journal}"
     return {
@@ -72,6 +71,19 @@ def upload_file(
         "next": f"Check it: pmac-comp verify {url} --bench {bench} --compensation {new}\n"
         f"Take it back: pmac-comp rollback {url} --bench {bench}{again}",
     }
+
+
+def _save(axis: Axis, context: Context, route: str) -> None:
+    """SAVE what was uploaded, with the axis and a cam's time motor killed, and see it again."""
+    axis.kill()
+    if route == "cam":
+        motors.kill(axis.link, axis.bench.controller.cam_motor_number)
+    try:
+        save_checked(axis.link, context, _PROGRAMS.get(route, ()))
+    except PmacCompError as error:
+        error.left = error.left or ControllerState.NEW
+        error.add_note("The upload itself stands until the next reset; only SAVE did not end well.")
+        raise
 
 
 def _after_failure(error: PmacCompError, url: str, bench: str) -> str:

@@ -1,0 +1,119 @@
+"""Upload, diff and plan as a person runs them: what is said before, and how it ends."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+
+pytestmark = pytest.mark.system
+BENCH = load_bench("paper")
+LAW = CompensationLaw(
+    inertia_s2=2.2e-6,
+    coulomb_m=0.9e-6,
+    breakaway_m=2e-6,
+    torque_coulomb_Nm=0.4,
+    torque_breakaway_m=5e-6,
+    torque_limit_Nm=10.0,
+)
+X = np.arange(-0.3, 0.3005, 1e-3)
+LEAD = LeadMap(X, 35e-6 * X, np.full(X.size, -4e-6), 0.0)
+T = np.arange(2000) * BENCH.servo_period_s
+MOVE = 0.02 * (T / T[-1]) ** 3 * (10.0 - 15.0 * (T / T[-1]) + 6.0 * (T / T[-1]) ** 2)
+BUMP = 8e-6 * np.sin(np.pi * T / T[-1]) ** 2
+
+
+def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "pmac_comp", *words],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def compensation(route: str) -> Compensation:
+    if route in {"law", "servo"}:
+        return Compensation(route, LAW, LEAD, backlash=True)
+    if route == "table":
+        return Compensation(route, LAW, LEAD, backlash=True)
+    return Compensation(
+        route, LAW, motion_time_s=T, motion_position_m=MOVE, motion_correction_m=BUMP
+    )
+
+
+@pytest.mark.parametrize("route", ["table", "law", "cam", "program"])
+def test_plan_upload_and_end_of_each_route(tmp_path: Path, route: str) -> None:
+    write_compensation(tmp_path / "c.json", compensation(route))
+    dry = run("upload", "sim://", "c.json", "--dry-run", cwd=tmp_path)
+    assert dry.returncode == 0, dry.stderr
+    assert "largest change of" in dry.stdout
+    assert "nothing is saved to flash" in dry.stdout
+    if route in {"table", "law", "cam"}:
+        assert "are off (I51 = 0) for about" in dry.stdout
+    sent = "DEFINE COMP" if route != "program" else "PVT"
+    assert sent in dry.stdout
+    assert not (tmp_path / "pmac-comp-journal").exists()
+
+    done = run("upload", "sim://", "c.json", "--yes", "--persist", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    verdict = next(line for line in lines if line.startswith("NEW:"))
+    assert "saved to flash and read again" in verdict
+    assert "pmac-comp verify sim:// --bench paper --compensation c.json" in done.stdout
+    assert "pmac-comp rollback sim:// --bench paper" in done.stdout
+    assert "largest change of" in done.stdout  # the plan comes first
+
+
+def test_old_against_new_of_a_law_is_numbers_in_um_and_a_plot(tmp_path: Path) -> None:
+    write_compensation(tmp_path / "c.json", compensation("law"))
+    done = run("diff", "sim://", "c.json", "--plot", "d.svg", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    named = {curve["name"]: curve for curve in found["curves"]}
+    law = named["the law's correction on a reference move"]
+    # 2.2 um per m/s2 at 5 m/s2 and 0.9 um of friction, on a card that has no law yet.
+    assert law["largest_change"] == pytest.approx(2.2 * 5.0 + 0.9, rel=0.1)
+    tables = named["the tables' correction, downwards"]["largest_change"]
+    assert found["largest_change_um"] == pytest.approx(max(law["largest_change"], tables))
+    assert tables == pytest.approx(35.0 * 0.3 + 4.0, rel=0.05)
+    rows = {row["quantity"]: row for row in found["rows"]}
+    assert rows["law, friction (each side)"]["new"] == pytest.approx(0.9, rel=1e-3)
+    assert rows["law, friction (each side)"]["old"] is None
+    assert rows["backlash table, highest"]["new"] == pytest.approx(4.0, abs=0.1)
+    assert (tmp_path / "d.svg").read_text().count("<svg") == 1
+
+
+def test_a_forbidden_upload_names_every_reason_before_it_asks(tmp_path: Path) -> None:
+    steep = LeadMap(X, 90e-6 * np.sin(2 * np.pi * X / 4e-3), np.zeros(X.size), 0.0)
+    write_compensation(tmp_path / "c.json", Compensation("table", LAW, steep))
+    done = run("upload", "sim://", "c.json", cwd=tmp_path)
+    assert done.returncode == 6
+    assert done.stdout.count("refused:") == 2
+    assert "PC-SAF-001" in done.stderr or "corrects by" in done.stderr
+    assert "--yes" not in done.stderr
+    assert not (tmp_path / "pmac-comp-journal").exists()
+
+
+def test_what_the_simulated_card_supports_is_printed(tmp_path: Path) -> None:
+    done = run("sim", "--supported", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) > 20
+
+
+def test_info_and_doctor_say_that_the_card_is_simulated(tmp_path: Path) -> None:
+    assert json.loads(run("info", "sim://", "--json", cwd=tmp_path).stdout)["simulated"] is True
+    found = json.loads(run("doctor", "sim://", "--json", cwd=tmp_path).stdout)["findings"]
+    said = {finding["check"]: finding for finding in found}
+    assert said["flash"]["state"] == "ok"
+    assert "simulated" in said["controller"]["found"]
