@@ -10,7 +10,8 @@ from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.demo import RunResult, run_demo
 from pmac_comp.workflow.verify import verify_files
 
-pytestmark = pytest.mark.system
+# The job takes some 40 s of processor time; a machine that does much else stretches it.
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 
 
 @pytest.fixture(scope="module")
