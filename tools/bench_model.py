@@ -22,10 +22,13 @@ from scipy.integrate import solve_ivp
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.identify import identify
 from pmac_comp.physics.model import drive, kernel
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.signals import trajectory as tr
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
 
 # Order of the enumeration in bench_model.c.
 PARAMETERS = (
@@ -219,6 +222,40 @@ def growth(model: DriveModel, motion: tr.Trajectory) -> dict[str, object]:
     }
 
 
+def identification(seconds: float) -> dict[str, float]:
+    """Friction and stiffness from six captures of the simulated plant.
+
+    Processor time is that of all threads; on two idle cores the identification takes a little more
+    than half of it (see the speed-up with two threads).
+    """
+    bench = load_bench("paper")
+    period = bench.servo_period_s
+    plant = make_plant(bench, effects={}, seed=1)
+    sines = [(0.01, 3.0, -0.25), (0.01, 3.0, 0.25), (0.05, 0.8, 0.0), (0.02, 1.5, 0.1)]
+    motions = [
+        tr.sinusoid(period_s=period, amplitude_m=a, frequency_Hz=f, cycles=seconds * f, centre_m=c)
+        for a, f, c in sines
+    ]
+    motions += [
+        tr.trapezoid(
+            period_s=period, distance_m=0.4, speed_m_per_s=0.25, acceleration_m_per_s2=3.0,
+            s_curve_s=0.02, start_m=-0.2, repeats=3,
+        ),
+        tr.triangle(period_s=period, amplitude_m=0.02, speed_m_per_s=0.016, cycles=2),
+    ]  # fmt: skip
+    captures = [closed_loop_capture(bench, plant, motion.position_m) for motion in motions]
+    captures = [capture.slice(0, min(capture.n, round(seconds / period))) for capture in captures]
+    cpu, wall = time.process_time(), time.perf_counter()
+    found = identify(captures, bench)
+    return {
+        "captures": len(captures),
+        "seconds of data": round(sum(c.n for c in captures) * period, 1),
+        "processor time, s": round(time.process_time() - cpu, 2),
+        "elapsed on this machine now, s": round(time.perf_counter() - wall, 2),
+        "rounds": found.figures["rounds"],
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repeats, shorter motions")
@@ -244,6 +281,9 @@ def main() -> None:
         "against SciPy": against_scipy(model),
         "accuracy and substeps": accuracy(model, motions),
         "growth": growth(model, motion),
+        "identification of six captures (aim: under 15 s on two cores)": identification(
+            3.0 if options.quick else 10.0
+        ),
     }
     text = json.dumps(result, indent=2)
     print(text)

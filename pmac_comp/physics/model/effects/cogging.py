@@ -1,26 +1,13 @@
 """Cogging torque of the motor, fixed to its angle, whatever load, speed or direction."""
 
-from pmac_comp.base.arrays import FloatArray
-from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
-from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import order, parameter, phase
-
-
-def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
-    vector[s.COGGING] = values["amplitude_Nm"]
-    vector[s.COGGING + 1] = values["order_per_rev"]
-    vector[s.COGGING + 2] = values["phase_rad"]
-
+from pmac_comp.physics.model.effect import Effect
+from pmac_comp.physics.model.shapes import harmonic_at, harmonic_Nm
 
 EFFECT = Effect(
     name="cogging",
-    parameters=(
-        parameter("amplitude_Nm", "N m", 0.04, (0.0, 100.0)),
-        order(20.0),
-        phase(),
-    ),
-    apply=_apply,
+    parameters=harmonic_Nm(0.04, 20.0),
+    apply=harmonic_at(s.COGGING, "amplitude_Nm"),
     where="motor",
     source="Ball-screw facts 3: sum of A_k cos(k theta + phi)",
     signature="torque harmonics at slots and poles per revolution, the same in both directions",

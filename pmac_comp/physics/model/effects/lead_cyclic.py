@@ -1,27 +1,13 @@
 """Lead wobble: the nut advances unevenly within a revolution."""
 
-from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import UM_PER_M
-from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
-from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import order, parameter, phase
-
-
-def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
-    vector[s.WOBBLE] = values["amplitude_m"]
-    vector[s.WOBBLE + 1] = values["order_per_rev"]
-    vector[s.WOBBLE + 2] = values["phase_rad"]
-
+from pmac_comp.physics.model.effect import Effect
+from pmac_comp.physics.model.shapes import harmonic_at, harmonic_m
 
 EFFECT = Effect(
     name="lead_cyclic",
-    parameters=(
-        parameter("amplitude_m", "m", 1e-6, (0.0, 1e-3), file=("amplitude_um", "um", UM_PER_M)),
-        order(1.0),
-        phase(),
-    ),
-    apply=_apply,
+    parameters=harmonic_m(1.0),
+    apply=harmonic_at(s.WOBBLE, "amplitude_m"),
     where="screw",
     source="Ball-screw facts 2.5: A_k cos(2 pi k x/p + phi_k)",
     signature=(

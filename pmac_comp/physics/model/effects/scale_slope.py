@@ -1,30 +1,13 @@
 """Scale longer or shorter than it says."""
 
-from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import UM_PER_M
-from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
-from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import parameter
-
-
-def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
-    vector[s.SCALE_SLOPE] = values["slope"]
-
+from pmac_comp.physics.model.effect import Effect
+from pmac_comp.physics.model.shapes import SLOPE, SLOPE_STARTS, slope_at
 
 EFFECT = Effect(
     name="scale_slope",
-    parameters=(
-        parameter(
-            "slope",
-            "m/m",
-            30e-6,
-            (-0.05, 0.05),
-            scale=10e-6,
-            file=("slope_um_per_m", "um/m", UM_PER_M),
-        ),
-    ),
-    apply=_apply,
+    parameters=SLOPE,
+    apply=slope_at(s.SCALE_SLOPE),
     where="scale",
     source="Ball-screw facts 2.5: s_0 (x - x_ref)",
     signature=(
@@ -35,6 +18,6 @@ EFFECT = Effect(
         "same trace"
     ),
     look_alikes=("lead_linear", "thermal_growth"),
-    starts=({"slope": 30e-6}, {"slope": -30e-6}),
+    starts=SLOPE_STARTS,
     needs_scale=True,
 )

@@ -4,25 +4,19 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import order, parameter, phase
+from pmac_comp.physics.model.shapes import fill_harmonic, harmonic_Nm
 
 _PEAK_OVER_RATED = 3.0  # where the bench does not state the rated torque
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
     rated_Nm = bench.known.rated_torque_Nm or bench.drive.torque_limit_Nm / _PEAK_OVER_RATED
-    vector[s.RIPPLE] = values["amplitude_Nm"] / rated_Nm
-    vector[s.RIPPLE + 1] = values["order_per_rev"]
-    vector[s.RIPPLE + 2] = values["phase_rad"]
+    fill_harmonic(vector, s.RIPPLE, values["amplitude_Nm"] / rated_Nm, values)
 
 
 EFFECT = Effect(
     name="torque_ripple",
-    parameters=(
-        parameter("amplitude_Nm", "N m", 0.06, (0.0, 100.0), description="at rated torque"),
-        order(10.0),
-        phase(),
-    ),
+    parameters=harmonic_Nm(0.06, 10.0, description="at rated torque"),
     apply=_apply,
     where="motor",
     source="Ball-screw facts 3: T (1 + sum of a_k cos)",
