@@ -7,6 +7,13 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
+    count_runs,
+    pytest_runtest_logreport,
+    pytest_runtest_makereport,
+    pytest_terminal_summary,
+)
+
 ROOT = Path(__file__).resolve().parent.parent
 settings.register_profile(
     "ci",
@@ -15,12 +22,23 @@ settings.register_profile(
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow],
 )
-settings.register_profile("long", max_examples=5000, deadline=None)
+settings.register_profile(
+    "long",
+    max_examples=3000,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile(os.environ.get("PMAC_COMP_HYPOTHESIS", "ci"))
 
 
-def pytest_configure() -> None:
-    """Undo an ignored Ctrl-C, which a background job inherits and hands on to what tests start."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose the long profile for the exhaustive run, and undo an ignored Ctrl-C.
+
+    A background job inherits the latter and hands it on to what tests start.
+    """
+    if config.getoption("--exhaustive"):
+        settings.load_profile("long")
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -3,17 +3,15 @@
 import copy
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import law_state, recovery, settings
+from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import Index, LawBlock
+from pmac_comp.machine.controller.law_bank import BANK_SIZE, BankIndex, Index, LawBlock
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.card import Card
@@ -21,43 +19,50 @@ from tests.faults.upload_bench import restore, snapshot
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 PROGRAM = 710
-WATCHED = Settings(
-    variables=dict.fromkeys(("I105", "I106", "I107", "I119", "I122", "I51", "I30"), "0"),
-    definitions=dict.fromkeys((7000, 7001, 7002, 7003, 7004, 7007), ""),
-    programs={
-        (ProgramKind.PLC, 0): (),
-        (ProgramKind.PLC, 1): (),
-        (ProgramKind.PLC, 5): (),
-        (ProgramKind.PROG, PROGRAM): (),
-    },
-    axes=(),
-)
+WATCHED_I = (5, 8, 30, 51, 105, 106, 107, 119, 122, 129)
+WATCHED_M = (7000, 7001, 7002, 7003, 7004, 7007)
 
 
 @dataclass(frozen=True)
 class Standing:
     """All that a change may touch, in a form that can be compared."""
 
-    settings: Settings
-    law: int
+    variables: tuple[float, ...]
+    definitions: tuple[str, ...]
+    programs: tuple[tuple[str, int, tuple[str, ...], bool], ...]
+    axes: tuple[object, ...]
+    law: tuple[float, ...]
     clamp_ct: float
     target: float
     tables: tuple[int, ...] | None
 
 
 def standing(bench: CardBench) -> Standing:
-    """What stands on the card, asked over a fresh conversation."""
-    link = bench.link
-    head = law_state.read_law_head(link, LawBlock())
-    law = law_state.read_bank(link, LawBlock(), head.bank)
-    values = bench.values("COMP", 1)
+    """What stands on the card, from its own memory and not through the wire."""
+    card, block = bench.card, LawBlock()
+    bank = int(bench.p(block.p(Index.BANK)))
+    values = tuple(bench.p(block.bank(bank, k)) for k in range(BANK_SIZE))
+    tables = bench.values("COMP", 1)
     return Standing(
-        settings.read_settings(link, WATCHED),
-        0 if law is None else law.digest,
-        head.clamp_ct,
-        head.target,
-        None if values is None else tuple(values),
+        tuple(float(card.variables.read_i(n)) for n in WATCHED_I),
+        tuple(card.variables.definition(n) for n in WATCHED_M),
+        tuple(_buffers(card)),
+        tuple((n, str(s.axes)) for n, s in card.systems.items() if s.axes),
+        values if values[BankIndex.SEALED] else (),
+        bench.p(block.p(Index.CLAMP)),
+        bench.p(block.p(Index.TARGET)),
+        None if tables is None else tuple(tables),
     )
+
+
+def _buffers(card: Card) -> Iterator[tuple[str, int, tuple[str, ...], bool]]:
+    """Kind, number, statements and whether it could run, of every buffer with statements."""
+    for table in (card.programs.programs, card.programs.plcs):
+        for number, program in sorted(table.items()):
+            if program.statements:
+                whole = program.assembled is not None
+                runs = whole and (program.kind != "PLC" or card.plcs.enabled(number))
+                yield program.kind, number, tuple(s.long for s in program.statements), runs
 
 
 @dataclass(frozen=True)
@@ -140,13 +145,12 @@ class ChangeBench:
         return sorted(set(found))
 
 
-def points(ends: list[int], *, exhaustive: bool) -> Iterator[int]:
-    """Every byte, or three of every packet."""
+def points(ends: list[int], *, exhaustive: bool) -> list[int]:
+    """Every byte, or the edge of every packet and one byte inside the longest."""
     if exhaustive:
-        yield from range(ends[-1])
-        return
-    for begin, end in pairwise(ends):
-        yield from sorted({begin, (begin + end) // 2, max(begin, end - 1)})
+        return list(range(ends[-1]))
+    begin, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    return sorted({*ends[:-1], (begin + end) // 2})
 
 
 def cut(way: Way, n: int, *, lose: bool = False) -> tuple[Fault, ...]:
@@ -155,15 +159,11 @@ def cut(way: Way, n: int, *, lose: bool = False) -> tuple[Fault, ...]:
 
 def difference(found: Standing, meant: Standing) -> str:
     """What differs, in words for the failure."""
-    out = settings.differences(meant.settings, found.settings)
-    out += [
-        f"{name}: {getattr(found, name)} instead of {getattr(meant, name)}"
-        for name in ("law", "clamp_ct", "target", "tables")
-        if getattr(found, name) != getattr(meant, name)
-    ]
-    if found.settings.running != meant.settings.running:
-        out.append(f"PLCs {set(found.settings.running)} run, not {set(meant.settings.running)}")
-    return "; ".join(out) or "the spelling differs"
+    return "; ".join(
+        f"{item.name}: {getattr(found, item.name)} instead of {getattr(meant, item.name)}"
+        for item in fields(Standing)
+        if getattr(found, item.name) != getattr(meant, item.name)
+    )
 
 
 Buffers = tuple[dict[int, object], dict[int, object], dict[int, dict[int, object]]]

@@ -1,11 +1,17 @@
 """F01, F02, F15, F29: every kind of change cut, refused and killed anywhere; never half-changed."""
 
-from collections.abc import Callable
+import os
+import signal
+import socket
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState
+from pmac_comp.base.clock import SystemClock
+from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import law_arming, law_install, law_upload
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters
@@ -17,8 +23,10 @@ from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import Way
+from pmac_comp.simulator.sessions import EthernetSession
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.test_f15_f22_controller import LineFault
+from tests.faults.test_f29_f30_killed import SocketEnd
 from tests.faults.upload_bench import new_table, old_table
 
 pytestmark = pytest.mark.faults
@@ -104,6 +112,13 @@ SCENARIOS = [
 ]
 
 
+def thinned(at: Sequence[int], n: int, *, exhaustive: bool) -> Sequence[int]:
+    """All of them, or about n of them including the last."""
+    if exhaustive or len(at) <= n:
+        return at
+    return sorted({*at[:: 1 + len(at) // n], at[-1]})
+
+
 @pytest.fixture(params=SCENARIOS, ids=lambda s: s.name)
 def rig(request: pytest.FixtureRequest, tmp_path: Path) -> ChangeBench:
     return ChangeBench(tmp_path, request.param)
@@ -113,8 +128,8 @@ def rig(request: pytest.FixtureRequest, tmp_path: Path) -> ChangeBench:
 def test_f01_cut_in_any_change(
     *, rig: ChangeBench, way: Way, exhaustive: bool, count_runs: Count
 ) -> None:
-    at = list(points(rig.edges(way), exhaustive=exhaustive))
-    for n in at if exhaustive else at[:: 1 + len(at) // 60]:
+    at = points(rig.edges(way), exhaustive=exhaustive)
+    for n in at:
         error = rig.run(cut(way, n))
         if error is None:
             rig.judge(ControllerState.NEW)
@@ -127,8 +142,7 @@ def test_f01_cut_in_any_change(
 def test_f02_silence_in_any_change(
     *, rig: ChangeBench, exhaustive: bool, count_runs: Count
 ) -> None:
-    at = list(points(rig.edges(Way.RECEIVE), exhaustive=exhaustive))
-    at = at if exhaustive else at[:: 1 + len(at) // 12]
+    at = thinned(points(rig.edges(Way.RECEIVE), exhaustive=exhaustive), 3, exhaustive=exhaustive)
     for n in at:
         if rig.run(cut(Way.RECEIVE, n, lose=True)) is not None:
             rig.recover(resume=n % 2 == 0)
@@ -142,8 +156,8 @@ def test_f15_f16_any_line_of_any_change(
     rig.restart()
     counter = LineFault(rig.bench, -1, "none")
     rig.scenario.change(rig.bench.link, rig.bench.context)
-    step = 1 if exhaustive else 1 + counter.seen // 40
-    for k in range(0, counter.seen, step):
+    lines = thinned(range(counter.seen), 8, exhaustive=exhaustive)
+    for k in lines:
         rig.restart()
         LineFault(rig.bench, k, kind)
         error = rig.attempt()
@@ -156,4 +170,52 @@ def test_f15_f16_any_line_of_any_change(
             rig.fresh()
             rig.judge(ControllerState.OLD)
         rig.recover(resume=bool(k % 2))
-    count_runs(len(range(0, counter.seen, step)))
+    count_runs(len(lines))
+
+
+def serve_child(rig: ChangeBench, kill_after: int) -> tuple[int, int]:
+    """Fork a child that makes the change and is killed; the card stays with us. Status, bytes."""
+    ours, theirs = socket.socketpair()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            ours.close()
+            link = Commander(SocketEnd(theirs, kill_after), clock=SystemClock(), timeout_s=5.0)
+            rig.scenario.change(link, rig.bench.context)
+            code = 0
+        except PmacCompError:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    theirs.close()
+    session = EthernetSession(rig.bench.card)
+    received = 0
+    while data := ours.recv(65536):
+        received += len(data)
+        # The child waits on its own clock, the card is served cycles by its questions.
+        rig.bench.card.run_cycles(200)
+        for answer in session.answers(data):
+            ours.sendall(answer)
+    session.close()
+    ours.close()
+    return os.waitpid(child, 0)[1], received
+
+
+def test_f29_sigkill_in_any_change(
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count
+) -> None:
+    rig.restart()
+    status, total = serve_child(rig, 1 << 30)
+    assert status == 0
+    rig.fresh()
+    rig.judge(ControllerState.NEW)
+    at = range(0, total - 200, 1 if exhaustive else max(1, total // 2))
+    for n in at:
+        rig.restart()
+        status, _ = serve_child(rig, n)
+        if not os.WIFSIGNALED(status):
+            continue  # waits are shorter or longer: this one asked less often than the first
+        assert os.WTERMSIG(status) == signal.SIGKILL
+        rig.recover(resume=n % 2 == 0)
+    count_runs(len(at))

@@ -74,10 +74,10 @@ def watch_following_error(bench: CardBench) -> list[float]:
 
 @pytest.mark.parametrize("kind", ["amplifier", "following error", "limit", "kill"])
 def test_f24_trip_during_a_run_closes_the_capture(
-    tmp_path: Path, kind: str, count_runs: Count
+    *, tmp_path: Path, kind: str, exhaustive: bool, count_runs: Count
 ) -> None:
     rng = np.random.default_rng(24)
-    n_runs = 3
+    n_runs = 200 if exhaustive else 3
     for k in range(n_runs):
         folder = tmp_path / f"{kind}-{k}"
         folder.mkdir()

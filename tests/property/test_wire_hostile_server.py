@@ -8,7 +8,7 @@ import struct
 import time
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pmac_comp.files.bench import load_bench
@@ -95,7 +95,6 @@ def restore(bed: Bed) -> None:
         assert bed.witness_is_served()
 
 
-@settings(max_examples=150)
 @given(sent=st.lists(packets, max_size=12))
 def test_f41_hostile_packets_are_answered_refused_or_closed(bed, sent):
     session = EthernetSession(bed.card)
@@ -111,7 +110,6 @@ def test_f41_hostile_packets_are_answered_refused_or_closed(bed, sent):
     restore(bed)
 
 
-@settings(max_examples=100)
 @given(sent=st.lists(st.tuples(lines, st.sampled_from([b"\r", b"\n", b"", b"\x18"])), max_size=12))
 def test_f41_hostile_lines_are_answered_or_refused(bed, sent):
     session = AsciiSession(bed.card)
