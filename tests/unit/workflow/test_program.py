@@ -1,0 +1,116 @@
+"""The route ``program``: what was uploaded draws the motion with its correction, and is checked."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError, VerifyMismatch
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import motors, programs
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
+from pmac_comp.workflow.runs import left_as_found, runs_of
+from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.verify import verify_axis
+
+BENCH = load_bench("paper")
+MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
+N = MOTION.position_m.size
+BUMP = 12e-6 * np.sin(np.pi * np.arange(N) / N) ** 2
+COMPENSATION = Compensation(
+    "program",
+    CompensationLaw(),
+    motion_time_s=MOTION.trajectory.time_s,
+    motion_position_m=MOTION.position_m,
+    motion_correction_m=BUMP,
+)
+
+
+@pytest.fixture
+def axis() -> Iterator[Axis]:
+    with embedded(make_card(BENCH)) as link:
+        found = Axis(link, BENCH, "test", simulated=True)
+        found.set_up()
+        found.enable()
+        yield found
+
+
+def test_the_program_states_its_errors() -> None:
+    drawn = draw_motion(COMPENSATION, BENCH)
+    assert drawn.largest_um == pytest.approx(12.0, rel=1e-3)
+    assert drawn.shape_error_um < 0.1
+    assert drawn.rounding_um < 0.001
+
+
+def test_without_a_motion_there_is_no_program() -> None:
+    with pytest.raises(ConfigError) as refused:
+        motion_of(Compensation("program", CompensationLaw()), BENCH)
+    assert refused.value.code == "PC-DEP-051"
+    assert "--command" in refused.value.hint
+
+
+def test_verify_runs_what_was_uploaded_against_the_plain_motion(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, COMPENSATION, context)
+    verification = verify_axis(axis, context, COMPENSATION, (), repeats=1, static_runs=2)
+    assert verification.simulated
+    assert verification.route == "program"
+    assert verification.static is None
+    assert verification.ringing is None
+    assert any("one known motion" in remark for remark in verification.remarks)
+    (before,), (after,) = verification.before, verification.after
+    assert np.max(np.abs(before.desired_m - before.commanded_position_m)) < 1e-9
+    correction = after.desired_m - after.commanded_position_m
+    assert float(np.max(correction)) == pytest.approx(12e-6, rel=0.01)
+    # The command of both sides is the motion itself.
+    span = np.ptp(MOTION.position_m)
+    assert np.ptp(after.commanded_position_m) == pytest.approx(span, abs=0.2e-6)
+
+    class Opened:
+        def __enter__(self) -> Axis:
+            return axis
+
+        def __exit__(self, *_failure: object) -> None:
+            pass
+
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    assert upload_flow.rollback_upload("sim://", "paper", tmp_path)["verdict"] == "OLD"
+    runs = runs_of(axis, context, COMPENSATION, ())
+    with pytest.raises(VerifyMismatch):
+        runs.run(runs.motions[0], on=True)
+
+
+def test_another_program_on_the_card_is_not_run(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, COMPENSATION, context)
+    other = Program(ProgramKind.PROG, COMPENSATED_PROGRAM, ("ABS", "LINEAR", "TM100", "X5"))
+    programs.download(axis.link, other)
+    runs = runs_of(axis, context, COMPENSATION, ())
+    with pytest.raises(VerifyMismatch, match="differs"):
+        runs.run(runs.motions[0], on=True)
+
+
+def test_a_comparison_leaves_motor_and_compensation_as_found(axis: Axis, tmp_path: Path) -> None:
+    law = Compensation(
+        "law",
+        CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0),
+    )
+    context = context_of(axis, tmp_path)
+    deploy(axis, law, context)
+    with left_as_found(axis, context, law):
+        runs_of(axis, context, law, (MOTION,)).run(MOTION, on=False)
+    assert float(axis.link.query(f"P{context.block.first + 2}")[0]) == 1.0  # armed again
+    axis.kill()
+    with left_as_found(axis, context, law):
+        axis.enable()
+    assert motors.read_motor(axis.link, axis.motor).status.is_killed
