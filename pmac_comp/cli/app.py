@@ -43,6 +43,7 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command and leave with its exit code (0 done, 2..9 and 70 by error class)."""
     words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
+    words = output.spell_out_lists(words)
     wants_json = output.JSON_STDOUT in words
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends in order, as by Ctrl-C
     try:

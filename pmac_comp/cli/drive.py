@@ -115,7 +115,7 @@ def diagnose(
     captures: CapturesArgument,
     bench: BenchOption,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Capture for judging (repeatable)")
+        list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
     ] = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="Base model instead of the default one")
@@ -165,7 +165,7 @@ def compare(
     captures: CapturesArgument,
     bench: BenchOption,
     validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Capture for judging (repeatable)")
+        list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
     json_target: JsonOption = "",

@@ -54,6 +54,33 @@ def spell_out_json(words: list[str]) -> list[str]:
     return out
 
 
+_LISTS = {
+    "diagnose": ("--validate",),
+    "compare": ("--validate",),
+    "verify": ("--before", "--after"),
+}
+
+
+def spell_out_lists(words: list[str]) -> list[str]:
+    """Words of the command line with ``--validate A B`` written as ``--validate A --validate B``.
+
+    What a shell makes of ``--validate runs/*.h5`` goes to that option as a whole. Without this its
+    second file would silently be one more capture for fitting.
+    """
+    options = _LISTS.get(words[0], ()) if words else ()
+    out: list[str] = []
+    current, filled = "", False
+    for word in words:
+        if word.startswith("-") and word != "-":
+            current, filled = (word if word in options else ""), False
+        elif current and filled:
+            out.append(current)
+        else:
+            filled = True
+        out.append(word)
+    return out
+
+
 def plain(value: Any) -> Any:
     """Value as what JSON can hold; NaN and infinity become null, arrays become lists."""
     if isinstance(value, float):

@@ -72,3 +72,24 @@ def test_json_file_is_written_whole_into_a_new_folder(tmp_path: Path) -> None:
     output.write_json(str(target), {"a": 1})
     assert json.loads(target.read_text()) == {"a": 1}
     assert [p.name for p in target.parent.iterdir()] == ["r.json"]
+
+
+@pytest.mark.parametrize(
+    ("words", "spelled"),
+    [
+        (
+            "diagnose a.h5 b.h5 --validate c.h5 d.h5 --bench paper",
+            "diagnose a.h5 b.h5 --validate c.h5 --validate d.h5 --bench paper",
+        ),
+        ("diagnose a.h5 b.h5 --bench paper", "diagnose a.h5 b.h5 --bench paper"),
+        ("diagnose a.h5 --validate c.h5 --json=-", "diagnose a.h5 --validate c.h5 --json=-"),
+        (
+            "verify --before a b --after c d -b paper",
+            "verify --before a --before b --after c --after d -b paper",
+        ),
+        ("capture sim:// --validate a b", "capture sim:// --validate a b"),
+        ("", ""),
+    ],
+)
+def test_several_files_after_one_option_all_belong_to_it(words: str, spelled: str) -> None:
+    assert output.spell_out_lists(words.split()) == spelled.split()
