@@ -154,7 +154,7 @@ def starts_of(effect: Effect, model: DriveModel, bench: Bench, peaks: Peaks) -> 
         key = f"{effect.name}@{place}" if place else effect.name
         library = {effect.name: effect}
         specs = _specs(model.with_effect(key, library=library), effect.name)
-        for values in _start_values(effect, specs, peaks):
+        for values in _start_values(effect, specs, peaks, model):
             found.append(_start(effect, key, specs, values, model))
     return [start for start in found if start.directions]
 
@@ -169,6 +169,12 @@ def _specs(model: DriveModel, effect: str) -> tuple[ParameterSpec, ...]:
     )
 
 
+# Effects that replace a value of the model: where to try, as multiples of it.
+_FACTORS: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "actuator_delay": ("chain.actuator_delay_s", (0.6, 1.2, 1.6)),
+    "current_bandwidth": ("chain.current_bandwidth_Hz", (0.3, 0.6, 1.8)),
+}
+
 # Which trace shows the order or frequency of an effect; others try all orders found.
 _TRACES = {
     "cogging": "torque",
@@ -180,7 +186,7 @@ _TRACES = {
 
 
 def _start_values(
-    effect: Effect, specs: Sequence[ParameterSpec], peaks: Peaks
+    effect: Effect, specs: Sequence[ParameterSpec], peaks: Peaks, model: DriveModel
 ) -> Iterable[dict[str, float]]:
     """Starting values: those of the effect, or the orders and frequencies that the data shows."""
     names = {spec.name: spec for spec in specs}
@@ -191,6 +197,12 @@ def _start_values(
         mirrored = {k: (-v if k == specs[0].name else v) for k, v in values.items()}
         if values not in listed and mirrored not in listed:
             listed.append(values)
+    if effect.name in _FACTORS:
+        # Nothing can be learned at the value that the model already has, nor far beyond it.
+        name, factors = _FACTORS[effect.name]
+        present = model.parameters.get(name) or specs[0].nominal
+        inside = [float(np.clip(f * present, specs[0].lower, specs[0].upper)) for f in factors]
+        return [{**listed[0], specs[0].name: value} for value in inside]
     orders = getattr(peaks, _TRACES.get(effect.name, "torque"))
     for name, grid in (("order_per_rev", orders), ("frequency_Hz", peaks.frequencies_Hz)):
         if name not in names or not grid or effect.name == "base_mode":

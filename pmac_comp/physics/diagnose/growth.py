@@ -12,6 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import Start, relieved, started
+from pmac_comp.physics.diagnose.gram import Gram
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
@@ -39,6 +40,8 @@ from pmac_comp.physics.model.effect import Effect
 Progress = Callable[[str], None]
 _ELEMENTARY = frozenset({"coulomb", "viscous"})
 _CLOSE = 0.9
+# Share of the best gain from which on the second is worth a refit of everything.
+_OPEN = 0.25
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
@@ -212,14 +215,15 @@ def grow(
         done = _round(bench, whole, screening, library, rules, progress)
         if number > rules.most_effects:
             done = replace(done, accepted=None, tied=())
-        rounds.append(done)
+        rounds = [*map(_slim, rounds), done]
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
         point = evaluate(bench.fitting_bench(), done.accepted.fitted.model)
-    progress("settling all parameters")
-    part = bench.fitting_bench()
-    point = refit(part, evaluate(part, point.model), rounds=6)
+    if any(r.accepted is not None for r in rounds):
+        progress("settling all parameters")
+        part = bench.fitting_bench()
+        point = refit(part, evaluate(part, point.model), rounds=4)
     final = evaluate(bench, point.model)
     grew = base is not None and any(r.accepted is not None for r in rounds)
     base_model = evaluate(bench, base.model) if base is not None and grew else final
@@ -251,6 +255,14 @@ def _promising(screening: Screening) -> frozenset[str]:
     return frozenset(s.start.effect for s in worth[:_MOST_FRESH])
 
 
+def _slim(done: Round) -> Round:
+    """A past round without its columns and products, which are large."""
+    gram = done.screening.gram
+    nothing = Gram(gram.blocks[:0], gram.fitting[:0], gram.rows[:0], gram.prior)
+    bare = replace(done.screening, gram=nothing, frozen=Frozen((), []))
+    return replace(done, screening=bare)
+
+
 def _spread(bench: Workbench, noise: Noise) -> Noise:
     """Noise of the fitting records for all records; judging samples are weighed alike."""
     weights, given = [], iter(noise.robust or ())
@@ -278,7 +290,7 @@ def _round(
         contender = _contend(bench, before, screening, item, library, fits)
         if contender is not None:
             contenders.append(contender)
-    contenders = _best_of_each(contenders)
+    contenders = _polished(bench, before, _best_of_each(contenders), library, fits)
     winner = contenders[0] if contenders else None
     gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
     floor_um = noise_floor_um(bench, before.model)
@@ -327,11 +339,24 @@ def _contend(
         whole = evaluate(bench, fitted.model)
     except ModelError:
         return None
+    return _contender(bench, before, item, whole, library, fits)
+
+
+def _contender(
+    bench: Workbench,
+    before: Fitted,
+    item: Screened,
+    whole: Fitted,
+    library: Mapping[str, Effect],
+    fits: BoolArray,
+) -> Contender:
+    """A refitted candidate with its evidence."""
+    start = item.start
     drop = before.blocks - whole.blocks
     judged = drop[~fits]
     gain = float(drop[fits].sum())
     size = effective_size(drop) / max(1, drop.size)
-    rows = float(sum(r.usable.size for r in part.records)) * bench.channels
+    rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
     parameters = len(library[start.effect].parameters)
     return Contender(
         start.effect,
@@ -344,6 +369,28 @@ def _contend(
         bic_gain(gain * size, parameters, rows * size),
         gap(bench.judging_records, whole.model, bench.executor).position_um,
     )
+
+
+def _polished(
+    bench: Workbench,
+    before: Fitted,
+    contenders: Sequence[Contender],
+    library: Mapping[str, Effect],
+    fits: BoolArray,
+) -> list[Contender]:
+    """The two best refitted with columns of their own where the order between them is open."""
+    if len(contenders) < 2 or contenders[1].gain < _OPEN * contenders[0].gain:
+        return list(contenders)
+    part = bench.fitting_bench()
+    best = []
+    for contender in contenders[:2]:
+        fitted = refit(part, evaluate(part, contender.fitted.model), rounds=3)
+        best.append(
+            _contender(
+                bench, before, contender.screened, evaluate(bench, fitted.model), library, fits
+            )
+        )
+    return _best_of_each([*best, *contenders[2:]])
 
 
 def _model_at(

@@ -117,7 +117,7 @@ def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, flo
         return excess_um, excess_um
     bench = grown.bench
     every = replace(bench, fitting=tuple(np.ones_like(mask) for mask in bench.fitting))
-    settled = refit(every, evaluate(every, grown.final.model), rounds=3)
+    settled = refit(every, evaluate(every, grown.final.model), rounds=2)
     both = [_doubted_um2(bench, model) for model in (grown.final.model, settled.model)]
     whole, quiet = (min(b[i] for b in both) for i in (0, 1))
     return (
