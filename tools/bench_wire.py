@@ -26,12 +26,19 @@ ROUNDS = 3
 CLIENTS = 16
 POLL = "i65???&1??%#1?PVF#2?PVF"
 POLL_PERIOD_S = 0.1
+# A table of points as a pre-compensated motion has it.
+PROGRAM = [
+    "OPEN PROG 99 CLEAR",
+    "ABS PVT20",
+    *(f"X{20.0 * k / LINES:.4f}:{1000.0 / LINES:.4f}" for k in range(LINES - 3)),
+    "CLOSE",
+]
 
 THEIRS = """
 import json, sys, time
 from dls_pmaclib.dls_pmacremote import PmacEthernetInterface
 
-port, single, bulk, lines, chunks = map(int, sys.argv[1:])
+port, single, bulk, lines, chunks = map(int, sys.argv[1:6])
 link = PmacEthernetInterface(verbose=False)
 link.setConnectionParams("127.0.0.1", port)
 problem = link.connect()
@@ -54,8 +61,13 @@ def ask(count):
 
 clock("single questions", single, lambda: ask(single))
 clock("bulk reads", bulk, lambda: ask(bulk))
-series = [(k + 1, f"P{k % 1000}={k}") for k in range(lines)]
-clock("download lines", lines, lambda: [step for step in link.sendSeries(series)])
+def download(texts):
+    series = [(k + 1, text) for k, text in enumerate(texts)]
+    for step in link.sendSeries(series):
+        assert step[0], step
+
+clock("download lines", lines, lambda: download([f"P{k % 1000}={k}" for k in range(lines)]))
+clock("program lines", lines, lambda: download(json.loads(sys.argv[6])))
 link.disconnect()
 print(json.dumps(out))
 """
@@ -97,6 +109,7 @@ def ours(port: int) -> dict[str, float]:
             "download lines": rate(
                 LINES, lambda: commander.write_buffer([f"P{k % 1000}={k}" for k in range(LINES)])
             ),
+            "program lines": rate(LINES, lambda: commander.write_buffer(PROGRAM)),
             "memory bytes": rate(
                 160_000, lambda: [commander.get_memory(0, 16_000) for _ in range(10)]
             ),
@@ -111,6 +124,7 @@ def clients_python() -> str | None:
 
 def theirs(port: int, python: str) -> dict[str, float]:
     arguments = [str(n) for n in (port, SINGLE, BULK, LINES, CHUNKS)]
+    arguments.append(json.dumps(PROGRAM))
     done = subprocess.run(
         [python, "-c", THEIRS, *arguments], capture_output=True, text=True, check=False, timeout=300
     )
@@ -176,6 +190,7 @@ def main() -> None:
         polls, missed, worst_s = many_clients(port)
     print(f"{'per second':<18}{'pmac_comp':>12}{'dls-pmaclib':>13}{'ratio':>8}   aim")
     aims = {"single questions": "1", "bulk reads": "10", "download lines": "10"}
+    aims["program lines"] = "10"
     for name, value in mine.items():
         reference = other.get(name)
         beside = f"{reference:13.0f}{value / reference:8.1f}" if reference else " " * 21
