@@ -3,16 +3,23 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.safety import Limits
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import FaultyTransport
+from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.pvt import pvt_program
+from pmac_comp.workflow.scales import Scales
 
 REQUEST_CYCLES = 2
 LIMITS = Limits(
@@ -112,3 +119,14 @@ def make_plc_bench(folder: Path) -> CardBench:
     bench.link.command("#1J/")
     bench.clock.sleep_s(0.1)
     return bench
+
+
+AXIS_LINES = ("&1UNDEFINE ALL", "&1#1->X", "I5113=0", "I5190=1000", "I42=0")
+
+
+def program_of(path_ct: np.ndarray, bench: Bench, number: int = 710) -> Program:
+    """Motion program through positions in counts at every servo cycle, from rest to rest."""
+    time_s = np.arange(path_ct.size) * bench.servo_period_s
+    position_m = path_ct * Scales.of(bench).motor_m_per_ct
+    lines = pvt_program(Motion("path", Trajectory(time_s, position_m)), bench).lines
+    return Program(ProgramKind.PROG, number, ("DWELL200", *lines, "DWELL200"))

@@ -21,7 +21,12 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
 from pmac_comp.simulator.card import Card
-from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
+from tests.unit.machine_controller.card_bench import (
+    AXIS_LINES,
+    CardBench,
+    make_plc_bench,
+    program_of,
+)
 
 UNIT = 3072.0  # 32 * I108
 
@@ -104,14 +109,14 @@ def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
     time = np.arange(0, 0.8, bench.bench.servo_period_s)
     ramp = np.clip(time / 0.2, 0, 1) * np.clip((0.8 - time) / 0.2, 0, 1)
     path = 3000 * np.sin(2 * np.pi * 4 * time) * ramp**2 * (3 - 2 * ramp)
-    plan = motion.pvt_program(path, bench.bench.servo_period_s, segment_ms=5.0)
-    bench.link.write_buffer(motion.axis_lines(1))
-    programs.download(bench.link, plan.program)
+    program = program_of(path, bench.bench)
+    bench.link.write_buffer(AXIS_LINES)
+    programs.download(bench.link, program)
     sources = (*gather.bench_sources(1, 2), gather.GatherSource("word", 0x4010F8))
     ring = gather.GatherPlan(sources)
 
     def go() -> None:
-        motion.start(bench.link, plan.program.number)
+        motion.start(bench.link, program.number)
 
     result = gather.gather_ring(bench.link, ring, 3.5, bench.bench.servo_period_s, during=go)
     motion.wait_for_end(bench.link, timeout_s=5.0)
@@ -148,10 +153,10 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
     law_upload.upload_law(bench.link, bench.context, LAW)
     law_arming.arm(bench.link, bench.context)
     path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, paper.servo_period_s) / 0.5))
-    plan = motion.pvt_program(path, paper.servo_period_s, segment_ms=5.0)
-    bench.link.write_buffer(motion.axis_lines(1))
-    programs.download(bench.link, plan.program)
-    motion.start(bench.link, plan.program.number)
+    program = program_of(path, paper)
+    bench.link.write_buffer(AXIS_LINES)
+    programs.download(bench.link, program)
+    motion.start(bench.link, program.number)
     commanded, sent = [], []
     for _ in range(6000):
         bench.card.run_cycles(1)

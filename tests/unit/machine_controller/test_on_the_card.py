@@ -11,7 +11,6 @@ from pmac_comp.machine.controller import (
     gather,
     law_arming,
     law_install,
-    motion,
     motors,
     program_upload,
     programs,
@@ -163,41 +162,3 @@ def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
     back = settings_upload.rollback_settings(bench.link, bench.context, second.backup)
     assert back.verdict is ControllerState.OLD
     assert programs.is_present(bench.link, old)
-
-
-def test_pvt_program_states_its_error() -> None:
-    time = np.arange(0, 1.0, 442e-6)
-    path = 5000 * (1 - np.cos(2 * np.pi * 3 * time)) * np.sin(np.pi * time) ** 2
-    errors = [
-        motion.pvt_program(path, 442e-6, segment_ms=ms).worst_error_ct for ms in (40.0, 20.0, 5.0)
-    ]
-    assert errors[0] > 8 * errors[1] > 8 * errors[2]
-    assert errors[2] < 0.01
-    with pytest.raises(ConfigError):
-        motion.pvt_program(path, 442e-6, segment_ms=5000.0)
-
-
-def test_cam_axis_runs_with_the_motion(tmp_path: Path) -> None:
-    """An unused motor counts time; its table corrects the axis (electronic cam)."""
-    bench = make_plc_bench(tmp_path)
-    bench.link.write_buffer(["I300=1", "I311=0", "I302=$0", "I316=10000", "#3J/"])
-    cam = [round(160 * np.sin(2 * np.pi * k / 40)) for k in range(1, 40)]
-    table = CompTable(3, (*cam, 0), 700000, source=3, target=1, by_desired=True)
-    limits_context = bench.context
-    upload.upload_tables(bench.link, limits_context, [table], route="cam")
-    time = np.arange(0, 0.6, bench.bench.servo_period_s)
-    path = 1000 * (1 - np.cos(2 * np.pi * time / 0.6))
-    move = motion.pvt_program(path, bench.bench.servo_period_s, time_axis_ct_per_ms=1000.0)
-    bench.link.write_buffer(motion.axis_lines(1, time_motor=3))
-    programs.download(bench.link, move.program)
-    sources = (*gather.bench_sources(1, 2), gather.motor_source("clock", 3, 0x08))
-    plan = gather.GatherPlan(sources)
-    result = gather.gather_ring(
-        bench.link, plan, 3.0, bench.bench.servo_period_s,
-        during=lambda: motion.start(bench.link, move.program.number),
-    ).require_whole()  # fmt: skip
-    clock_ct = result.raw["clock"] / 3072
-    expected = table.correction_ct(clock_ct)
-    applied = result.raw["compensation"] / 3072
-    assert np.ptp(clock_ct) > 590000
-    assert np.max(np.abs(np.abs(applied[1:]) - np.abs(expected[1:]))) < 0.3
