@@ -13,6 +13,7 @@ from pmac_comp.report.figures import AFTER, BEFORE, PROMISE, svg, thin_pair
 
 _BINS = 40
 _LEAST_PER_BIN = 8
+_VOID = 0.2  # of the range: a line across would show what nobody measured
 _SHOWN = (0.5, 99.5)  # percentiles: a start transient must not set the scale of the rest
 _COLOURS = {"chosen": AFTER, "tied": PROMISE, "lost": "#b9b9b2"}
 
@@ -71,7 +72,13 @@ def _binned(x: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     safe = np.maximum(count, 1)
     centres = np.bincount(index, x, edges.size - 1) / safe
     means = np.bincount(index, values, edges.size - 1) / safe
-    return centres[full], means[full]
+    return _broken(centres[full], means[full])
+
+
+def _broken(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The curve with a break wherever no sample lies for a good part of the range."""
+    wide = np.flatnonzero(np.diff(x) > _VOID * np.ptp(x)) + 1
+    return np.insert(x, wide, np.nan), np.insert(y, wide, np.nan)
 
 
 def _limit(axis: Axes, curves: Sequence[FloatArray]) -> None:
