@@ -15,7 +15,6 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import (
     ControllerState,
-    PmacCompError,
     SafetyRefusal,
     VerifyMismatch,
 )
@@ -35,7 +34,6 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
@@ -54,12 +52,11 @@ from pmac_comp.workflow.compensation_file import (
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.sign_test import check_law_sign, check_table_sign
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
 DEFAULT_JOURNAL = "pmac-comp-journal"
-SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
-_NOT_MOVED = "PC-SGN-005"
 
 
 def context_of(axis: Axis, store: Path | None = None, progress: Progress | None = None) -> Context:
@@ -127,10 +124,11 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         with TableUpload(axis.link, context, tables, without=stale) as upload:
             upload.prepare()
             parts.append(upload.execute())
+        notes += check_table_sign(axis, tables)
     if compensation.route == "law":
         every = compensation.law.every_cycles
         notes += law_install.install_law(axis.link, context, axis.motor, every_cycles=every)
-        notes += _checked_sign(axis, context)
+        notes += check_law_sign(axis, context)
     if compensation.route == "servo":
         law_install.require_open_servo(axis.link, context, axis.motor)
     if compensation.route in TORQUE_ROUTES:
@@ -145,7 +143,10 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")
         else:
-            notes.append("the law is loaded and disarmed: the loop is open")
+            notes.append(
+                "the law is loaded and disarmed: the loop is open; enable the motor and upload "
+                "again to arm it"
+            )
     if compensation.route == "program":
         parts.append(deploy_motion(axis, compensation, context))
     return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
@@ -228,53 +229,6 @@ def _deploy_cam(
         return upload.execute()
 
 
-def _checked_sign(axis: Axis, context: Context) -> list[str]:
-    """Guarded test before the law is armed: which way a positive correction moves the motor.
-
-    Raises
-    ------
-    SafetyRefusal
-        It moves the motor down: every correction would double the error.
-    """
-    head = law_state.read_law_head(axis.link, context.block)
-    status = motors.read_motor(axis.link, axis.motor).status
-    if head.is_armed or not status.is_closed_loop:
-        return []
-    # The law writes the master word every cycle: it must stand aside while the test does.
-    axis.link.command("DISABLE PLC 0")
-    try:
-        axis.link.clock.sleep_s(0.01)
-        found = _sign_against_friction(axis)
-    finally:
-        axis.link.command("ENABLE PLC 0")
-    if found.sign < 0:
-        raise SafetyRefusal(
-            f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
-            f"{found.moved_ct:+.1f} counts: the sign of the door is reversed.",
-            code="PC-DEP-040",
-            hint="Check Ixx05-Ixx07; the law was loaded but is not armed.",
-        )
-    return [
-        f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
-        f"{found.moved_ct:+.1f} counts"
-    ]
-
-
-def _sign_against_friction(axis: Axis) -> SignResult:
-    """Sign test with an offset that grows until it moves the motor against its friction."""
-    for offset_um in SIGN_OFFSETS_um[:-1]:
-        try:
-            return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, offset_um))
-        except PmacCompError as error:
-            if error.code != _NOT_MOVED:
-                raise
-    return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, SIGN_OFFSETS_um[-1]))
-
-
-def _offset_ct(axis: Axis, offset_um: float) -> float:
-    return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
-
-
 def stand_at_zero(axis: Axis) -> None:
     """Move a closed loop to the motor's zero, where every table corrects nothing: no step."""
     reading = motors.read_motor(axis.link, axis.motor)
@@ -298,8 +252,14 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
         else:
             law_arming.disarm(axis.link, context)
     if tables_of(compensation, axis.bench):
-        axis.link.command(f"I51={int(on)}")
-        verify_many(axis.link, {"I51": int(on)})
+        switch_tables(axis, on=on)
+
+
+def switch_tables(axis: Axis, *, on: bool) -> None:
+    """Tables on or off where they correct nothing; VerifyMismatch if I51 does not read back."""
+    stand_at_zero(axis)
+    axis.link.command(f"I51={int(on)}")
+    verify_many(axis.link, {"I51": int(on)})
 
 
 def check_law_on_card(

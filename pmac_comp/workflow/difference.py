@@ -174,9 +174,10 @@ def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]
 
     if not _of_axis(axis, old) and not _of_axis(axis, new):
         return []
+    one_way = not any(isinstance(t, BacklashTable) for t in (*old, *new))
     both = [
         Curve(
-            f"the tables' correction, {'upwards' if up else 'downwards'}",
+            "the tables' correction" + ("" if one_way else ", upwards" if up else ", downwards"),
             "um",
             position,
             "mm",
@@ -185,7 +186,6 @@ def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]
         )
         for up in (True, False)
     ]
-    one_way = not any(isinstance(t, BacklashTable) for t in (*old, *new))
     return both[:1] if one_way else both
 
 

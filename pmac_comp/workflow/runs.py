@@ -11,10 +11,9 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import switch
+from pmac_comp.workflow.deploy import switch, switch_tables
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.program import program_axis, run_drawn
-from pmac_comp.workflow.routes import TORQUE_ROUTES
 
 Run = Callable[[Motion], Capture]
 
@@ -99,15 +98,16 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
     command would meet.
     """
     killed = motors.read_motor(axis.link, axis.motor).status.is_killed
-    acts = _acts(axis, context, compensation)
+    armed, tables = _acting(axis, context)
     yield
-    if acts != _acts(axis, context, compensation):
-        switch(axis, context, compensation, on=acts)
+    if (armed, tables) != _acting(axis, context):
+        switch(axis, context, compensation, on=armed)
+        switch_tables(axis, on=tables)
     if killed:
         axis.kill()
 
 
-def _acts(axis: Axis, context: Context, compensation: Compensation) -> bool:
-    if compensation.route in TORQUE_ROUTES:
-        return law_state.read_law_head(axis.link, context.block).is_armed
-    return read_many(axis.link, ["I51"])["I51"] == 1.0
+def _acting(axis: Axis, context: Context) -> tuple[bool, bool]:
+    """Whether a law acts, and whether tables do."""
+    law = law_state.read_law_head(axis.link, context.block).is_armed
+    return law, read_many(axis.link, ["I51"])["I51"] == 1.0

@@ -20,7 +20,6 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import (
-    SIGN_OFFSETS_um,
     context_of,
     double_corrections,
     program_lines,
@@ -32,6 +31,7 @@ from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.sign_test import SIGN_OFFSETS_um
 from pmac_comp.workflow.tables import tables_of
 
 _ENABLE_STEP = "PC-SAF-004"
@@ -152,7 +152,10 @@ def _motion_lines(axis: Axis) -> list[str]:
     reading = motors.read_motor(axis.link, axis.motor)
     if not reading.status.is_closed_loop:
         return ["  the motor's loop is open: nothing moves"]
-    return ["  the axis moves to its zero first, where every table corrects nothing"]
+    return [
+        "  the axis moves to its zero first, where every table corrects nothing, and then to where "
+        "the table corrects most, to measure its sign"
+    ]
 
 
 def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:

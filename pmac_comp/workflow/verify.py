@@ -14,6 +14,7 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
+from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.workflow.axis import Axis
@@ -36,6 +37,7 @@ from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, runs_of
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.sign_test import check_law_sign
 from pmac_comp.workflow.simulated import Truth
 from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approaches, is_static
 from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks
@@ -189,6 +191,7 @@ def verify_on_controller(
         )
         context = context_of(axis)
         with left_as_found(axis, context, compensation):
+            measured = measured_sign(axis, context, compensation)
             verification = verify_axis(
                 axis,
                 context,
@@ -199,6 +202,8 @@ def verify_on_controller(
                 drive=None if model is None else load_model(model, axis.bench),
                 progress=progress,
             )
+            remarks = (*verification.remarks, *measured)
+            verification = replace(verification, remarks=remarks)
             if refine:
                 motion = chosen[0]
                 if compensation.route in MOTION_ROUTES:
@@ -209,6 +214,15 @@ def verify_on_controller(
     if out is not None:
         store(verification, out)
     return verification
+
+
+def measured_sign(axis: Axis, context: Context, compensation: Compensation) -> list[str]:
+    """Sign of a law that was loaded with the loop open, before it is armed for the first time."""
+    if compensation.route != "law":
+        return []
+    if motors.read_motor(axis.link, axis.motor).status.is_killed:
+        axis.enable()
+    return check_law_sign(axis, context)
 
 
 def verify_axis(

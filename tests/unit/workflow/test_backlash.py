@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import NotIdentifiable, SafetyRefusal
+from pmac_comp.base.errors import ControllerState, NotIdentifiable, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller.comp_table import TableKind
+from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -25,8 +25,10 @@ from pmac_comp.workflow.compensation_file import (
 )
 from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.sign_test import check_table_sign
 from pmac_comp.workflow.simulated import embedded, make_card
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
+from pmac_comp.workflow.verify import measured_sign
 
 BENCH = load_bench("paper")
 X = np.arange(-0.3, 0.3005, 1e-3)
@@ -83,7 +85,8 @@ def test_the_servo_gets_both_directions_and_rollback_takes_all_away(
     axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = read_many(axis.link, ["I185", "I186", "I187"])
-    deploy(axis, COMPENSATION, context_of(axis, tmp_path))
+    notes = deploy(axis, COMPENSATION, context_of(axis, tmp_path)).notes
+    assert any("sign of the tables measured" in note for note in notes)
     kinds = [table.kind for table in read_tables(axis.link)]
     assert kinds == [TableKind.COMP, TableKind.BLCOMP]
     assert read_many(axis.link, ["I185"])["I185"] > 0.0
@@ -107,6 +110,29 @@ def test_the_servo_gets_both_directions_and_rollback_takes_all_away(
     assert upload_flow.rollback_upload("sim://", "paper", tmp_path)["verdict"] == "OLD"
     assert len(read_tables(axis.link)) == 0
     assert read_many(axis.link, list(before)) == before
+
+
+def test_tables_that_act_the_wrong_way_are_switched_off(axis: Axis, tmp_path: Path) -> None:
+    deploy(axis, Compensation("table", CompensationLaw(), LEAD), context_of(axis, tmp_path))
+    (table,) = read_tables(axis.link)
+    assert isinstance(table, CompTable)
+    meant = replace(table, entries=tuple(-entry for entry in table.entries))
+    with pytest.raises(SafetyRefusal) as refused:
+        check_table_sign(axis, [meant])
+    assert refused.value.code == "PC-DEP-041"
+    assert refused.value.left is ControllerState.DISABLED
+    assert read_many(axis.link, ["I51"])["I51"] == 0.0
+
+
+def test_a_law_loaded_with_the_loop_open_waits_for_its_sign(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0)
+    axis.kill()
+    notes = deploy(axis, Compensation("law", law), context).notes
+    assert not any("sign measured" in note for note in notes)
+    assert any("loaded and disarmed" in note for note in notes)
+    (said,) = measured_sign(axis, context, Compensation("law", law))
+    assert "sign measured" in said
 
 
 def test_a_law_that_acts_forbids_what_would_correct_friction_twice(

@@ -1,0 +1,134 @@
+"""Guarded tests of the sign, on the connected controller, before a correction is trusted.
+
+The manual's statements about the sign of the compensation register do not agree with one another
+(Software Reference Manual p. 303, 382, 516; User Manual p. 189). So it is measured where the axis
+stands in closed loop: for the law with a small slow offset, for tables where they correct most.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller import registers as reg
+from pmac_comp.machine.controller.comp_table import CompTable, Table
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
+from pmac_comp.workflow.axis import Axis
+
+SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
+_NOT_MOVED = "PC-SGN-005"
+_LEAST_um = 2.0  # a smaller correction says nothing beside the following error
+_CLEAR_FRAC = 0.5  # of the expected correction
+_SETTLE_s = 0.6
+_PLACES = 1201
+
+
+def check_law_sign(axis: Axis, context: Context) -> list[str]:
+    """Guarded test before the law is armed: which way a positive correction moves the motor.
+
+    Raises
+    ------
+    SafetyRefusal
+        It moves the motor down: every correction would double the error.
+    """
+    head = law_state.read_law_head(axis.link, context.block)
+    status = motors.read_motor(axis.link, axis.motor).status
+    if head.is_armed or not status.is_closed_loop:
+        return []
+    # The law writes the master word every cycle: it must stand aside while the test does.
+    axis.link.command("DISABLE PLC 0")
+    try:
+        axis.link.clock.sleep_s(0.01)
+        found = _sign_against_friction(axis)
+    finally:
+        axis.link.command("ENABLE PLC 0")
+    if found.sign < 0:
+        raise SafetyRefusal(
+            f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
+            f"{found.moved_ct:+.1f} counts: the sign of the door is reversed.",
+            code="PC-DEP-040",
+            hint="Check Ixx05-Ixx07; the law was loaded but is not armed.",
+        )
+    return [
+        f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
+        f"{found.moved_ct:+.1f} counts"
+    ]
+
+
+def _sign_against_friction(axis: Axis) -> SignResult:
+    """Sign test with an offset that grows until it moves the motor against its friction."""
+    for offset_um in SIGN_OFFSETS_um[:-1]:
+        try:
+            return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, offset_um))
+        except PmacCompError as error:
+            if error.code != _NOT_MOVED:
+                raise
+    return check_master_sign(axis.link, axis.motor, offset_ct=_offset_ct(axis, SIGN_OFFSETS_um[-1]))
+
+
+def _offset_ct(axis: Axis, offset_um: float) -> float:
+    return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
+
+
+def check_table_sign(axis: Axis, tables: Sequence[Table]) -> list[str]:
+    """Guarded test of tables that act: where they correct most the motor must stand so.
+
+    The axis moves there and back to its zero; the correction is within the safety limits already.
+
+    Raises
+    ------
+    SafetyRefusal
+        The motor stands on the other side: the tables are switched off.
+    """
+    table = next((t for t in tables if isinstance(t, CompTable) and t.motor == axis.motor), None)
+    closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
+    if table is None or not closed:
+        return []
+    place_ct, expected_ct = _strongest(axis, table)
+    to_um = axis.scales.motor_m_per_ct * UM_PER_M
+    if abs(expected_ct) * to_um < _LEAST_um:
+        return [f"the tables correct less than {_LEAST_um:g} um: their sign was not measured"]
+    motors.move_to(axis.link, axis.motor, place_ct)
+    axis.link.clock.sleep_s(_SETTLE_s)
+    found_ct = _beyond_command(axis)
+    if found_ct * np.sign(expected_ct) < -_CLEAR_FRAC * abs(expected_ct):
+        axis.link.command("I51=0")
+        raise SafetyRefusal(
+            f"At {place_ct * to_um / 1e3:.1f} mm the table means {expected_ct * to_um:+.1f} um, "
+            f"the motor stands {found_ct * to_um:+.1f} um beside its command: the sign of the "
+            "tables is reversed.",
+            code="PC-DEP-041",
+            hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
+            "and report this controller's firmware.",
+            left=ControllerState.DISABLED,
+        )
+    motors.move_to(axis.link, axis.motor, 0.0)
+    return [
+        f"sign of the tables measured at {place_ct * to_um / 1e3:.1f} mm: "
+        f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"
+    ]
+
+
+def _strongest(axis: Axis, table: CompTable) -> tuple[float, float]:
+    """Place nearest to zero at which a table nearly corrects most, and its correction; counts."""
+    limits = axis.scales.limits(axis.bench)
+    margin = 0.02 * (limits.max_position_ct - limits.min_position_ct)
+    places = np.linspace(limits.min_position_ct + margin, limits.max_position_ct - margin, _PLACES)
+    values = table.correction_ct(places)
+    good = places[np.abs(values) >= 0.7 * np.max(np.abs(values))]
+    place = float(good[np.argmin(np.abs(good))])
+    return place, float(table.correction_ct(place))
+
+
+def _beyond_command(axis: Axis) -> float:
+    """Where the motor stands beside its commanded position, counts."""
+    scale = 32.0 * axis.scales.ixx08
+    raw = [
+        parse_integer(axis.link.query(f"RL${reg.motor_register(axis.motor, offset):X}")[0])
+        for offset in (reg.ACTUAL, reg.COMMANDED)
+    ]
+    return (raw[0] - raw[1]) / scale
