@@ -22,6 +22,14 @@ _STEP_FRAC = 0.02
 # A tolerance counts as two standard deviations.
 _SIGMAS = 2.0
 _EDGE = 1.02
+# Motor and nut friction act on one shaft; only its wind-up, a few hundredths of a micrometre, tells
+# them apart. Their sum is what data shows, their shares stay near the typical ones.
+_ROTARY = (
+    ("coulomb.nut_Nm", "coulomb.motor_Nm"),
+    ("viscous.nut_Nms_per_rad", "viscous.motor_Nms_per_rad"),
+)
+_SPLIT: Mapping[str, str] = dict([*_ROTARY, *((b, a) for a, b in _ROTARY)])
+SPLIT_FRAC = 0.15
 # Effects that add to a known parameter: data cannot tell the two apart, so once such an effect is
 # named it carries the whole difference from the bench file, and the tolerance widens its interval.
 ADDITIONS: Mapping[str, str] = {
@@ -95,6 +103,8 @@ def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
         lower = max(lower, spec.nominal - _EDGE * width)
         upper = min(upper, spec.nominal + _EDGE * width)
         centre, sigma = spec.nominal, width / _SIGMAS
+    if spec.name in _SPLIT:
+        lower, upper = _shared(model, spec, lower, upper)
     step = _step(spec, value, lower, upper)
     if step == 0.0:
         return None
@@ -111,6 +121,22 @@ def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
         sigma=sigma / unit,
         unit=unit,
     )
+
+
+def _shared(
+    model: DriveModel, spec: ParameterSpec, lower: float, upper: float
+) -> tuple[float, float]:
+    """Bounds of a friction that only its sum with another one is known of."""
+    other = _SPLIT[spec.name]
+    if other not in model.parameters:
+        return lower, upper
+    total = model.parameters[spec.name] + model.parameters[other]
+    nominal = spec.nominal + model.spec(other).nominal
+    if total <= 0.0 or nominal <= 0.0:
+        return lower, upper
+    share = spec.nominal / nominal
+    low, high = max(0.0, share - SPLIT_FRAC), min(1.0, share + SPLIT_FRAC)
+    return max(lower, low * total), min(upper, high * total)
 
 
 def _step(spec: ParameterSpec, value: float, lower: float, upper: float) -> float:
@@ -171,8 +197,8 @@ def _specs(model: DriveModel, effect: str) -> tuple[ParameterSpec, ...]:
 
 # Effects that replace a value of the model: where to try, as multiples of it.
 _FACTORS: Mapping[str, tuple[str, tuple[float, ...]]] = {
-    "actuator_delay": ("chain.actuator_delay_s", (0.6, 1.2, 1.6)),
-    "current_bandwidth": ("chain.current_bandwidth_Hz", (0.3, 0.6, 1.8)),
+    "actuator_delay": ("chain.actuator_delay_s", (0.6, 1.25, 1.6, 2.1, 2.8)),
+    "current_bandwidth": ("chain.current_bandwidth_Hz", (0.12, 0.2, 0.35, 0.6, 1.8)),
 }
 
 # Which trace shows the order or frequency of an effect; others try all orders found.
@@ -239,6 +265,8 @@ def _start(
         values = {**values, size.name: min(size.scale, size.upper)}
     turns = [values] if angle is None else [{**values, angle: 0.0}, {**values, angle: math.pi / 2}]
     linear = vanishes(key, size, values, model, library)
+    # Near the edge of stability nothing is linear: the value itself is judged, not a step to it.
+    exact = effect.name in _FACTORS
     free_sign = linear and (angle is not None or size.lower < 0.0)
     directions = tuple(
         Direction(
@@ -246,8 +274,8 @@ def _start(
             label=f"{key} {i}",
             model=model.with_effect(key, turned, library=library),
             step=1.0,
-            lower=-math.inf if free_sign else 0.0,
-            upper=math.inf if linear else 3.0,
+            lower=-math.inf if free_sign else float(exact),
+            upper=math.inf if linear else (1.0 if exact else 3.0),
         )
         for i, turned in enumerate(turns)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from pmac_comp.base.arrays import FloatArray, IntArray
-from pmac_comp.physics.diagnose.candidates import ADDITIONS
+from pmac_comp.physics.diagnose.candidates import ADDITIONS, SPLIT_FRAC
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.refit import linearised
@@ -63,7 +63,11 @@ def _estimate(model: DriveModel, direction: Direction, std: float) -> Estimate:
     effect, _, bare = direction.label.partition(".")
     spec = model.spec(direction.label)
     value = spec.to_file(model.parameters[direction.label])
-    width = abs(spec.to_file(math.hypot(std * direction.unit, _tolerance(model, effect, bare))))
+    open_ = _tolerance(model, effect, bare)
+    if direction.label == "post_reversal_dip.fraction":
+        # A fraction of the nut's friction, of which only the sum with the motor's is known.
+        open_ = SPLIT_FRAC * abs(model.parameters[direction.label])
+    width = abs(spec.to_file(math.hypot(std * direction.unit, open_)))
     name = f"{effect}.{spec.file_name or bare}"
     unit = spec.file_unit or spec.unit
     return Estimate(name, value, unit, width, value - Z95 * width, value + Z95 * width)
