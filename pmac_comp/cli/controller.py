@@ -165,11 +165,15 @@ def restore(
     url: UrlArgument,
     source: Annotated[Path, typer.Argument(help="Backup file, or a program file to download")],
     bench: BenchOption = "paper",
+    other_card: Annotated[
+        bool,
+        typer.Option("--other-card", help="Take a backup of another card, firmware or memory"),
+    ] = False,
     yes: YesOption = False,
     dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
-    """Bring a backup back and verify it item by item."""
+    """Bring a backup back and verify it item by item; interrupted, `recover` undoes it."""
     from pmac_comp.workflow.safekeeping import plan_restore, restore_from_file
 
     plan = plan_restore(url, bench, source)
@@ -178,7 +182,7 @@ def restore(
         return
     confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes, can_look=True)
     progress = ProgressLines()
-    result = restore_from_file(url, bench, source, progress=progress)
+    result = restore_from_file(url, bench, source, other_card=other_card, progress=progress)
     progress.close()
     output.finish(result, json_target, lambda: output.echo(str(result["summary"])))
 

@@ -9,6 +9,9 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.restore import restore
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
 
@@ -67,13 +70,22 @@ def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
 
 
 def restore_from_file(
-    url: str, bench: str, source: Path, *, progress: Progress | None = None
+    url: str,
+    bench: str,
+    source: Path,
+    *,
+    other_card: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Bring a backup back, or download a program file and compare what the card lists."""
     if source.suffix != ".json":
         parsed = programs.parse_source(_program_text(bench, source))
         with open_axis(url, bench) as axis:
-            programs.download_source(axis.link, parsed)
+            axis.link.write_buffer(["CLOSE", *parsed.commands])
+            if parsed.programs:
+                bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
+                context = context_of(axis, Path("pmac-comp-journal"), progress)
+                change_settings(axis.link, context, Settings(programs=bodies), route="program")
         return {
             "summary": f"{source.name}: {len(parsed.commands)} commands sent, "
             f"{len(parsed.programs)} programs listed back token by token"
@@ -81,7 +93,9 @@ def restore_from_file(
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
         context = context_of(axis, Path("pmac-comp-journal"), progress)
-        result, left = kept.restore(axis.link, context, stored, progress=_steps(progress))
+        result, left = restore(
+            axis.link, context, stored, other_card=other_card, progress=_steps(progress)
+        )
     return {
         **result.as_dict(),
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],

@@ -26,6 +26,7 @@ from pmac_comp.machine.controller import (
     persist,
     programs,
     recovery,
+    restore,
     table_files,
     table_recovery,
     upload,
@@ -333,7 +334,7 @@ def test_f21_damaged_flash_is_recognised_and_restored(tmp_path: Path, count_runs
         with pytest.raises(FlashSuspect):
             backup.check_flash(bench.link, stored)
         if n == 0:
-            _, remaining = backup.restore(bench.link, bench.context, stored)
+            _, remaining = restore.restore(bench.link, bench.context, stored)
             assert remaining == ()
             assert tuple(bench.values("COMP", 1) or ()) == old_table(40).entries
             backup.check_flash_values(bench.link, stored)

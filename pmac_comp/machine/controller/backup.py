@@ -11,28 +11,21 @@ from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.errors import (
-    CommandRefused,
     ConfigError,
     ControllerState,
     FlashSuspect,
-    MotorNotSafe,
     RemoteProtocolError,
     VerifyMismatch,
 )
 from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.identity import Identity, read_identity
+from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
+from pmac_comp.machine.controller.settings import plc_runs, read_axes
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.variables import describe
-from pmac_comp.machine.wire.numbers import read_number
 
 VARIABLES: Final = 8192
 STEP: Final = 64
@@ -68,6 +61,8 @@ class Backup:
         Compensation tables.
     enabled : bool
         I51.
+    running : frozenset of int
+        PLCs that are enabled.
     """
 
     identity: dict[str, object]
@@ -78,6 +73,7 @@ class Backup:
     programs: tuple[Program, ...] = ()
     tables: TableSet = field(default_factory=TableSet)
     enabled: bool = False
+    running: frozenset[int] = frozenset()
 
     def as_dict(self) -> dict[str, object]:
         """For the file."""
@@ -94,6 +90,7 @@ class Backup:
             ],
             "tables": [table_to_json(t) for t in self.tables],
             "enabled": int(self.enabled),
+            "running": sorted(self.running),
         }
 
 
@@ -109,7 +106,8 @@ class Difference:
 Progress = Callable[[str, int, int], None]
 
 
-def _silent(step: str, done: int, total: int) -> None:
+def silent(step: str, done: int, total: int) -> None:
+    """Tell nobody."""
     del step, done, total
 
 
@@ -117,7 +115,7 @@ def read_backup(
     link: Link,
     *,
     p_range: tuple[int, int] = (0, VARIABLES - 1),
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Backup:
     """Read the whole configuration; nothing is changed.
 
@@ -134,16 +132,19 @@ def read_backup(
     i_values = _read_range(link, "I", 0, VARIABLES - 1, "", progress)
     p_values = _read_range(link, "P", *p_range, "", progress)
     definitions = _read_range(link, "M", 0, VARIABLES - 1, "->", progress)
-    active = [m for m in range(1, 33) if i_values.get(100 * m, "0") == "1"]
+    found = tuple(_read_programs(link))
     return Backup(
         identity=dict(identity.as_dict()),
         ivariables={n: v for n, v in i_values.items() if n not in TIMERS},
         pvariables=p_values,
         definitions=definitions,
-        axes=tuple(_read_axes(link, active)),
-        programs=tuple(_read_programs(link)),
+        axes=read_axes(link),
+        programs=found,
         tables=read_tables(link),
         enabled=i_values.get(51) == "1",
+        running=frozenset(
+            p.number for p in found if p.kind is ProgramKind.PLC and plc_runs(link, p.number)
+        ),
     )
 
 
@@ -159,16 +160,6 @@ def _read_range(
         values.update(zip(range(start, end + 1), (x.strip() for x in lines), strict=True))
         progress(f"reading {letter}", end - first + 1, last - first + 1)
     return values
-
-
-def _read_axes(link: Link, active: Sequence[int]) -> Iterator[tuple[int, int, str]]:
-    if not active:
-        return
-    for system in range(1, SYSTEMS + 1):
-        lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in active))
-        for motor, text in zip(active, lines, strict=True):
-            if text.strip() != "0":
-                yield system, motor, text.strip()
 
 
 def _read_programs(link: Link) -> Iterator[Program]:
@@ -222,6 +213,7 @@ def _from_dict(data: Mapping[str, object]) -> Backup:
         programs=tuple(found),
         tables=TableSet(tuple(tables)),
         enabled=bool(data["enabled"]),
+        running=frozenset(int(n) for n in data.get("running", [])),  # type: ignore[attr-defined]
     )
 
 
@@ -255,117 +247,11 @@ def _axes(backup: Backup) -> dict[str, str]:
 
 
 def _programs(backup: Backup) -> dict[str, str]:
-    return {p.name: "\n".join(p.tokens) for p in backup.programs}
+    found = {p.name: "\n".join(p.tokens) for p in backup.programs}
+    return found | {f"PLC {n} enabled": "yes" for n in backup.running}
 
 
-# Putting back -------------------------------------------------------------------------------------
-
-
-def restore(
-    link: Link, context: Context, backup: Backup, *, progress: Progress = _silent
-) -> tuple[UploadResult, tuple[Difference, ...]]:
-    """Put a backup on the controller, and say what still differs.
-
-    All motors must be killed. Differences that remain are those the card does not let anybody set.
-
-    Raises
-    ------
-    MotorNotSafe
-        A motor is enabled; nothing was changed.
-    ConfigError
-        The backup is of another kind of controller.
-    """
-    _refuse_other_card(read_identity(link), backup)
-    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if read_number(v)]
-    alive = [m for m, r in read_motors(link, active).items() if not r.status.is_killed]
-    if alive:
-        raise MotorNotSafe(
-            f"Restoring needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
-            code="PC-BCK-003",
-            hint="Kill each where the axis is safe without torque: "
-            "`pmac-comp terminal URL -c '#1K'`.",
-            left=ControllerState.OLD,
-        )
-    link.write_buffer(["CLOSE", "I5=0"])
-    present = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
-    _write_programs(link, present, backup)
-    _write_each(link, _lines_for(present, backup))
-    with TableUpload(
-        link,
-        context,
-        exactly=backup.tables,
-        enable_after=backup.enabled and len(backup.tables) > 0,
-        check_limits=False,
-    ) as upload:
-        result = upload.execute()
-    _write_each(link, [f"I5={backup.ivariables.get(5, '0')}"])
-    after = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
-    return result, compare(backup, after)
-
-
-def _span(values: Mapping[int, str]) -> tuple[int, int]:
-    return (min(values), max(values)) if values else (0, 0)
-
-
-def _refuse_other_card(identity: Identity, backup: Backup) -> None:
-    if identity.card != backup.identity.get("card"):
-        raise ConfigError(
-            f"The backup is of card {backup.identity.get('card')}, this is {identity.card}.",
-            code="PC-BCK-004",
-            left=ControllerState.OLD,
-        )
-
-
-def _lines_for(present: Backup, backup: Backup) -> list[str]:
-    lines = [
-        f"I{n}={v}"
-        for n, v in backup.ivariables.items()
-        if n not in NOT_RESTORED
-        and n != 5
-        and not describe(n).read_only
-        and present.ivariables.get(n) != v
-    ]
-    lines += [
-        f"M{n}->{v}" for n, v in backup.definitions.items() if present.definitions.get(n) != v
-    ]
-    lines += [f"P{n}={v}" for n, v in backup.pvariables.items() if present.pvariables.get(n) != v]
-    if present.axes != backup.axes:
-        lines += ["UNDEFINE ALL", *(f"&{c}#{m}->{text}" for c, m, text in backup.axes)]
-    return lines
-
-
-def _write_programs(link: Link, present: Backup, backup: Backup) -> None:
-    wanted = {(p.kind, p.number): p for p in backup.programs}
-    for old in present.programs:
-        if (old.kind, old.number) not in wanted:
-            programs.delete(link, old.kind, old.number)
-    there = {(p.kind, p.number): p.tokens for p in present.programs}
-    for key, program in wanted.items():
-        if there.get(key) != program.tokens:
-            programs.download(link, program)
-
-
-def _write_each(link: Link, lines: Sequence[str]) -> None:
-    """Send lines; one that the card refuses is left out, the comparison afterwards shows it."""
-    rest = list(lines)
-    while rest:
-        try:
-            link.write_buffer(rest)
-        except CommandRefused as error:
-            accepted = int(str(error.context.get("lines_accepted", 0)))
-            rest = rest[accepted:]
-            rest = _one_by_one(link, rest[:64]) + rest[64:]
-        else:
-            return
-
-
-def _one_by_one(link: Link, lines: Sequence[str]) -> list[str]:
-    for line in lines:
-        try:
-            link.command(line)
-        except CommandRefused:
-            continue
-    return []
+# After a reset -----------------------------------------------------------------------------------
 
 
 def check_flash(link: Link, backup: Backup) -> None:

@@ -127,9 +127,11 @@ class SettingsUpload:
             )
             change.settle = self._take_back
             change.left = ControllerState.DISABLED
+            present = self.old
             if first is not None:
                 first()
-            self._write()
+                present = read_settings(self.link, self.goal)
+            self._write(present)
 
     def _look(self) -> list[SafetyRefusal]:
         found = [*self._refusals, *lease_refusals(self.link, self.context)]
@@ -139,10 +141,10 @@ class SettingsUpload:
             found += motion_refusals(self.link, self._motors)
         return found
 
-    def _write(self) -> None:
+    def _write(self, present: Settings) -> None:
         self.context.progress("write", 0, 2)
         self.refused = write_settings(
-            self.link, self.old, self.goal, skip_refused=self._skip_refused
+            self.link, present, self.goal, skip_refused=self._skip_refused
         )
         self._change.keep_lease()
         self.context.progress("write", 1, 2)

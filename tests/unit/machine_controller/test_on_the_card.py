@@ -14,6 +14,8 @@ from pmac_comp.machine.controller import (
     motors,
     program_upload,
     programs,
+    recovery,
+    restore,
     settings_upload,
     sign_check,
     upload,
@@ -138,7 +140,7 @@ def test_backup_compare_restore(tmp_path: Path) -> None:
     changed = backup.read_backup(bench.link, p_range=(7000, 7199))
     items = {d.item for d in backup.compare(stored, changed)}
     assert {"I130", "I51", "M500->", "&1#1->", "PROG 55", "PROG 66", "BLCOMP #1"} <= items
-    result, remaining = backup.restore(bench.link, bench.context, stored)
+    result, remaining = restore.restore(bench.link, bench.context, stored)
     assert result.verdict is ControllerState.NEW
     assert remaining == ()
     assert bench.p(7150) == 1.25
@@ -148,7 +150,7 @@ def test_restore_refuses_an_enabled_motor(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
     stored = backup.read_backup(bench.link, p_range=(7000, 7001))
     with pytest.raises(MotorNotSafe, match="killed"):
-        backup.restore(bench.link, bench.context, stored)
+        restore.restore(bench.link, bench.context, stored)
 
 
 def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
@@ -162,3 +164,114 @@ def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
     back = settings_upload.rollback_settings(bench.link, bench.context, second.backup)
     assert back.verdict is ControllerState.OLD
     assert programs.is_present(bench.link, old)
+
+
+EVERYTHING = [
+    "M500->Y:$78000,0,16,S", "M501->D:$88", "M502->*", "M600->X:$B0,18,1",
+    "I8000=$78000", "I8001=$78008", "I5001=$400088", "I5049=5", "I5050=$7",
+    "I130=45000", "I5113=0", "P100=3.25", "P101=-0.0000125", "&1#1->1000X", "I122=35.5",
+]  # fmt: skip
+
+
+def filled(folder: Path) -> CardBench:
+    """A card with something of every kind that a backup holds."""
+    bench = CardBench(folder)
+    bench.link.write_buffer(EVERYTHING)
+    programs.download(
+        bench.link, Program(ProgramKind.PLC, 4, ("IF(P100>3)", "P102=SIN(P101)*2", "ENDIF"))
+    )
+    programs.download(
+        bench.link, Program(ProgramKind.PROG, 20, ("LINEAR", "TA100", "X10F5", "DWELL100"))
+    )
+    bench.link.write_buffer(["I5=2", "ENABLE PLC 4"])
+    tables = [
+        CompTable(1, (16, 32, 16, 0), 640000, by_desired=True),
+        BacklashTable(1, (8, 8, 8, 8), 640000, wrap=True),
+        TorqueTable(1, (256, 0), 640000),
+    ]
+    upload.upload_tables(bench.link, bench.context, tables)
+    return bench
+
+
+def test_backup_of_everything_comes_back_token_by_token(tmp_path: Path) -> None:
+    bench = filled(tmp_path)
+    stored = backup.read_backup(bench.link, p_range=(100, 110))
+    assert stored.running == {4}
+    assert {t.kind for t in stored.tables} == {t.kind for t in upload_kinds()}
+    bench.link.write_buffer(
+        ["M500->*", "M600->*", "I8000=0", "I5001=0", "I5049=0",
+         "I130=1", "P100=0", "P101=7", "UNDEFINE ALL", "I122=2"]
+    )  # fmt: skip
+    programs.delete(bench.link, ProgramKind.PLC, 4)
+    programs.delete(bench.link, ProgramKind.PROG, 20)
+    programs.download(bench.link, Program(ProgramKind.PLC, 6, ("P110=1",)))
+    upload.remove_tables(bench.link, bench.context, [(t.kind, t.motor) for t in stored.tables])
+    before = backup.read_backup(bench.link, p_range=(100, 110))
+    result, remaining = restore.restore(bench.link, bench.context, stored)
+    assert result.verdict is ControllerState.NEW
+    assert remaining == ()
+    found = backup.read_backup(bench.link, p_range=(100, 110))
+    assert backup.compare(stored, found, with_p=True) == ()
+    assert found.running == {4}
+    # And the whole of it can be taken back.
+    recovery.rollback_last(bench.link, bench.context)
+    assert backup.compare(before, backup.read_backup(bench.link, p_range=(100, 110))) == ()
+
+
+def upload_kinds() -> tuple[CompTable, BacklashTable, TorqueTable]:
+    return (
+        CompTable(1, (0,), 640000), BacklashTable(1, (0,), 640000), TorqueTable(1, (0,), 640000)
+    )  # fmt: skip
+
+
+def test_restore_refuses_another_firmware_unless_told(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    stored = backup.read_backup(bench.link, p_range=(100, 101))
+    stored.identity["firmware"] = "1.942"
+    with pytest.raises(ConfigError, match=r"firmware 1\.942 there, 1\.947") as refusal:
+        restore.restore(bench.link, bench.context, stored)
+    assert refusal.value.left is ControllerState.OLD
+    result, remaining = restore.restore(bench.link, bench.context, stored, other_card=True)
+    assert result.verdict in {ControllerState.NEW, ControllerState.DISABLED}
+    assert remaining == ()
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_f29_restore_that_is_cut_comes_back_to_what_stood(tmp_path: Path, share: float) -> None:
+    bench = filled(tmp_path)
+    stored = backup.read_backup(bench.link, p_range=(100, 110))
+    bench.link.write_buffer(["I130=1", "P100=0", "M500->*"])
+    programs.delete(bench.link, ProgramKind.PROG, 20)
+    before = backup.read_backup(bench.link, p_range=(100, 110))
+    requests: list[int] = []
+    bench.on_request = requests.append
+    restore.restore(bench.link, bench.context, stored)
+    # Reading everything takes the first and the last requests; the change lies between.
+    reading = sum(1 for _ in requests)
+    recovery.rollback_last(bench.link, bench.context)
+    bench.reconnect()
+    first, last = _changing(bench, stored)
+    recovery.rollback_last(bench.link, bench.context)
+    bench.reconnect()
+    cut_at = first + int(share * (last - first))
+
+    def stop(n: int) -> None:
+        if n == cut_at:
+            raise ConnectionResetError
+
+    bench.on_request = stop
+    with pytest.raises(ConnectionResetError):
+        restore.restore(bench.link, bench.context, stored)
+    bench.reconnect()
+    assert recovery.recover(bench.link, bench.context).verdict is ControllerState.OLD
+    assert backup.compare(before, backup.read_backup(bench.link, p_range=(100, 110))) == ()
+    assert reading > last
+
+
+def _changing(bench: CardBench, stored: backup.Backup) -> tuple[int, int]:
+    """Numbers of the first and last request of a restore while its lease is held."""
+    held: list[int] = []
+    bench.on_request = lambda n: held.append(n) if bench.p(7080) else None
+    restore.restore(bench.link, bench.context, stored)
+    return held[0], held[-1]

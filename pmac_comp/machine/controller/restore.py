@@ -1,0 +1,158 @@
+"""Putting a backup back, as one upload of settings, programs and tables that can be taken back."""
+
+from collections.abc import Mapping
+
+from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, SafetyRefusal
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.backup import (
+    NOT_RESTORED,
+    Backup,
+    Difference,
+    Progress,
+    compare,
+    read_backup,
+    silent,
+)
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.identity import Identity, read_identity
+from pmac_comp.machine.controller.law_bank import Index
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.recovery import grouped
+from pmac_comp.machine.controller.settings import Buffer, Settings
+from pmac_comp.machine.controller.settings_upload import SettingsUpload
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.upload import TableUpload
+from pmac_comp.machine.controller.variables import describe
+from pmac_comp.machine.wire.numbers import read_number
+
+
+def restore(
+    link: Link,
+    context: Context,
+    backup: Backup,
+    *,
+    other_card: bool = False,
+    progress: Progress = silent,
+) -> tuple[UploadResult, tuple[Difference, ...]]:
+    """Put a backup on the controller as one upload, and say what still differs.
+
+    All motors must be killed. Differences that remain are those the card does not let anybody set.
+    Interrupted, ``recover`` brings back what stood before.
+
+    Parameters
+    ----------
+    link, context
+        Conversation, folder, block.
+    backup : Backup
+        What shall stand.
+    other_card : bool
+        Whether a person said that the backup of another card, firmware or memory may be used.
+    progress : callable
+        Told of each part.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor is enabled; nothing was changed.
+    ConfigError
+        The backup is of another kind of controller.
+    """
+    with untouched():
+        if not other_card:
+            _refuse_other_card(read_identity(link), backup)
+        refusals = _enabled_motors(link)
+        present = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+    with grouped(link, context, "restore") as parts:
+        goal = _goal(present, backup, context)
+        with SettingsUpload(
+            link, parts, goal, route="restore", refusals=refusals, skip_refused=True
+        ) as upload:
+            upload.write(first=lambda: link.command("I5=0"))
+            upload.finish()
+        with TableUpload(
+            link,
+            parts,
+            exactly=backup.tables,
+            enable_after=backup.enabled and len(backup.tables) > 0,
+            check_limits=False,
+        ) as tables:
+            result = tables.execute()
+    after = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+    return result, compare(backup, after)
+
+
+def _enabled_motors(link: Link) -> list[SafetyRefusal]:
+    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if read_number(v)]
+    alive = [m for m, r in read_motors(link, active).items() if not r.status.is_killed]
+    if not alive:
+        return []
+    return [
+        MotorNotSafe(
+            f"Restoring needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
+            code="PC-BCK-003",
+            hint="Kill each where the axis is safe without torque: "
+            "`pmac-comp terminal URL -c '#1K'`.",
+            left=ControllerState.OLD,
+        )
+    ]
+
+
+def _span(values: Mapping[int, str]) -> tuple[int, int]:
+    return (min(values), max(values)) if values else (0, 0)
+
+
+def _refuse_other_card(identity: Identity, backup: Backup) -> None:
+    found = identity.as_dict()
+    wrong = [
+        f"{name} {backup.identity.get(name)} there, {found[name]} here"
+        for name in ("card", "firmware", "card_type", "cpu", "dpram")
+        if backup.identity.get(name) != found[name]
+    ]
+    if wrong:
+        raise ConfigError(
+            f"The backup is of another controller: {'; '.join(wrong)}.",
+            code="PC-BCK-004",
+            hint="Defaults and addresses may mean something else there. If you know that they do "
+            "not, say so with --other-card.",
+            left=ControllerState.OLD,
+        )
+
+
+def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
+    """Everything that differs and may be set; I5 last, so that PLCs find the rest in place."""
+    ours = range(context.block.p(Index.MANIFEST), context.block.p(Index.WORK_PLC))
+    variables = {
+        f"I{n}": v
+        for n, v in backup.ivariables.items()
+        if n not in NOT_RESTORED
+        and n != 5
+        and not describe(n).read_only
+        and present.ivariables.get(n) != v
+    }
+    variables |= {
+        f"P{n}": v
+        for n, v in backup.pvariables.items()
+        # Manifest and lease belong to the upload that runs now.
+        if n not in ours and present.pvariables.get(n) != v
+    }
+    differing = {n: v for n, v in backup.definitions.items() if present.definitions.get(n) != v}
+    bodies = {(p.kind, p.number): p.lines for p in backup.programs}
+    there = {(p.kind, p.number): p.tokens for p in present.programs}
+    changed: dict[Buffer, tuple[str, ...]] = {
+        key: bodies.get(key, ())
+        for key in {**there, **bodies}
+        if programs.canonical(bodies.get(key, ())) != there.get(key, ())
+    }
+    stopped = {(ProgramKind.PLC, n): bodies[ProgramKind.PLC, n]
+               for n in backup.running - present.running
+               if (ProgramKind.PLC, n) in bodies}  # fmt: skip
+    changed |= stopped
+    return Settings(
+        {**variables, "I5": backup.ivariables.get(5, "0")},
+        differing,
+        changed,
+        backup.axes if set(present.axes) != set(backup.axes) else None,
+        frozenset(n for n in backup.running if (ProgramKind.PLC, n) in changed),
+    )
