@@ -16,12 +16,14 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.unmodelled import unmodelled
+from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
+_TURN_EFFECTS = frozenset({"cogging", "friction_per_rev"})
 Progress = Callable[[str, float], None]
 
 
@@ -53,7 +55,7 @@ def dynamic_law(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    loop = model_loop(model)
+    loop = model_loop(without_turn(model))
     law = design_law(
         bench,
         loop,
@@ -71,6 +73,17 @@ def dynamic_law(
     latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
     return replace(law, provenance={**law.provenance, "turn_explained": found.explained})
+
+
+def without_turn(model: "DriveModel") -> "DriveModel":
+    """The model without the torque per turn that captures show: it is fed forward from them.
+
+    A model that holds the effect explains it, and nothing would be left in the captures to read.
+    """
+    for name in model.effects:
+        if split_name(name)[0] in _TURN_EFFECTS:
+            model = model.without_effect(name)
+    return model
 
 
 def with_unmodelled(
@@ -101,5 +114,8 @@ def drive_delay_s(model: "DriveModel") -> float:
     nominal = model.bench.nominal
     dead_s = chain.get("actuator_delay_s", (nominal.actuator_delay_us or 0.0) * 1e-6)
     bandwidth_Hz = chain.get("current_bandwidth_Hz", nominal.current_bandwidth_Hz or math.inf)
+    # A grown model states the totals, which stand in place of those of the chain.
+    dead_s = model.parameters.get("actuator_delay.time_s", dead_s)
+    bandwidth_Hz = model.parameters.get("current_bandwidth.bandwidth_Hz", bandwidth_Hz)
     lag_s = 0.0 if math.isinf(bandwidth_Hz) else 1.0 / (2.0 * math.pi * bandwidth_Hz)
     return dead_s + lag_s + 0.5 * model.bench.servo_period_s

@@ -1,0 +1,30 @@
+"""A grown model must not lose what the captures feed forward, and states its own delays."""
+
+import math
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow.dynamic_law import drive_delay_s, without_turn
+
+BENCH = load_bench("paper")
+
+
+def test_torque_per_turn_is_read_from_captures_whether_or_not_the_model_holds_it() -> None:
+    base = DriveModel.base(BENCH)
+    grown = base.with_effect("cogging", {"amplitude_Nm": 0.08}).with_effect("friction_per_rev", {})
+    grown = grown.with_effect("backlash", {"gap_m": 5e-6})
+    assert without_turn(grown).effects == (*base.effects, "backlash")
+    assert without_turn(base).effects == base.effects
+
+
+def test_delays_that_a_diagnosis_found_are_those_of_the_law() -> None:
+    base = DriveModel.base(BENCH)
+    half_s = 0.5 * BENCH.servo_period_s
+    assert drive_delay_s(base) == pytest.approx(442e-6 + 1.0 / (600.0 * math.pi) + half_s)
+    slow = base.with_effect("actuator_delay", {"time_s": 900e-6})
+    assert drive_delay_s(slow) - drive_delay_s(base) == pytest.approx(458e-6)
+    soft = base.with_effect("current_bandwidth", {"bandwidth_Hz": 100.0})
+    lag_s = 1.0 / (200.0 * math.pi) - 1.0 / (600.0 * math.pi)
+    assert drive_delay_s(soft) - drive_delay_s(base) == pytest.approx(lag_s)
