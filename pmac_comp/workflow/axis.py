@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import (
     CaptureError,
@@ -20,7 +20,6 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     PmacCompError,
 )
-from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Attribute, Capture
 from pmac_comp.files.resources import firmware_path
@@ -29,11 +28,12 @@ from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.supervision import SensorFault, SensorWatch
+from pmac_comp.machine.controller.supervision import SensorWatch
 from pmac_comp.machine.controller.variables import read_many, write_many
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
 from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.sensors import LOOP_BLIND, MISMATCH_m, block_watch, require_agreement
 
 Progress = Callable[[str, float], None]
 _LEAD_IN_s = 0.05  # kept before the first motion of a run
@@ -46,8 +46,6 @@ _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
 _LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
-_MISMATCH_m = 0.5e-3  # encoder and scale further apart than any elasticity or lead error
-_LOOP_BLIND = frozenset({SensorFault.ENCODER_DEAD.name, SensorFault.SLIP.name})
 
 
 @dataclass
@@ -177,7 +175,7 @@ class Axis:
             raise
         except PmacCompError as error:
             self.halt()
-            if error.context.get("fault") in _LOOP_BLIND:
+            if error.context.get("fault") in LOOP_BLIND:
                 with suppress(PmacCompError):
                     self.kill()
             raise
@@ -245,7 +243,7 @@ class Axis:
                 self.scales.period_s,
                 during=start,
                 keep_going=going_on,
-                on_block=self._watch(),
+                on_block=block_watch(self.bench, self.scales),
             )
         else:
             result = self._gather_ram(plan, duration_s, start)
@@ -296,7 +294,7 @@ class Axis:
         """Wait for a run that is gathered on the card; its sensors are compared by questions."""
         scale = self.bench.scale
         deadline = Deadline.after(self.link.clock, duration_s)
-        watch = SensorWatch(_MISMATCH_m)
+        watch = SensorWatch(MISMATCH_m)
         while not deadline.expired():
             self.link.clock.sleep_s(min(_LOOK_s, max(0.0, deadline.remaining_s())))
             if scale is None or deadline.expired():
@@ -307,7 +305,7 @@ class Axis:
                 np.array([motor * self.scales.motor_m_per_ct]),
                 np.array([table * self.scales.scale_m_per_ct]),
             )
-            self._require(watch.feed(*places))
+            require_agreement(watch.feed(*places))
 
     def _check_alive(self) -> None:
         status = motors.read_motor(self.link, self.motor).status
@@ -371,35 +369,9 @@ class Axis:
             },
         )
 
-    def _watch(self) -> Callable[[dict[str, IntArray]], None] | None:
-        """Watch on encoder and scale for the blocks of a run; none without a scale."""
-        if self.bench.scale is None:
-            return None
-        watch = SensorWatch(_MISMATCH_m)
-
-        def look(block: dict[str, IntArray]) -> None:
-            motor, table = self.scales.motor_m(block["actual"]), self.scales.table_m(block["scale"])
-            self._require(watch.feed(motor, table))
-
-        return look
-
     def _check_sensors(self, motor: FloatArray, table: FloatArray) -> None:
         """The same watch on a whole run."""
-        self._require(SensorWatch(_MISMATCH_m).feed(motor, table))
-
-    def _require(self, fault: SensorFault) -> None:
-        """End a run whose sensors part; the axis is killed where its loop cannot be trusted."""
-        if fault is SensorFault.NONE:
-            return
-        state = "killed" if fault.name in _LOOP_BLIND else "stopped in closed loop"
-        raise MotorNotSafe(
-            f"{fault.value[0].upper()}{fault.value[1:]}: they parted by more than "
-            f"{_MISMATCH_m * MM_PER_M:g} mm. The axis was {state}.",
-            code="PC-AXI-003",
-            hint="Look at coupling, scale head and cables, and at the resolutions in the bench "
-            "file, before anything moves again.",
-            context={"fault": fault.name},
-        )
+        require_agreement(SensorWatch(MISMATCH_m).feed(motor, table))
 
     def _attributes(self, motion: Motion) -> dict[str, Attribute]:
         return {
