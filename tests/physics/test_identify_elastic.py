@@ -82,6 +82,13 @@ def test_words_say_what_cannot_be_told_apart(found: Identification) -> None:
     assert "chain." not in text
 
 
+def test_words_say_where_friction_is_not_plain(found: Identification) -> None:
+    assert "Around reversals" not in " ".join(found.statements)
+    plant = make_plant(BENCH, effects={"presliding": {"distance_um": 20.0}}, seed=11)
+    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in TOOL.motions(BENCH, 11)]
+    assert "Around reversals" in " ".join(identify(runs, BENCH).statements)
+
+
 def test_sandwich_of_file_and_model(found: Identification) -> None:
     stored = to_model_file(found, BENCH, data=[("a.h5", "00")])
     assert stored.parameters["axial_stiffness_N_per_um"].value == pytest.approx(

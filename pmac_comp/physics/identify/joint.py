@@ -52,6 +52,8 @@ _NO_DETAIL_AT_REST = {
     "friction_asymmetry",
     "viscous_nonlinear",
 }
+_WORSE = 2.2  # around reversals over elsewhere; plain Coulomb friction gives 1.5 to 1.8
+_FEW_ROWS = 50
 _RIGID_NAMES = {
     "mass_kg": "chain.mass_kg",
     "viscous_N_s_per_m": "viscous.guide_Ns_per_m",
@@ -164,7 +166,11 @@ def _identify_elastic(
         correlation=correlation_of(fit.covariance),
         noise=_noise(residuals),
         residuals=residuals,
-        statements=(*statements(fit), *resonance_statement(fit.model, bench)),
+        statements=(
+            *statements(fit),
+            *resonance_statement(fit.model, bench),
+            *(_after_reversals(records, residuals) if plain else ()),
+        ),
         method="two linear regressions, then output error through the closed loop",
         figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
         static_map=None
@@ -215,6 +221,33 @@ def _residuals_of(record: rec.Record, fit: Fit, nuisance: FloatArray, i: int) ->
         table_m=table,
         torque_Nm=left(capture.torque_command_Nm, response.torque_command_Nm),
         scale_offset_m=float(fit.nuisance[i]) if table is not None else 0.0,
+    )
+
+
+def _after_reversals(
+    records: Sequence[rec.Record], residuals: Sequence[CaptureResiduals]
+) -> tuple[str, ...]:
+    """Says so where friction in detail, which a Coulomb model leaves out, shows in the error."""
+    steady, turning = [], []
+    for record, left in zip(records, residuals, strict=True):
+        if left.table_m is None or not np.isfinite(left.table_m).all():
+            continue
+        thin = rec.thinned(left.table_m[:, np.newaxis], record.factor)[:, 0]
+        calm = rec.steady_rows(record)
+        steady.append(thin[calm])
+        turning.append(thin[rec.moving_rows(record) & ~calm])
+    if not steady or min(np.concatenate(steady).size, np.concatenate(turning).size) < _FEW_ROWS:
+        return ()
+    calm_um, turning_um = (
+        UM_PER_M * float(np.std(np.concatenate(part))) for part in (steady, turning)
+    )
+    if turning_um < _WORSE * calm_um:
+        return ()
+    return (
+        f"Around reversals the model leaves {turning_um:.2f} um rms of table minus motor, "
+        f"elsewhere {calm_um:.2f} um: friction there is not plain Coulomb friction. "
+        "`pmac-comp diagnose` finds out what is missing; most often it is presliding or Stribeck "
+        "(--with presliding).",
     )
 
 

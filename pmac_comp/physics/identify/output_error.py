@@ -291,34 +291,36 @@ def _refine(problem: _Problem, weights: str, progress: Progress | None) -> Fit:
         left = _without(problem, residuals, eta)
         reweigh = _coloured_filters if weights == "coloured" else _white_filters
         filters = reweigh(problem, left)
-    last = _normal(problem, theta, filters)
+    last = None
     if weights == "coloured":
         tell("accounting for what the encoder rounds", rounds / total)
-        theta, last, more, step = _with_rounding(problem, theta, last, filters, step)
+        theta, last, more, step = _with_rounding(problem, theta, filters, step)
         rounds += more
     tell("refined", 1.0)
+    if last is None:
+        last = _normal(problem, theta, filters)
     return _finished(problem, theta, last, rounds, step)
 
 
 def _with_rounding(
     problem: _Problem,
     theta: FloatArray,
-    smooth: _Normal,
     filters: list[list[Whitener]],
     step: float,
-) -> tuple[FloatArray, _Normal, int, float]:
+) -> tuple[FloatArray, _Normal | None, int, float]:
     """Point, normal equations, rounds and last step with what rounding does on average.
 
     Rounding in the loop can be chaos (a motor that hunts between two counts): where the rounding
     simulations fit clearly worse than the smooth one, or a step makes them so, they are not
-    followed.
+    followed; without normal equations the smooth ones hold.
     """
+    smooth = _cost(problem, theta, filters) - _prior_cost(problem, theta)
     best = None
     tried = theta
     for i, gain in enumerate(_QUANTISED_GAINS):
         at = _normal(problem, tried, filters, quantised=True)
-        if best is None and at.cost > _CHAOS * smooth.cost:
-            return theta, smooth, i + 1, step
+        if best is None and at.cost > _CHAOS * smooth:
+            return theta, None, i + 1, step
         if best is not None and at.cost > _ROUGH * best.cost:
             tried = 0.5 * (theta + tried)
             continue
@@ -329,7 +331,7 @@ def _with_rounding(
         tried = theta + gain * (goal - theta)
         if i > 0 and step < _QUANTISED_DONE:
             return tried, at, i + 1, step
-    return theta, smooth if best is None else best, len(_QUANTISED_GAINS), step
+    return theta, best, len(_QUANTISED_GAINS), step
 
 
 def _covariance(problem: _Problem, theta: FloatArray, final: _Normal) -> FloatArray:

@@ -276,6 +276,11 @@ def steady_rows(record: Record) -> BoolArray:
     return record.valid & _steady_direction(record.capture)[:: record.factor]
 
 
+def moving_rows(record: Record) -> BoolArray:
+    """Compared rows whose command moves or moved within the last moments, shape (m,)."""
+    return _moving_lately(record.capture)[:: record.factor]
+
+
 def _moving_lately(capture: Capture) -> BoolArray:
     """Samples whose command moved within the last moments, shape (n,)."""
     steps = np.abs(np.diff(bridged(capture.commanded_position_m, capture.mask), prepend=np.nan))
