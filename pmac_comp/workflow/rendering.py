@@ -19,6 +19,8 @@ from pmac_comp.workflow.scales import Scales
 
 _ENTRY_PER_CT = 16.0  # table entries are in 1/16 count (Software Reference Manual p. 303)
 _MOST_ENTRIES = 4000
+_SPARE_ENTRIES = 8
+_KNOTS_PER_TURN_FRAC = 0.05
 CAM_RUN_UP_CYCLES = 16  # the time motor reaches its speed before the motion starts, and after it
 _CAM_SPACING_CYCLES = 4  # of cam entries: linear between them is 0.6 % off at 20 Hz
 _CAM_FADE_FRAC = 0.02  # of the motion at both ends: a cam begins and ends at zero
@@ -81,6 +83,14 @@ class RenderedTable(Generic[T_co]):
 
     table: T_co
     quantisation_um: float
+
+
+def lead_spacing_m(bench: Bench) -> float:
+    """Distance between the knots of a lead table: a twentieth of the pitch where that many fit."""
+    reach_mm = max(abs(bench.travel.min_mm), abs(bench.travel.max_mm))
+    least_m = 2.0 * reach_mm / MM_PER_M / (_MOST_ENTRIES - _SPARE_ENTRIES)
+    spacing_m = max(_KNOTS_PER_TURN_FRAC * bench.pitch_m, least_m)
+    return math.ceil(spacing_m / bench.motor_resolution_m - 1e-9) * bench.motor_resolution_m
 
 
 def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> RenderedTable[CompTable]:

@@ -12,6 +12,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, lead_map
+from pmac_comp.workflow.rendering import lead_spacing_m
 from pmac_comp.workflow.routes import TORQUE_ROUTES
 
 _HELD_FRAC = 0.02  # of the travel at each end: there the last measured value is held
@@ -39,7 +40,7 @@ def static_map(
         The runs cover a part of the travel only, and ``limit`` is to refuse.
     """
     removed = law if route in TORQUE_ROUTES else law.with_values(coulomb_m=0.0, coulomb_per_m=0.0)
-    lead = lead_map(slow, removed)
+    lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench))
     covered = covered_m(bench, lead)
     if covered is None:
         return lead

@@ -9,7 +9,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import lead_map
 from pmac_comp.workflow.campaigns import lead_motions
-from pmac_comp.workflow.rendering import lead_table
+from pmac_comp.workflow.rendering import lead_spacing_m, lead_table
 
 BENCH = load_bench("paper")
 
@@ -67,3 +67,16 @@ def test_motor_only_bench_has_no_lead_map() -> None:
     bare = Capture(run.time_s, run.commanded_position_m, run.motor_position_m)
     with pytest.raises(NotIdentifiable, match="no table position"):
         lead_map([bare], None)
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_x4"])
+def test_knots_follow_the_wobble_and_fit_the_table(name: str) -> None:
+    bench = load_bench(name)
+    spacing = lead_spacing_m(bench)
+    assert spacing == pytest.approx(bench.pitch_m / 20.0)
+    assert spacing / bench.motor_resolution_m == pytest.approx(
+        round(spacing / bench.motor_resolution_m)
+    )
+    far = bench.travel.model_copy(update={"min_mm": -3000.0, "max_mm": 3000.0})
+    long = bench.model_copy(update={"travel": far})
+    assert 6.0 / lead_spacing_m(long) < 4000
