@@ -102,6 +102,8 @@ def recover_upload(
     """Settle what an interrupted upload left."""
     with _ready(url, bench, journal, progress) as (axis, context):
         result = recovery.recover(axis.link, context)
+        # A torn cam leaves its time motor without a table; one with a table is left alone.
+        release_time_motor(axis)
     return {**result.as_dict(), "summary": "; ".join(result.notes) or "nothing was left open"}
 
 

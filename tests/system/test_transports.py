@@ -1,10 +1,12 @@
 """Every way to reach a controller, against the simulated card served for real."""
 
 import getpass
+import os
 import socket
 import struct
 import threading
 import time
+from pathlib import Path
 
 import paramiko
 import pytest
@@ -187,12 +189,20 @@ def served(endpoint: str) -> bool:
     return good and time.monotonic() - start_s < 2.0
 
 
+def resident_MB() -> float:
+    """Memory of this process, in which the server runs."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 @pytest.mark.faults
 def test_f42_many_connections_are_limited_and_leave_nothing(endpoints, exhaustive):
     links = []
+    before_MB = resident_MB()
     for _ in range(1000 if exhaustive else 150):
         links.append(connect(endpoints["tcp"]))
         links[-1].sendall(b"\x40")  # a request that never comes whole
+    assert resident_MB() - before_MB < 100.0
     for link in links:
         link.close()
     deadline_s = time.monotonic() + 5.0
@@ -215,7 +225,7 @@ def flood(link: socket.socket, data: bytes, limit_s: float) -> None:
 
 @pytest.mark.faults
 def test_f42_a_client_that_never_reads_is_dropped(endpoints, card):
-    before = card.cycles
+    before, before_MB = card.cycles, resident_MB()
     with connect(endpoints["tcp"]) as link:
         link.settimeout(20.0)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
@@ -227,6 +237,7 @@ def test_f42_a_client_that_never_reads_is_dropped(endpoints, card):
         thread.join(5.0)
         assert served(endpoints["tcp"])
     assert card.cycles > before
+    assert resident_MB() - before_MB < 100.0
 
 
 @pytest.mark.faults
