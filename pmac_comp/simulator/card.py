@@ -10,6 +10,7 @@ import importlib
 import zlib
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -176,9 +177,9 @@ class Card:
         return (
             bool(self._queue)
             or self._keep_background
+            or any(s.running for s in self.systems.values())
             or self.reports.in_background
             or self.plcs.any_background()
-            or any(s.running for s in self.systems.values())
         )
 
     def background_needed(self) -> None:
@@ -196,6 +197,8 @@ class Card:
         for system in self.systems.values():
             if system.running:
                 system.tick()
+            elif system.restarting:
+                self._restart(system)
             if system.axes:
                 system.update_status()
 
@@ -451,6 +454,23 @@ class Card:
     def quit(self, cs: int) -> None:
         """Q command."""
         self.systems[cs].quit()
+
+    def abort_run(self, cs: int, label: tuple[int, int] | None) -> None:
+        """ABR command; without a label the program starts at its top again."""
+        self.abort(cs)
+        system = self.systems[cs]
+        if label is None and system.pointer is not None:
+            label = (system.pointer[0], 0)
+        if label is not None:
+            if label[0] == 0:
+                self.rotary.clear(cs)
+            system.point(*label)
+        system.run_when_stopped()
+
+    def _restart(self, system: CoordinateSystem) -> None:
+        # Nobody waits for an answer any more.
+        with suppress(CardError):
+            system.try_restart()
 
     def feed_hold(self, cs: int) -> None:
         """H command."""

@@ -29,9 +29,13 @@ if TYPE_CHECKING:
 
 _AXES = "ABCUVWXYZ"
 _ROTARY_AXES = "ABC"
+# In position, warning, fatal error and amplifier fault stand in the same order in both words.
+_ERRORS2 = r.S2_WARNING_ERROR | r.S2_FATAL_ERROR | r.S2_AMPLIFIER_FAULT
+_FOLLOWED_SHIFT = 17
 _CALCULATION_BUDGET = 50_000
 _AHEAD = 1  # moves that wait behind the executing one
 _MOST_TAG = 1 << 30
+_DWELL_END_CYCLES = 2.0
 _MODE_BITS = {
     "linear": 0,
     "rapid": r.CS2_MODE1,
@@ -81,7 +85,10 @@ class CoordinateSystem:
         self.single = False
         self.stopping = False
         self.holding = False
+        self.restarting = False  # ABR waits for the motors to stop
         self.hold_point = HoldPoint(card, number)
+        self._returned = False  # everything is calculated, the last moves may still be executing
+        self._dwell_end = 0  # tag of the end of the dwell that stops the calculation, 0 if none
         self._quitted = False
         self._fresh = False  # the next move is the first after a stop: I11
         self.planner: Planner | None = None
@@ -161,7 +168,7 @@ class CoordinateSystem:
 
     def point(self, number: int, label: int) -> None:
         """B command: point to a program and label."""
-        if self.running:
+        if self.running and not self._returned:
             raise CardError(1)
         program = self.card.find_program(self.number, number)
         if program is None or program.assembled is None:
@@ -212,23 +219,38 @@ class CoordinateSystem:
         if self.holding:
             self._resume()
             return
-        if self.running:
+        if self.running and not self._returned:
             if single:
                 self.quit()
                 return
             raise CardError(1)
         self._check_ready()
+        if self.running:
+            self._ended()
         self.hold_point.return_to()
         self.match()
         self.planner = Planner(self._commanded())
         self._units = {motor: self.card.servo.unit(motor) for motor in self.motors}
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
-        self._quitted, self._fresh = False, True
+        self._quitted, self._fresh, self._returned = False, True, False
         self._queued = []
         self._set_status()
         self.card.background_needed()
         self.calculate()
+
+    def run_when_stopped(self) -> None:
+        """ABR: run as soon as the aborted motors stand (p. 292)."""
+        self.restarting = True
+        self.try_restart()
+
+    def try_restart(self) -> None:
+        """Background: start what ABR asked for, or go on waiting."""
+        if any(self.card.servo.is_moving(m) for m in self.motors):
+            self.card.background_needed()
+            return
+        self.restarting = False
+        self.run()
 
     def _commanded(self) -> dict[int, float]:
         return {m: self.card.servo.queue.last_position(m)[0] for m in self.motors}
@@ -280,7 +302,8 @@ class CoordinateSystem:
 
     def stop_now(self) -> None:
         """Abort or fault: the program stops where it is, trajectories are replaced outside."""
-        self.running = self.stopping = self.holding = self.single = False
+        self.running = self.stopping = self.holding = self.single = self.restarting = False
+        self._dwell_end = 0
         self.hold_point.forget()
         self.waiting = None
         self.planner = None
@@ -314,6 +337,8 @@ class CoordinateSystem:
                 self.card.synchronous_assignment(number, op, value)
             if passed == tag:
                 break
+        if tag == self._dwell_end:
+            self._dwell_end, self.waiting = 0, None
         self.calculate()
 
     def tick(self) -> None:
@@ -387,8 +412,11 @@ class CoordinateSystem:
         frame = self.frames[0]
         frame.context.restart()
         self._prepare(frame)
-        self.stopping = True
+        self.stopping = self._returned = True
         self._settle()
+        self._set_status()
+        if not any(self.card.servo.is_moving(m) for m in self.motors):
+            self._ended()
 
     def idle(self) -> None:
         """Nothing to calculate now: stop at the end of what is planned, go on when woken."""
@@ -783,10 +811,21 @@ class CoordinateSystem:
             return
         tag = self._next_tag()
         cycles = self._cycles(min(max(arguments[0], 0.0), 8388607.0))
-        # DWELL0 still takes one cycle, so that its tag is seen.
-        segments = self.planner.dwell(max(cycles, 1.0), tag)
+        # Nothing is calculated before the dwell is over (p. 429): its last cycles tell. A shorter
+        # piece than these could pass unseen; a DWELL0 is these alone.
+        before = cycles - _DWELL_END_CYCLES
+        ends = self._next_tag() if before >= 1.0 else tag
+        segments = self.planner.dwell(before if ends != tag else _DWELL_END_CYCLES, tag)
+        if ends != tag:
+            join(segments, self.planner.dwell(_DWELL_END_CYCLES, ends))
         self.velocities, self._fresh = {}, True
+        self._dwell_end, self.waiting = ends, self._dwell_is_over
         self._accept(segments, tag)
+        if ends != tag:
+            self._queued.append(ends)
+
+    def _dwell_is_over(self) -> bool:
+        return not self._dwell_end or not any(self.card.servo.is_moving(m) for m in self.motors)
 
     def _do_delay(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
         if self.planner is None:
@@ -829,23 +868,17 @@ class CoordinateSystem:
         return cycles * self.card.servo.cycle_ms
 
     def update_status(self) -> None:
-        """Status bits that follow the motors."""
-        memory, word = self.card.memory, 0
+        """Status bits that follow the motors: in position if all are, errors if any has one."""
+        words = self.card.memory.y
+        any_of, all_of = 0, -1 if self.axes else 0
+        for motor in self.axes:
+            status2 = int(words[r.motor_base(motor) + r.M_STATUS2])
+            any_of |= status2
+            all_of &= status2
+        bits = any_of & _ERRORS2 | all_of & r.S2_IN_POSITION
         cell = self.base + r.C_STATUS2_ADDRESS
-        if self.motors and all(self.card.servo.in_position(m) for m in self.motors):
-            word |= r.CS2_IN_POSITION
-        pairs = (
-            (r.S2_WARNING_ERROR, r.CS2_WARNING_ERROR),
-            (r.S2_FATAL_ERROR, r.CS2_FATAL_ERROR),
-            (r.S2_AMPLIFIER_FAULT, r.CS2_AMPLIFIER_FAULT),
-        )
-        for motor in self.motors:
-            status2 = int(memory.y[r.motor_base(motor) + r.M_STATUS2])
-            for source, bit in pairs:
-                word |= bit if status2 & source else 0
-        followed = r.CS2_IN_POSITION | r.CS2_WARNING_ERROR
-        followed |= r.CS2_FATAL_ERROR | r.CS2_AMPLIFIER_FAULT
-        memory.y[cell] = (int(memory.y[cell]) & ~followed) | word
+        followed = (_ERRORS2 | r.S2_IN_POSITION) << _FOLLOWED_SHIFT
+        words[cell] = int(words[cell]) & ~followed | bits << _FOLLOWED_SHIFT
 
     def _mode_word(self) -> int:
         """Word 1 of the status without what runs: feedrate axes, incremental axes (p. 284)."""
@@ -860,7 +893,7 @@ class CoordinateSystem:
     def _set_status(self) -> None:
         memory = self.card.memory
         word1 = self._mode_word()
-        if self.running:
+        if self.running and not self._returned:  # p. 285: 0 once RETURN is reached
             word1 |= r.CS1_RUNNING | (r.CS1_SINGLE_STEP if self.single else r.CS1_CONTINUOUS)
         memory.x[self.base + r.C_STATUS13] = word1
         word2 = int(memory.y[self.base + r.C_STATUS2_ADDRESS])

@@ -40,11 +40,8 @@ def _abort(context: LineContext) -> None:
 
 @command("ABR")
 def _abort_run(context: LineContext) -> None:
-    card, cs = context.card, context.modal.cs
-    card.abort(cs)
-    if context.scanner.peek().isdigit():
-        card.point(cs, _label(context))
-    card.run(cs)
+    named = context.scanner.peek().isdigit()
+    context.card.abort_run(context.modal.cs, _label(context) if named else None)
 
 
 @command("B")
