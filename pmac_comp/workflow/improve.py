@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
-from pmac_comp.base.errors import ModelError
+from pmac_comp.base.errors import ConfigError, ModelError
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import write_model
 from pmac_comp.workflow.axis import Axis, run_all
@@ -18,6 +18,7 @@ from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.identification import identify_captures, load_model
+from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
@@ -124,8 +125,21 @@ def improve_on_controller(
     effects: Path | None = None,
     progress: Progress | None = None,
 ) -> Improvement:
-    """The whole loop on a controller; everything is left in a folder."""
+    """The whole loop on a controller; everything is left in a folder.
+
+    Raises
+    ------
+    ConfigError
+        The route is for one known motion.
+    """
     check_route(route)
+    if route in MOTION_ROUTES:
+        raise ConfigError(
+            f"The route {route} is for one known motion; an improvement is measured on many.",
+            code="PC-IMP-002",
+            hint="Use --route law, servo or table, then compute the other route from "
+            "grown_model.json.",
+        )
     out.mkdir(parents=True, exist_ok=True)
     with open_axis(url, bench) as axis:
         prepare(axis)

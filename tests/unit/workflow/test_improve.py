@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.workflow import improve
-from pmac_comp.workflow.improve import Improvement, improve_axis, is_better
+from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_controller, is_better
 from pmac_comp.workflow.verification import Verification
 
 
@@ -94,6 +95,18 @@ def test_nothing_named_uploads_nothing_a_second_time(monkeypatch, tmp_path) -> N
     assert found.as_result()["grown_model"] is None
     assert found.rows() == [("sine", 5.0, 1.0, None)]
     assert "added nothing" in found.lines()[-1]
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+def test_a_route_for_one_motion_is_refused_before_anything_moves(
+    monkeypatch, tmp_path, route: str
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(improve, "open_axis", lambda *a: opened.append("axis"))
+    with pytest.raises(ConfigError, match="one known motion"):
+        improve_on_controller("sim://", "paper", tmp_path / "out", route=route)
+    assert opened == []
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
