@@ -25,7 +25,12 @@ from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.dynamic_law import dynamic_law, with_unmodelled
+from pmac_comp.workflow.dynamic_law import (
+    dynamic_law,
+    law_remarks,
+    with_unmodelled,
+    without_turn,
+)
 from pmac_comp.workflow.law_cost import (
     CHEAP_FRAC,
     CheaperLaw,
@@ -221,7 +226,7 @@ def compensate_files(
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
     if route == "law" and share_frac(loaded, compensation.law.every_cycles) > CHEAP_FRAC:
-        offers = cheaper_laws(loaded, drive, model_law(compensation.law), progress)
+        offers = cheaper_laws(loaded, without_turn(drive), model_law(compensation.law), progress)
     return {
         "route": route,
         "file": out,
@@ -229,6 +234,7 @@ def compensate_files(
         "remarks": [
             *cuts,
             *table_remarks(loaded, compensation),
+            *law_remarks(drive, route, has_captures=bool(captures)),
             *cost_remarks(loaded, route, compensation.law.every_cycles, offers),
         ],
         "law": None if route in MOTION_ROUTES else compensation.law.as_mapping(),
@@ -335,7 +341,9 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
         return []
     mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
     if compensation.backlash:
-        what = "all of it" if compensation.route == "table" else "what the law leaves of it"
+        what = (
+            "all of it" if compensation.route == "table" else "what friction leaves of it"
+        )
         out = [
             f"the two directions differ by {mean_um:.2f} um in the mean; the backlash table takes "
             f"{what} away"

@@ -13,7 +13,6 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, lead_map
 from pmac_comp.workflow.rendering import lead_spacing_m
-from pmac_comp.workflow.routes import TORQUE_ROUTES
 
 _HELD_FRAC = 0.02  # of the travel at each end: there the last measured value is held
 _FADE_m = 0.01
@@ -31,15 +30,16 @@ def static_map(
 ) -> LeadMap:
     """Lead map of slow runs, cut to what was measured if the runs do not cover the travel.
 
-    A route with a dynamic law carries the friction's wind-up itself; for the others it is part of
-    the difference of the two directions and goes into the backlash table.
+    A route with a dynamic law or a known motion carries the friction's wind-up itself; for the
+    route ``table`` it is part of the difference of the two directions and goes into the backlash
+    table.
 
     Raises
     ------
     NotIdentifiable
         The runs cover a part of the travel only, and ``limit`` is to refuse.
     """
-    removed = law if route in TORQUE_ROUTES else law.with_values(coulomb_m=0.0, coulomb_per_m=0.0)
+    removed = law.with_values(coulomb_m=0.0, coulomb_per_m=0.0) if route == "table" else law
     lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench))
     covered = covered_m(bench, lead)
     if covered is None:

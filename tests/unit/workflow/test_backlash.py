@@ -176,3 +176,12 @@ def test_slow_runs_of_a_part_of_the_travel_are_refused_or_said() -> None:
     assert (
         covered_m(BENCH, static_map(BENCH, "table", [slow_run(0.2995)], law, Limit.REFUSE)) is None
     )
+
+
+@pytest.mark.parametrize("route", ["law", "servo", "cam", "program"])
+def test_only_the_route_table_leaves_friction_to_the_backlash_table(route: str) -> None:
+    law = CompensationLaw(coulomb_m=1.5e-6, breakaway_m=1e-6)
+    run = slow_run(0.2995)
+    assert has_backlash(static_map(BENCH, "table", [run], law, Limit.REFUSE))
+    # The law takes 1.5 um on each side away: the 3 um of the run are all friction.
+    assert not has_backlash(static_map(BENCH, route, [run], law, Limit.REFUSE))
