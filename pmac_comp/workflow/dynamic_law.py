@@ -97,7 +97,7 @@ def with_unmodelled(
     fine = _EXTENSION_STEPS if bench.encoder.extension == "1/T" else 1.0
     rest = unmodelled(
         law,
-        model_loop(model),
+        model_loop(without_turn(model)),
         captures,
         lead,
         motor_step_m=bench.motor_resolution_m / fine,
@@ -106,6 +106,26 @@ def with_unmodelled(
     if rest is None:
         return law
     return replace(law, provenance={**law.provenance, "unmodelled": rest.as_mapping()})
+
+
+def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[str]:
+    """What the law of a route cannot do for this drive, or was not given, for people."""
+    if route not in TORQUE_ROUTES:
+        return []
+    remarks: list[str] = []
+    if not has_captures:
+        remarks.append(
+            "no calibration runs were given (--captures): cogging and friction per turn are not in "
+            "the law, nothing trims it, and the promise is the model's alone"
+        )
+    if any(split_name(name)[0] == "backlash" for name in model.effects):
+        mass = model.parameters.get("chain.table_mass_kg", math.inf)
+        limit = model.parameters.get("coulomb.guide_N", 0.0) / mass
+        remarks.append(
+            "the model holds backlash: the law takes the gap up with the direction; above "
+            f"{limit:.2g} m/s2 inertia turns the flank earlier, and it is wrong by up to the gap"
+        )
+    return remarks
 
 
 def drive_delay_s(model: "DriveModel") -> float:

@@ -21,6 +21,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.identification import load_model
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
@@ -70,7 +71,7 @@ def verify_files(
         groups: dict[str, Pair] = {}
     else:
         groups = _paired(first, second)
-    loop = None if model is None else model_loop(load_model(model, loaded))
+    loop = None if model is None else model_loop(without_turn(load_model(model, loaded)))
     outcomes = [
         outcome_of(
             name,
@@ -266,7 +267,7 @@ def verify_axis(
     found = truth() if truth is not None else None
     outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
-    loop = None if drive is None else model_loop(drive)
+    loop = None if drive is None else model_loop(without_turn(drive))
     for motion, (before, after) in zip(runs.motions, groups, strict=True):
         outcomes.append(
             outcome_of(

@@ -5,6 +5,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow.dynamic_law import law_remarks
 from pmac_comp.workflow.law_cost import cheaper_laws, cost_remarks, share_frac
 
 BENCH = load_bench("paper_x4")
@@ -28,3 +29,13 @@ def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
     (text,) = cost_remarks(BENCH, "law", 4)
     assert "more than a quarter" not in text
     assert cost_remarks(BENCH, "servo") == []
+
+
+def test_what_a_law_lacks_is_said() -> None:
+    model = DriveModel.base(BENCH)
+    (text,) = law_remarks(model, "law", has_captures=False)
+    assert "--captures" in text
+    assert law_remarks(model, "law", has_captures=True) == []
+    (text,) = law_remarks(model.with_effect("backlash"), "law", has_captures=True)
+    assert "up to the gap" in text
+    assert law_remarks(model, "table", has_captures=False) == []
