@@ -101,8 +101,14 @@ class StaticMap:
     pitch_m: float
 
     def error_m(self, table_position_m: FloatArray) -> FloatArray:
-        """Static lead error in m at table positions in m, shape (n,)."""
-        smooth = np.interp(table_position_m, self.knots_m, self.values_m)
+        """Static lead error in m at table positions in m, shape (n,).
+
+        Beyond the knots it goes on with the mean slope of the map.
+        """
+        low, high = self.knots_m[0], self.knots_m[-1]
+        slope = (self.values_m[-1] - self.values_m[0]) / (high - low)
+        beyond = table_position_m - np.clip(table_position_m, low, high)
+        smooth = np.interp(table_position_m, self.knots_m, self.values_m) + slope * beyond
         phase = 2.0 * np.pi * np.multiply.outer(table_position_m, self.orders_per_rev)
         phase = phase / self.pitch_m
         wobble = np.cos(phase) @ self.cosine_m + np.sin(phase) @ self.sine_m
