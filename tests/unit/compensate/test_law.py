@@ -162,3 +162,14 @@ def test_motions_with_limited_jerk_never_meet_the_limit() -> None:
     free = evaluate_law(LAW.with_values(jerk_limit_m_per_s3=1e6), move.position_m, PERIOD)
     # The limited acceleration adds up what the other takes as a difference.
     assert np.max(np.abs(limited.correction_m - free.correction_m)) < 1e-12
+
+
+def test_a_law_that_runs_every_second_cycle_holds_its_values() -> None:
+    every = evaluate_law(LAW.with_values(every_cycles=2), SINE.position_m, PERIOD)
+    assert np.array_equal(every.torque_Nm[0:-1:2], every.torque_Nm[1::2])
+    each = evaluate_law(LAW, SINE.position_m, PERIOD)
+    moving = np.abs(np.gradient(SINE.position_m, PERIOD)) > 0.05
+    # Away from reversals it is the same law, late by half a cycle on average.
+    assert np.max(np.abs(every.correction_m - each.correction_m)[moving]) < 0.3e-6
+    with pytest.raises(ModelError, match="every 5"):
+        LAW.with_values(every_cycles=5)
