@@ -40,7 +40,7 @@ def port_of(url: str) -> str:
     return match[1]
 
 
-def run(script: str, *arguments: str, timeout_s: float = 120.0) -> str:
+def run(script: str, *arguments: str, timeout_s: float = 280.0) -> str:
     done = subprocess.run(
         [str(PYTHON), str(CLIENTS / script), *arguments],
         capture_output=True,
