@@ -187,7 +187,6 @@ class StatementParser(ExpressionParser):
         count = sum(2 if timed else 1 for _, timed in parts)
         return Statement("move", code, count, code.text, code.text, tuple(parts))
 
-
     def _is_word_or_assignment(self) -> bool:
         """Whether what stands here goes on as a program word (``RAPID``) or ``I5=2``."""
         if program_word(self.scanner) is not None:
