@@ -194,13 +194,13 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     force = capture.extra.get(_FORCE_COLUMN)
     torque = capture.torque_command_Nm
     valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
-    desired = on_servo_grid(_filled(capture.desired_m, capture.mask))
+    desired = on_servo_grid(_command(capture.desired_m, capture.mask))
     given = None if torque is None else on_servo_grid(_filled(torque, capture.mask))
     valid &= _under_way(desired, 0.0 if given is not None else _forgetting_s(bench), period_s)
     return Record(
         name=name,
         capture=capture,
-        commanded_m=on_servo_grid(_filled(capture.commanded_position_m, capture.mask)),
+        commanded_m=on_servo_grid(_command(capture.commanded_position_m, capture.mask)),
         desired_m=desired,
         measured_m=measured,
         torque_Nm=given,
@@ -250,6 +250,16 @@ def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:
         return values
     index = np.arange(values.size)
     return np.asarray(np.interp(index, index[mask], values[mask]))
+
+
+def _command(values: FloatArray, mask: BoolArray) -> FloatArray:
+    """The command with gaps filled; where only readings were lost it is known all the same."""
+    known = np.isfinite(values)
+    if mask.all() or not known.all():
+        return _filled(values, mask & known)
+    largest = float(np.abs(np.diff(values))[mask[1:] & mask[:-1]].max(initial=0.0))
+    smooth = bool(np.abs(np.diff(values)).max(initial=0.0) <= 1.5 * largest)
+    return values if smooth else _filled(values, mask)
 
 
 def _refuse_useless(capture: Capture, name: str) -> None:
