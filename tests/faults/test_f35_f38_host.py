@@ -110,7 +110,7 @@ def test_f35_all_refusals_are_reported_together(tmp_path: Path) -> None:
 
 
 def test_f35_law_beyond_its_limits() -> None:
-    law = LawParameters(A0=10.0)
+    law = LawParameters(A0=10.0, JL=1000.0)
     assert check_law(law, 60.0, LIMITS) == []
     for clamp in (60.001, 0.0, -1.0):
         assert isinstance(check_law(law, clamp, LIMITS)[0], AmplitudeExceeded)
