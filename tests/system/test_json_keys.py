@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 GOLDEN = Path(__file__).resolve().parent.parent / "golden" / "json_keys.json"
 MOTION = "sine:amplitude_mm=12,frequency_Hz=3.5,cycles=8"
 

@@ -13,7 +13,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 BENCH = load_bench("paper")
 LAW = CompensationLaw(
     inertia_s2=2.2e-6,
