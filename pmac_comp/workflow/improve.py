@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, ModelError
+from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import write_model
 from pmac_comp.workflow.axis import Axis, run_all
@@ -193,13 +194,30 @@ def improve_axis(
     write_model(out / "grown_model.json", diagnosis.model)
     if not diagnosis.diagnosis.named:
         return Improvement(diagnosis, before, None, "first")
+    model_grown = reestimated(captures, axis.bench, diagnosis.diagnosis.model, progress)
     steps.off(compensation)
-    grown, after = steps.measured(diagnosis.diagnosis.model, "grown")
+    grown, after = steps.measured(model_grown, "grown")
     if is_better(before, after):
         return Improvement(diagnosis, before, after, "grown")
     steps.off(grown)
     deploy(axis, compensation, steps.context)
     return Improvement(diagnosis, before, after, "first")
+
+
+def reestimated(
+    captures: Sequence[Capture], bench: Bench, grown: "DriveModel", progress: Progress | None
+) -> "DriveModel":
+    """The grown model with its parameters estimated as the first model's were, torque included.
+
+    The diagnosis weighs positions to tell effects apart; between two laws nothing but the effect
+    may differ. Where the effect leaves this estimate nothing to stand on, the diagnosis' values
+    stay.
+    """
+    try:
+        found = identify_captures(captures, bench, model=grown, progress=progress)
+    except ModelError:
+        return grown
+    return found.identification.model or grown
 
 
 class _Steps:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.errors import ConfigError, NotIdentifiable
 from pmac_comp.workflow import improve
 from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_controller, is_better
 from pmac_comp.workflow.verification import Verification
@@ -30,6 +30,7 @@ class Bench:
         self.done: list[str] = []
         self.answers = [verification(1.0, 2.0)]
         self.validated: Any = None
+        self.hopeless = False
         self.diagnosis = SimpleNamespace(
             diagnosis=SimpleNamespace(named=named, model="grown"),
             model="file",
@@ -47,9 +48,7 @@ class Bench:
             "write_compensation": lambda *a: None,
             "store": lambda *a: None,
             "context_of": lambda *a: "context",
-            "identify_captures": lambda *a, **k: SimpleNamespace(
-                identification=SimpleNamespace(model="first")
-            ),
+            "identify_captures": self.identified,
             "compute_compensation": lambda bench, drive, **k: f"compensation of {drive}",
             "deploy": lambda axis, compensation, context: self.done.append(f"up {compensation}"),
             "switch": lambda axis, context, what, on: self.done.append(f"off {what}"),
@@ -57,6 +56,12 @@ class Bench:
             "diagnose_captures": self.diagnosed,
         }.items():
             monkeypatch.setattr(improve, name, fake)
+
+    def identified(self, captures: Any, bench: Any, *, model: Any = None, **rest: Any) -> Any:
+        if self.hopeless and model is not None:
+            raise NotIdentifiable("nothing to stand on", code="PC-TST-001")
+        name = "first" if model is None else f"{model} again"
+        return SimpleNamespace(identification=SimpleNamespace(model=name))
 
     def diagnosed(self, *args: Any, validate: Any, **rest: Any) -> Any:
         self.validated = validate
@@ -70,18 +75,28 @@ def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, t
     bench = Bench(monkeypatch, ("backlash",))
     bench.answers.append(verification(0.4, 1.5))
     found = bench.run(tmp_path)
-    first, grown = "compensation of first", "compensation of grown"
+    first, grown = "compensation of first", "compensation of grown again"
     assert bench.done == [f"up {first}", f"off {first}", f"up {grown}"]
     assert found.kept == "grown"
     assert bench.validated == ("run without compensation",)
     assert any("mechanical error, quadratic mean: 1.000 -> 0.400 um" in x for x in found.lines())
 
 
+def test_where_the_effect_cannot_be_estimated_again_the_diagnosis_values_stay(
+    monkeypatch, tmp_path
+) -> None:
+    bench = Bench(monkeypatch, ("backlash",))
+    bench.hopeless = True
+    bench.answers.append(verification(0.4, 1.5))
+    bench.run(tmp_path)
+    assert bench.done[-1] == "up compensation of grown"
+
+
 def test_a_grown_model_that_is_worse_is_taken_back(monkeypatch, tmp_path) -> None:
     bench = Bench(monkeypatch, ("payload",))
     bench.answers.append(verification(1.6, 2.4))
     found = bench.run(tmp_path)
-    first, grown = "compensation of first", "compensation of grown"
+    first, grown = "compensation of first", "compensation of grown again"
     assert bench.done[-2:] == [f"off {grown}", f"up {first}"]
     assert found.kept == "first"
     assert "not better" in found.lines()[-1]
