@@ -148,6 +148,8 @@ def _settled(
     state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
     if last.is_rollback:
         state = ControllerState.OLD
+        if not last.journal.is_open:
+            reason = "nothing was left open: the last upload was taken back"
     if last.journal.is_open:
         if state is ControllerState.OLD:
             link.write_buffer(clear_lines(context.block))
