@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
@@ -181,7 +182,7 @@ def _bounded(
 
 def gram_of_record(
     residual: FloatArray,
-    columns: FloatArray,
+    columns: FloatArray | NDArray[np.float32],
     usable: BoolArray,
     whitener: Whitener,
     *,
@@ -217,9 +218,12 @@ def gram_of_record(
     tuple of ndarray
         Blocks of shape (b, k + 1, k + 1), and the number of samples in each.
     """
-    everything = np.concatenate([columns, residual[:, :, None]], axis=2)
+    everything = np.empty((*residual.shape, columns.shape[2] + 1))
+    everything[:, :, :-1] = columns
+    everything[:, :, -1] = residual
     keep = rows_with_past(usable, whitener.order)
     white = whitener.apply(everything)
+    del everything
     weights = (keep[:, None] * (1.0 if robust is None else robust))[:, :, None]
     white *= weights
     white = _without_offsets(white, whitener, keep, offset_channels, robust)
@@ -253,7 +257,8 @@ def _without_offsets(
         power = float(np.sum(image**2))
         if power > 0.0:
             share = np.einsum("tc,tck->k", image, white) / power
-            white = white - image[:, :, None] * share
+            for c in range(white.shape[1]):  # in place: these arrays are the largest there are
+                white[:, c] -= np.outer(image[:, c], share)
     return white
 
 
@@ -262,4 +267,5 @@ def _discounted(white: FloatArray, shapes: FloatArray) -> FloatArray:
     flat = white.reshape(-1, white.shape[2])
     basis, size, _ = np.linalg.svd(shapes.reshape(-1, shapes.shape[2]), full_matrices=False)
     share = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
-    return np.asarray(flat - basis @ (share[:, None] * (basis.T @ flat))).reshape(white.shape)
+    flat -= basis @ (share[:, None] * (basis.T @ flat))
+    return flat.reshape(white.shape)

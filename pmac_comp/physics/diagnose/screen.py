@@ -238,9 +238,8 @@ def refreshed(bench: Workbench, point: Fitted, seen: Look, effects: frozenset[st
     fresh = bench.columns(point.model, [d for i in chosen for d in seen.starts[i].directions])
     columns: Columns = []
     for old, new in zip(seen.columns, fresh, strict=True):
-        changed = old.copy()
-        changed[:, :, index] = new
-        columns.append(changed)
+        old[:, :, index] = new  # the look with old columns serves no more
+        columns.append(old)
     return replace(seen, columns=columns, stale=seen.stale - set(chosen))
 
 

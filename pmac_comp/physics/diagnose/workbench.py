@@ -209,7 +209,7 @@ class Workbench:
             record, first, last, _, i = job
             return gram_of_record(
                 residuals[i][first:last],
-                columns[i][first:last].astype(np.float64),
+                columns[i][first:last],
                 record.usable[first:last],
                 noise.whitener,
                 block=block,
