@@ -341,9 +341,7 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
         return []
     mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
     if compensation.backlash:
-        what = (
-            "all of it" if compensation.route == "table" else "what friction leaves of it"
-        )
+        what = "all of it" if compensation.route == "table" else "what friction leaves of it"
         out = [
             f"the two directions differ by {mean_um:.2f} um in the mean; the backlash table takes "
             f"{what} away"
