@@ -83,7 +83,7 @@ def error_traces(before: ErrorSignals, after: ErrorSignals, position_m: FloatArr
                 curve = thin_pair(signals.time_s, getattr(signals, name) * UM_PER_M)
                 axis.plot(*curve, color=colour, lw=0.8, label=word)
             axis.set_ylabel(label)
-        axes[1].legend(loc="upper right", ncols=2)
+        figure.legend(*axes[1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         axes[-1].set_xlabel("time s")
 
     return svg(draw, 7.2, 5.0)
@@ -229,7 +229,7 @@ def save_difference_plot(curves: Sequence[Curve], path: Path) -> None:
             axis.set_xlabel(f"{what} {curve.along_unit}")
             axis.set_ylabel(curve.unit)
             axis.set_title(curve.name, fontsize=8.5, loc="left")
-        panels[0].legend(loc="upper right", ncols=2)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         figure.savefig(path)
         plt.close(figure)
 
@@ -268,6 +268,6 @@ def ringing_figure(before: Capture, after: Capture, lowest_Hz: float) -> str:
             low.plot(*thin_pair(capture.time_s, signal), color=colour, lw=0.7, label=word)
         low.set_ylabel("ringing um")
         low.set_xlabel("time s")
-        low.legend(loc="upper right", ncols=2)
+        figure.legend(*low.get_legend_handles_labels(), loc="outside upper right", ncols=2)
 
     return svg(draw, 7.2, 3.2)
