@@ -27,11 +27,20 @@ from pmac_comp.machine.controller.comp_table import CompTable, TableKind, same_o
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.motion import wait_for_end
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.settings import (
+    AxisDefinitions,
+    Settings,
+    differences,
+    read_axes,
+    read_settings,
+    require_settings,
+    write_settings,
+)
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.variables import read_many, same_value, verify_many, write_many
+from pmac_comp.machine.controller.variables import read_many, same_value
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.compensation_file import Compensation
@@ -141,9 +150,11 @@ def time_motor_variables(bench: Bench) -> dict[str, float]:
     """I-variables of a motor without encoder and amplifier that only follows its command."""
     number = bench.controller.cam_motor_number
     abort = round(_rate_ct_per_ms(bench) / _ABORT_ms, 3)
+    back = _back_ct_per_ms(bench)
     values = {
         "01": 0, "02": _OPEN_REGISTER, "03": _OPEN_REGISTER, "04": _OPEN_REGISTER,
         "06": 0, "08": _IXX08, "11": 0, "12": 0, "13": 0, "14": 0, "15": abort,
+        "19": back / 100.0, "20": 0, "21": 50, "22": back,
         "24": _NO_FLAGS, "29": 0, "30": 0, "31": 0, "32": 0, "33": 0, "35": 0, "59": 0,
         "68": 0, "86": 0,
     }  # fmt: skip
@@ -158,14 +169,50 @@ def _rate_ct_per_ms(bench: Bench) -> float:
     return bench.safety.max_speed_mm_per_s / MM_PER_M / bench.motor_resolution_m / 1e3
 
 
-def prepare_time_motor(axis: Axis) -> None:
-    """Make the free motor count time, at zero and in closed loop.
+def _back_ct_per_ms(bench: Bench) -> float:
+    return round(_BACK_FRAC * _rate_ct_per_ms(bench), 3)
 
-    Raises
-    ------
-    SafetyRefusal
-        The motor is in use for something else; nothing was changed.
-    """
+
+def axis_settings(bench: Bench, present: AxisDefinitions) -> Settings:
+    """Both axes in coordinate system 1; definitions of other motors and systems stay."""
+    ours = {bench.encoder.motor_number, bench.controller.cam_motor_number}
+    kept = tuple(a for a in present if a[0] != 1 and a[1] not in ours)
+    both = (
+        (1, bench.encoder.motor_number, "X"),
+        (1, bench.controller.cam_motor_number, "Y"),
+    )
+    return Settings({"I5190": "1000", "I5113": "0", "I42": "0"}, axes=(*both, *kept))
+
+
+def cam_settings(bench: Bench, program: Program, present: AxisDefinitions) -> Settings:
+    """All that a cam needs beside its table; the motor is switched on last, and off first."""
+    axes = axis_settings(bench, present)
+    motor = texts(time_motor_variables(bench))
+    active = {f"I{bench.controller.cam_motor_number}00": "1"}
+    return replace(
+        axes,
+        variables={**axes.variables, **motor, **active},
+        programs={(program.kind, program.number): program.lines},
+    )
+
+
+def _time_motor_refusals(
+    axis: Axis, wanted: dict[str, float], active: float
+) -> list[SafetyRefusal]:
+    """Refusal if the motor is in use for something else."""
+    number = axis.bench.controller.cam_motor_number
+    if not active or _same(read_many(axis.link, list(wanted)), wanted):
+        return []
+    return [
+        SafetyRefusal(
+            f"Motor #{number} is in use (I{number}00 = 1): it cannot count time.",
+            code="PC-DEP-052",
+            hint="Name an unused motor as cam_motor_number in [controller] of the bench file.",
+        )
+    ]
+
+
+def _require_free_number(axis: Axis) -> None:
     number = axis.bench.controller.cam_motor_number
     scale = axis.bench.scale
     if number in {axis.motor, None if scale is None else scale.motor_number}:
@@ -174,30 +221,6 @@ def prepare_time_motor(axis: Axis) -> None:
             code="PC-DEP-050",
             hint="Name an unused motor as cam_motor_number in [controller] of the bench file.",
         )
-    wanted = time_motor_variables(axis.bench)
-    found = read_many(axis.link, [f"I{number}00", *wanted])
-    if found[f"I{number}00"] == 1.0 and not _same(found, wanted):
-        raise SafetyRefusal(
-            f"Motor #{number} is in use (I{number}00 = 1): it cannot count time.",
-            code="PC-DEP-052",
-            hint="Name an unused motor as cam_motor_number in [controller] of the bench file.",
-        )
-    if found[f"I{number}00"] == 0.0:
-        write_many(axis.link, wanted)
-        write_many(axis.link, {f"I{number}00": 1.0})
-    reset_time(axis)
-
-
-def release_time_motor(axis: Axis) -> None:
-    """Switch the time motor off again, if it is ours and no table needs it."""
-    number = axis.bench.controller.cam_motor_number
-    wanted = time_motor_variables(axis.bench)
-    found = read_many(axis.link, [f"I{number}00", *wanted])
-    ours = found[f"I{number}00"] == 1.0 and _same(found, wanted)
-    if ours and read_table(axis.link, TableKind.COMP, number) is None:
-        motors.kill(axis.link, number)
-        axis.link.command("UNDEFINE ALL")
-        write_many(axis.link, {f"I{number}00": 0.0})
 
 
 def rest_time_motor(axis: Axis) -> None:
@@ -234,10 +257,7 @@ def reset_time(axis: Axis) -> None:
 
 def _run_back(axis: Axis, target_ct: int) -> None:
     number = axis.bench.controller.cam_motor_number
-    speed = round(_BACK_FRAC * _rate_ct_per_ms(axis.bench), 3)
-    jog = {f"I{number}19": speed / 100.0, f"I{number}20": 0.0, f"I{number}21": 50.0}
-    write_many(axis.link, {**jog, f"I{number}22": speed})
-    way_ms = abs(_time_ct(axis) - target_ct) / speed
+    way_ms = abs(_time_ct(axis) - target_ct) / _back_ct_per_ms(axis.bench)
     motors.jog_to(axis.link, number, float(target_ct))
     deadline = Deadline.after(axis.link.clock, way_ms / 1e3 + _RUN_SLACK_s)
     while abs(_time_ct(axis) - target_ct) > _AT_ZERO_ct:
@@ -265,19 +285,41 @@ def _time_ct(axis: Axis) -> float:
 
 
 def deploy_program(axis: Axis, cam: Cam, context: Context) -> UploadResult:
-    """Define both axes and upload the program with the time axis."""
-    prepare_time_motor(axis)
+    """Time motor, axes and program as one change; then the motor in closed loop at zero.
+
+    Raises
+    ------
+    ConfigError
+        The time motor is the axis itself or its scale.
+    SafetyRefusal
+        The motor is in use for something else, or something moves; nothing was changed.
+    """
+    _require_free_number(axis)
+    number = axis.bench.controller.cam_motor_number
     gather.stop(axis.link)
-    _define_axes(axis)
-    return replace(upload_program(axis.link, context, cam.program), route="cam")
+    active = read_many(axis.link, [f"I{number}00"])[f"I{number}00"]
+    refusals = _time_motor_refusals(axis, time_motor_variables(axis.bench), active)
+    if active and not refusals:
+        rest_time_motor(axis)
+    goal = cam_settings(axis.bench, cam.program, read_axes(axis.link))
+    moved = [axis.motor, number] if active else [axis.motor]
+    with SettingsUpload(
+        axis.link, context, goal, route="cam", motors=moved, refusals=refusals
+    ) as upload:
+        upload.write()
+        result = upload.finish()
+    reset_time(axis)
+    return result
 
 
 def _define_axes(axis: Axis) -> None:
-    number = axis.bench.controller.cam_motor_number
-    axis.link.write_buffer(
-        ["UNDEFINE ALL", f"&1#{axis.motor}->X", f"&1#{number}->Y", "I5190=1000", "I5113=0", "I42=0"]
-    )
-    verify_many(axis.link, {"I5190": 1000.0, "I5113": 0.0})
+    """Both axes as the upload left them, after runs of other kinds; nothing if they stand."""
+    like = axis_settings(axis.bench, ())
+    found = read_settings(axis.link, like)
+    goal = axis_settings(axis.bench, found.axes or ())
+    if differences(goal, found):
+        write_settings(axis.link, found, goal)
+        require_settings(axis.link, goal)
 
 
 @dataclass

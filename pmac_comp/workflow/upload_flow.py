@@ -15,11 +15,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import (
-    CAM_PROGRAM,
-    release_time_motor,
-    rest_time_motor,
-)
+from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
 from pmac_comp.workflow.compensation_file import (
     read_compensation,
 )
@@ -102,8 +98,6 @@ def recover_upload(
     """Settle what an interrupted upload left."""
     with _ready(url, bench, journal, progress) as (axis, context):
         result = recovery.recover(axis.link, context)
-        # A torn cam leaves its time motor without a table; one with a table is left alone.
-        release_time_motor(axis)
     return {**result.as_dict(), "summary": "; ".join(result.notes) or "nothing was left open"}
 
 
@@ -115,5 +109,4 @@ def rollback_upload(
         rest_time_motor(axis)
         stand_at_zero(axis)
         result = recovery.rollback_last(axis.link, context)
-        release_time_motor(axis)
     return {**result.as_dict(), "summary": "; ".join(result.notes)}

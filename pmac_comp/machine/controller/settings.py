@@ -22,8 +22,12 @@ from pmac_comp.machine.wire.numbers import read_number
 PLC_TABLE: Final = 0x3100  # Y: bits 0-18 storage address, bit 22 disabled (p. 509)
 PLC_DISABLED: Final = 1 << 22
 PLC_STORED: Final = (1 << 19) - 1
+MOTORS: Final = 32
+SYSTEMS: Final = 16
+_ACTIVATION: Final = re.compile(r"^I([1-9]|[12]\d|3[0-2])00$")
 
 Buffer = tuple[ProgramKind, int]
+AxisDefinitions = tuple[tuple[int, int, str], ...]  # coordinate system, motor, text
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Settings:
     variables: Mapping[str, str] = field(default_factory=dict)
     definitions: Mapping[int, str] = field(default_factory=dict)
     programs: Mapping[Buffer, tuple[str, ...]] = field(default_factory=dict)
-    axes: tuple[tuple[int, int, str], ...] | None = None
+    axes: AxisDefinitions | None = None
     running: frozenset[int] = frozenset()
 
     @property
@@ -131,20 +135,17 @@ def _body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def read_axes(link: Link) -> tuple[tuple[int, int, str], ...]:
-    """Axis definitions of all active motors in all coordinate systems."""
-    active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if read_number(v)]
-    if not active:
-        return ()
+def read_axes(link: Link) -> AxisDefinitions:
+    """Axis definitions of all motors in all coordinate systems, active or not."""
     found: list[tuple[int, int, str]] = []
-    for system in range(1, 17):
-        lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in active))
-        if len(lines) != len(active):
+    for system in range(1, SYSTEMS + 1):
+        lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in range(1, MOTORS + 1)))
+        if len(lines) != MOTORS:
             raise RemoteProtocolError(
-                f"{len(active)} axis definitions were asked for, {len(lines)} came.",
+                f"{MOTORS} axis definitions were asked for, {len(lines)} came.",
                 code="PC-SET-001",
             )
-        pairs = zip(active, (line.strip() for line in lines), strict=True)
+        pairs = enumerate((line.strip() for line in lines), start=1)
         found += [(system, motor, text) for motor, text in pairs if text != "0"]
     return tuple(found)
 
@@ -269,11 +270,12 @@ def setting_lines(present: Settings, goal: Settings) -> list[str]:
         for n, text in goal.definitions.items()
         if present.definitions.get(n) != text
     ]
-    lines += [
-        f"{name}={text}"
-        for name, text in goal.variables.items()
-        if present.variables.get(name) != text
-    ]
+    for name, text in goal.variables.items():
+        if present.variables.get(name) != text:
+            off = _ACTIVATION.match(name) if text == "0" else None
+            # A motor that is deactivated in closed loop would keep saying that it is closed.
+            lines += [f"#{off[1]}K"] if off else []
+            lines.append(f"{name}={text}")
     if goal.axes is not None and set(goal.axes) != set(present.axes or ()):
         lines += ["UNDEFINE ALL", *(f"&{c}#{m}->{text}" for c, m, text in goal.axes)]
     return lines

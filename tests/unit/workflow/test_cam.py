@@ -1,23 +1,38 @@
 """The electronic cam on the embedded card: exact table in time, better motion, gone by rollback."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.errors import (
+    ConfigError,
+    ControllerState,
+    LinkLost,
+    SafetyRefusal,
+    VerifyMismatch,
+)
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow import upload_flow
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import CAM_PROGRAM, cam_axis, render_cam, reset_time
+from pmac_comp.workflow.cam import (
+    CAM_PROGRAM,
+    cam_axis,
+    render_cam,
+    reset_time,
+    time_motor_variables,
+)
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
@@ -135,14 +150,7 @@ def test_total_error_falls_and_rollback_restores(
     assert left[False][1] < 1e-9
     assert left[True][0] < 0.3 * left[False][0], left
 
-    class Opened:
-        def __enter__(self) -> Axis:
-            return axis
-
-        def __exit__(self, *_failure: object) -> None:
-            pass
-
-    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
     result = upload_flow.rollback_upload("sim://", "paper", tmp_path)
     assert result["verdict"] == "OLD"
     assert len(read_tables(axis.link)) == 0
@@ -150,6 +158,34 @@ def test_total_error_falls_and_rollback_restores(
     with pytest.raises(VerifyMismatch):
         runner.run(motion)
     assert np.max(np.abs(offset_of(axis.run(MOTION)))) < 1e-9
+
+
+TIME_MOTOR = tuple(time_motor_variables(BENCH))
+
+
+@pytest.mark.parametrize("way", [upload_flow.rollback_upload, upload_flow.recover_upload])
+def test_what_stood_before_a_cam_comes_back(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: Callable[..., object]
+) -> None:
+    link = axis.link
+    link.write_buffer(["UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "&1#8->4W", "I802=$78001"])
+    link.write_buffer(["I819=0.25", "I5190=500", "OPEN PROG 705", "CLEAR", "DWELL7", "CLOSE"])
+    names = [*TIME_MOTOR, "I800", "I5190", "I5113", "I42"]
+    before = read_many(link, names), read_axes(link), link.query("LIST PROG 705")
+    if way is upload_flow.recover_upload:
+
+        def torn(*_ignored: object) -> None:
+            raise LinkLost("cut between the parts")
+
+        monkeypatch.setattr(TableUpload, "prepare", torn)
+    with suppress(LinkLost):
+        deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
+    assert ("W" in str(read_axes(link)), (2, 3, "7Z") in read_axes(link)) == (False, True)
+    monkeypatch.undo()
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
+    way("sim://", "paper", tmp_path)
+    assert (read_many(link, names), read_axes(link), link.query("LIST PROG 705")) == before
+    assert len(read_tables(link)) == 0
 
 
 def test_motor_in_use_is_refused(axis: Axis, tmp_path: Path) -> None:
