@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.diagnose.localise import distance_since_reversal_m
@@ -94,12 +95,9 @@ def spans_of(
 
 
 def flexible_columns(
-    records: Sequence[Record],
-    model: DriveModel,
-    lead_m: float,
-    executor: Executor,
-) -> list[FloatArray]:
-    """Columns of all probes per record, shape (m, channels, k); readings first, then torques.
+    records: Sequence[Record], model: DriveModel, lead_m: float, executor: Executor, *, room: int
+) -> list[NDArray[np.float32]]:
+    """Columns of all probes per record, shape (m, channels, room + k).
 
     Parameters
     ----------
@@ -111,34 +109,40 @@ def flexible_columns(
         Travel per revolution.
     executor : Executor
         Runs the torque probes.
+    room : int
+        Columns left free in front of the probes for others; they hold nothing yet.
 
     Returns
     -------
     list of ndarray
+        Behind the room, readings first, then torques.
     """
     substeps = max(2, model.substeps // 2)  # both ends of a difference alike
     responses = list(executor.map(lambda r: r.response(model, substeps=substeps), records))
     base = [r.coarsen(r.channels_of(p)) for r, p in zip(records, responses, strict=True)]
     positions = [np.asarray(r.motor_position_m) for r in responses]
     spans = spans_of(records, positions)
-    table = [bases(r, x, spans, lead_m) for r, x in zip(records, positions, strict=True)]
     size_Nm = _TORQUE_SHARE * max(float(np.abs(r.torque_command_Nm).max()) for r in responses)
+    del responses
 
-    def probe(job: tuple[int, int]) -> FloatArray:
-        i, j = job
-        torque = size_Nm * np.ascontiguousarray(table[i][:, j])
+    def probed(i: int) -> NDArray[np.float32]:
         record = records[i]
-        moved = record.response(model, probe_torque_Nm=torque, substeps=substeps)
-        return np.asarray((record.coarsen(record.channels_of(moved)) - base[i]) / size_Nm)
+        table = bases(record, positions[i], spans, lead_m)
+        count = table.shape[1]
+        out = np.empty((*base[i].shape, room + 2 * count), dtype=np.float32)
+        out[:, :, room : room + count] = _readings(record, table)
 
-    count = table[0].shape[1]
-    jobs = [(i, j) for i in range(len(records)) for j in range(count)]
-    moved = list(executor.map(probe, jobs))
-    out = []
-    for i, record in enumerate(records):
-        torques = np.stack(moved[i * count : (i + 1) * count], axis=2)
-        out.append(np.concatenate([_readings(record, table[i]), torques], axis=2))
-    return out
+        def write(j: int) -> None:
+            torque = size_Nm * np.ascontiguousarray(table[:, j])
+            moved = record.response(model, probe_torque_Nm=torque, substeps=substeps)
+            difference = record.coarsen(record.channels_of(moved)) - base[i]
+            out[:, :, room + count + j] = difference / size_Nm
+
+        for _ in executor.map(write, range(count)):
+            pass  # raises what a simulation raised
+        return out
+
+    return [probed(i) for i in range(len(records))]
 
 
 def _readings(record: Record, functions: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ answered from the scalar products of the columns, in microseconds.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.diagnose.statistics import Whitener, rows_with_past
 
 _RIDGE = 1e-10
+_PIECE = 512
 
 
 @dataclass(frozen=True)
@@ -218,54 +220,80 @@ def gram_of_record(
     tuple of ndarray
         Blocks of shape (b, k + 1, k + 1), and the number of samples in each.
     """
-    everything = np.empty((*residual.shape, columns.shape[2] + 1))
-    everything[:, :, :-1] = columns
-    everything[:, :, -1] = residual
     keep = rows_with_past(usable, whitener.order)
-    white = whitener.apply(everything)
-    del everything
-    weights = (keep[:, None] * (1.0 if robust is None else robust))[:, :, None]
-    white *= weights
-    white = _without_offsets(white, whitener, keep, offset_channels, robust)
-    if doubtful is not None and doubtful.shape[2] > 0:
-        white = _discounted(white, whitener.apply(doubtful) * weights)
-    count = max(1, white.shape[0] // block)
-    blocks = np.empty((count, white.shape[2], white.shape[2]))
-    rows = np.empty(count)
-    for b in range(count):
-        stop = white.shape[0] if b == count - 1 else (b + 1) * block
-        part = white[b * block : stop].reshape(-1, white.shape[2])
-        blocks[b] = part.T @ part
-        rows[b] = float(keep[b * block : stop].sum() * white.shape[1])
-    return blocks, rows
+    weights = keep[:, None] * (np.ones(residual.shape) if robust is None else robust)
+    images, basis, share = _nuisances(whitener, weights, offset_channels, doubtful)
+    count = max(1, residual.shape[0] // block)
+    ends = [*(b * block for b in range(count)), residual.shape[0]]
+    wide = np.stack(
+        [
+            _products(residual, columns, whitener, weights, (images, basis), first, last)
+            for first, last in pairwise(ends)
+        ]
+    )
+    projection = _projection(wide.sum(axis=0), columns.shape[2] + 1, images.shape[2], share)
+    rows = [float(keep[a:b].sum() * residual.shape[1]) for a, b in pairwise(ends)]
+    return projection.T @ wide @ projection, np.array(rows)
 
 
-def _without_offsets(
-    white: FloatArray,
+def _nuisances(
     whitener: Whitener,
-    keep: BoolArray,
+    weights: FloatArray,
     offset_channels: Sequence[int],
-    robust: FloatArray | None,
-) -> FloatArray:
-    """Everything projected orthogonally to a free constant in the given channels."""
-    for channel in offset_channels:
-        constant = np.zeros((white.shape[0], white.shape[1]))
-        constant[:, channel] = 1.0
-        image = whitener.apply(constant) * keep[:, None]
-        if robust is not None:
-            image = image * robust
-        power = float(np.sum(image**2))
-        if power > 0.0:
-            share = np.einsum("tc,tck->k", image, white) / power
-            for c in range(white.shape[1]):  # in place: these arrays are the largest there are
-                white[:, c] -= np.outer(image[:, c], share)
-    return white
-
-
-def _discounted(white: FloatArray, shapes: FloatArray) -> FloatArray:
-    """Everything weighed by the inverse root of the covariance 1 + shapes shapes'."""
-    flat = white.reshape(-1, white.shape[2])
-    basis, size, _ = np.linalg.svd(shapes.reshape(-1, shapes.shape[2]), full_matrices=False)
+    doubtful: FloatArray | None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weighted images of free constants, and a basis of doubtful shapes with their discounts."""
+    constants = np.zeros((*weights.shape, len(offset_channels)))
+    for i, channel in enumerate(offset_channels):
+        constants[:, channel, i] = 1.0
+    images = whitener.apply(constants) * weights[:, :, None]
+    if doubtful is None or doubtful.shape[2] == 0:
+        return images, np.zeros((*weights.shape, 0)), np.zeros(0)
+    shapes = whitener.apply(doubtful) * weights[:, :, None]
+    flat = shapes.reshape(-1, shapes.shape[2])
+    basis, size, _ = np.linalg.svd(flat, full_matrices=False)
     share = 1.0 - 1.0 / np.sqrt(1.0 + size**2)
-    flat -= basis @ (share[:, None] * (basis.T @ flat))
-    return flat.reshape(white.shape)
+    return images, basis.reshape(*weights.shape, -1), share
+
+
+def _products(
+    residual: FloatArray,
+    columns: FloatArray | NDArray[np.float32],
+    whitener: Whitener,
+    weights: FloatArray,
+    nuisances: tuple[FloatArray, FloatArray],
+    first: int,
+    last: int,
+) -> FloatArray:
+    """Scalar products of whitened columns, residual and nuisances over samples first to last.
+
+    A short piece at a time: whitened columns in double precision are never all in memory.
+    """
+    k = columns.shape[2]
+    width = k + 1 + sum(n.shape[2] for n in nuisances)
+    total = np.zeros((width, width))
+    for start in range(first, last, _PIECE):
+        stop, past = min(last, start + _PIECE), max(0, start - whitener.order)
+        raw = np.empty((stop - past, residual.shape[1], k + 1))
+        raw[:, :, :k] = columns[past:stop]
+        raw[:, :, k] = residual[past:stop]
+        white = whitener.apply(raw)[start - past :] * weights[start:stop, :, None]
+        part = np.concatenate([white, *(n[start:stop] for n in nuisances)], axis=2)
+        flat = part.reshape(-1, width)
+        total += flat.T @ flat
+    return total
+
+
+def _projection(total: FloatArray, kept: int, n_images: int, share: FloatArray) -> FloatArray:
+    """Map from products with nuisances to those of columns free of them.
+
+    Free constants are projected out; then everything is weighed by the inverse root of the
+    covariance 1 + shapes shapes' of the doubtful shapes.
+    """
+    projection = np.eye(total.shape[0])[:, :kept]
+    for i in range(kept, kept + n_images):
+        if total[i, i] > 0.0:
+            projection[i] = -(total[i] @ projection) / total[i, i]
+    of_shapes = slice(kept + n_images, total.shape[0])
+    projection[of_shapes] = -share[:, None] * (total[of_shapes] @ projection)
+    return projection

@@ -12,7 +12,6 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import Start, relieved, started
-from pmac_comp.physics.diagnose.gram import Gram
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
@@ -209,13 +208,14 @@ def grow(
     seen: Look | None = None
     for number in range(1, rules.most_effects + 2):
         progress(f"round {number}: looking at {len(library)} effects")
+        rounds = [*map(_slim, rounds)]
         bench, point, screening, seen = _look_around(bench, point, library, seen)
         whole = evaluate(bench, point.model)
         base = whole if base is None else base
         done = _round(bench, whole, screening, library, rules, progress)
         if number > rules.most_effects:
             done = replace(done, accepted=None, tied=())
-        rounds = [*map(_slim, rounds), done]
+        rounds.append(done)
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
@@ -239,8 +239,7 @@ def _look_around(
     left = noise_like(part, point, seen)
     noise = part.noise_from(left, sensor_floor_m(part, point.model))
     part = part.with_noise(noise)
-    frozen = Frozen(seen.own, [c[:, :, : len(seen.own)] for c in seen.columns])
-    moved = refit(part, evaluate(part, point.model), frozen=frozen, rounds=3)
+    moved = refit(part, evaluate(part, point.model), frozen=seen.frozen(), rounds=3)
     screening = screen(part, moved, seen)
     if seen.stale:
         seen = refreshed(part, point, seen, _promising(screening))
@@ -250,17 +249,13 @@ def _look_around(
 
 def _promising(screening: Screening) -> frozenset[str]:
     """Effects whose columns of an earlier round promise enough to be simulated afresh."""
-    rows = float(screening.gram.rows[screening.gram.fitting].sum())
-    worth = [s for s in screening.ranked if s.fit_gain > _HINT * rows]
+    worth = [s for s in screening.ranked if s.fit_gain > _HINT * screening.rows_fit]
     return frozenset(s.start.effect for s in worth[:_MOST_FRESH])
 
 
 def _slim(done: Round) -> Round:
-    """A past round without its columns and products, which are large."""
-    gram = done.screening.gram
-    nothing = Gram(gram.blocks[:0], gram.fitting[:0], gram.rows[:0], gram.prior)
-    bare = replace(done.screening, gram=nothing, frozen=Frozen((), []))
-    return replace(done, screening=bare)
+    """A past round without its columns."""
+    return replace(done, screening=replace(done.screening, frozen=Frozen((), [])))
 
 
 def _spread(bench: Workbench, noise: Noise) -> Noise:

@@ -73,13 +73,11 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     """Judge what the last round left against flexible rivals and against the noise floor."""
     last = grown.rounds[-1]
     rivals = last.screening
-    fit_gain, _ = rivals.flexible_gains()
-    fit_share = fit_gain / max(last.rows_fit, 1.0)
+    fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
     floor_um = noise_floor_um(grown.bench, grown.final.model)
     gap_um = _rms_um(grown, grown.final.model)
     excess_um, quiet_um = _excess_um(grown, gap_um, floor_um)
-    drop = rivals.gram.block_chi2(rivals.base) - rivals.gram.block_chi2(rivals.flexible)
-    p_value = corrected_p(sign_flip_p(drop, seed=1), 1)
+    p_value = corrected_p(sign_flip_p(rivals.rival_drop, seed=1), 1)
     removed = float((grown.base.blocks - grown.final.blocks).sum()) / float(
         last.rows_fit + last.rows_judge
     )

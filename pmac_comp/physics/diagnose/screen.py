@@ -10,20 +10,21 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import Start, own_directions, starts_of
 from pmac_comp.physics.diagnose.flexible import flexible_columns
-from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
+from pmac_comp.physics.diagnose.gram import Prior, Solution
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen
 from pmac_comp.physics.diagnose.spectra import peaks_of
-from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, prior_of
+from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, combined, prior_of
 from pmac_comp.physics.model.effect import Effect
 
 # A flexible rival may be as large as it likes, but not infinite: it shrinks to nothing where the
 # data says nothing.
 _FLEXIBLE_SIGMA_m = 20.0
 _FLEXIBLE_SIGMA_Nm = 2.0
+_WHOLE_s = 1e6  # one block per stretch: sums over it are all that a ranking asks for
 
 
 @dataclass(frozen=True)
@@ -61,40 +62,29 @@ class Screening:
     ----------
     frozen : Frozen
         Columns of the model's own parameters, for refits to reuse.
-    gram : Gram
-        Products of own, candidate and flexible columns.
-    n_own, n_flexible : int
-        Number of columns of each; own ones come first, flexible ones last.
     ranked : tuple of Screened
         Best start of every effect, best first.
     starts : Mapping[str, tuple of Screened]
         All starts of every effect, best first.
-    base : Solution
-        Refit of the own parameters alone.
-    flexible : Solution
-        Refit of own parameters with the flexible rivals.
+    rows_fit : float
+        Number of whitened samples that are fitted.
+    rival_drop : ndarray, shape (b,)
+        Drop of chi-square that the flexible rivals earn in every block.
+    fitting : ndarray of bool, shape (b,)
+        Blocks that are fitted.
     """
 
     frozen: Frozen
-    gram: Gram
-    n_own: int
-    n_flexible: int
     ranked: tuple[Screened, ...]
     starts: Mapping[str, tuple[Screened, ...]]
-    base: Solution
-    flexible: Solution
+    rows_fit: float
+    rival_drop: FloatArray
+    fitting: BoolArray
 
     @property
-    def own(self) -> IntArray:
-        """Columns of the model's own parameters."""
-        return np.arange(self.n_own)
-
-    def flexible_gains(self) -> tuple[float, float]:
-        """Drop of chi-square that the flexible rivals earn on fitting and judging samples."""
-        before = self.gram.block_chi2(self.base)
-        after = self.gram.block_chi2(self.flexible)
-        fits = self.gram.fitting
-        return float((before - after)[fits].sum()), float((before - after)[~fits].sum())
+    def rival_gain(self) -> float:
+        """Drop of chi-square that the flexible rivals earn on fitting samples."""
+        return float(self.rival_drop[self.fitting].sum())
 
 
 @dataclass(frozen=True)
@@ -123,6 +113,10 @@ class Look:
     prior: Prior
     n_flexible: int
     stale: frozenset[int] = frozenset()
+
+    def frozen(self) -> Frozen:
+        """Columns of the model's own parameters, apart from the others, which are many."""
+        return Frozen(self.own, [c[:, :, : len(self.own)].copy() for c in self.columns])
 
     def places(self) -> list[range]:
         """Columns of every start."""
@@ -167,15 +161,13 @@ def look(
     )
     directions = [*own, *(d for start in starts for d in start.directions)]
     if last is None:
-        rivals = flexible_columns(bench.records, point.model, description.pitch_m, bench.executor)
-        columns = bench.columns(point.model, directions)
-        joined: Columns = [
-            np.concatenate([c, r.astype(np.float32)], axis=2)
-            for c, r in zip(columns, rivals, strict=True)
-        ]
-        n_flexible = rivals[0].shape[2]
+        columns = flexible_columns(
+            bench.records, point.model, description.pitch_m, bench.executor, room=len(directions)
+        )
+        bench.columns(point.model, directions, into=columns, at=range(len(directions)))
+        n_flexible = columns[0].shape[2] - len(directions)
         prior = _with_flexible(prior_of(directions), n_flexible)
-        return Look(own, starts, joined, prior, n_flexible)
+        return Look(own, starts, columns, prior, n_flexible)
     return _with_old_columns(bench, point, own, starts, last)
 
 
@@ -193,23 +185,30 @@ def _with_old_columns(
     """Own columns and those of new starts simulated; the others from an earlier look."""
     old = dict(zip(map(_identity, last.starts), last.places(), strict=True))
     stale = frozenset(i for i, start in enumerate(starts) if _identity(start) in old)
-    new = [d for i, start in enumerate(starts) if i not in stale for d in start.directions]
-    fresh = bench.columns(point.model, [*own, *new])
-    # Places in fresh columns (first) and old ones (behind them) in the order of this look.
-    width, order, at = fresh[0].shape[2], list(range(len(own))), len(own)
-    for start in starts:
-        if _identity(start) in old:
-            order += [width + i for i in old[_identity(start)]]
+    directions = list(own)
+    fresh: list[int] = list(range(len(own)))
+    kept: list[int] = []
+    source: list[int] = []
+    for i, start in enumerate(starts):
+        mine = range(len(directions), len(directions) + len(start.directions))
+        directions += start.directions
+        if i in stale:
+            kept += mine
+            source += old[_identity(start)]
         else:
-            order += range(at, at + len(start.directions))
-            at += len(start.directions)
-    everything = last.columns[0].shape[2]
-    order += range(width + everything - last.n_flexible, width + everything)
-    columns: Columns = [
-        np.concatenate([f, c], axis=2)[:, :, order]
-        for f, c in zip(fresh, last.columns, strict=True)
-    ]
-    directions = [*own, *(d for start in starts for d in start.directions)]
+            fresh += mine
+    width = len(directions) + last.n_flexible
+    kept += range(len(directions), width)
+    source += range(last.prior.lower.size - last.n_flexible, last.prior.lower.size)
+    columns: Columns = []
+    for i in range(len(last.columns)):
+        moved = np.empty((*last.columns[i].shape[:2], width), dtype=np.float32)
+        for to, at in zip(kept, source, strict=True):
+            moved[:, :, to] = last.columns[i][:, :, at]
+        columns.append(moved)
+        # The earlier look ends here: old and new columns need not coexist.
+        last.columns[i] = np.empty((0, 0, 0), dtype=np.float32)
+    bench.columns(point.model, [directions[j] for j in fresh], into=columns, at=fresh)
     prior = _with_flexible(prior_of(directions), last.n_flexible)
     return Look(own, starts, columns, prior, last.n_flexible, stale)
 
@@ -235,12 +234,9 @@ def refreshed(bench: Workbench, point: Fitted, seen: Look, effects: frozenset[st
     chosen = [i for i in sorted(seen.stale) if seen.starts[i].effect in effects]
     places = seen.places()
     index = [j for i in chosen for j in places[i]]
-    fresh = bench.columns(point.model, [d for i in chosen for d in seen.starts[i].directions])
-    columns: Columns = []
-    for old, new in zip(seen.columns, fresh, strict=True):
-        old[:, :, index] = new  # the look with old columns serves no more
-        columns.append(old)
-    return replace(seen, columns=columns, stale=seen.stale - set(chosen))
+    directions = [d for i in chosen for d in seen.starts[i].directions]
+    bench.columns(point.model, directions, into=seen.columns, at=index)
+    return replace(seen, stale=seen.stale - set(chosen))
 
 
 def _with_flexible(prior: Prior, count: int) -> Prior:
@@ -261,7 +257,7 @@ def _with_flexible(prior: Prior, count: int) -> Prior:
 def noise_like(bench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
     """What neither a candidate nor a flexible rival can explain: the best picture of the noise."""
     residuals = bench.residuals(point.simulated)
-    gram = bench.gram(residuals, seen.columns, seen.prior)
+    gram = bench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
     shrunk = np.where(np.isfinite(seen.prior.sigma), seen.prior.sigma, 10.0)
     relaxed = Prior(
         np.full(shrunk.size, -np.inf), np.full(shrunk.size, np.inf), np.zeros(shrunk.size), shrunk
@@ -286,7 +282,8 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
     -------
     Screening
     """
-    gram = bench.gram(bench.residuals(point.simulated), seen.columns, seen.prior)
+    residuals = bench.residuals(point.simulated)
+    gram = bench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
     n_own = len(seen.own)
     own = list(range(n_own))
     base = gram.solve(own)
@@ -307,15 +304,32 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
     rivals = range(gram.n_columns - seen.n_flexible, gram.n_columns)
     flexible = gram.solve([*own, *rivals])
     return Screening(
-        Frozen(seen.own, [c[:, :, :n_own] for c in seen.columns]),
-        gram,
-        n_own,
-        seen.n_flexible,
+        seen.frozen(),
         tuple(sorted((v[0] for v in starts.values()), key=lambda s: -s.gain)),
         starts,
-        base,
-        flexible,
+        float(gram.rows[gram.fitting].sum()),
+        *_rival_drops(bench, residuals, seen, base, flexible),
     )
+
+
+def _rival_drops(
+    bench: Workbench,
+    residuals: Sequence[FloatArray],
+    seen: Look,
+    base: Solution,
+    flexible: Solution,
+) -> tuple[FloatArray, BoolArray]:
+    """Drop of chi-square from one refit to the other in every block, and which blocks fit."""
+    both: Columns = [
+        np.stack(
+            [combined(c, s.indices, s.step) for s in (base, flexible)], axis=2, dtype=np.float32
+        )
+        for c in seen.columns
+    ]
+    free = np.full(2, np.inf)
+    gram = bench.gram(residuals, both, Prior(-free, free, np.zeros(2), free))
+    left = [gram.block_chi2(Solution(np.array([i]), np.ones(1), np.eye(1), 0.0)) for i in (0, 1)]
+    return left[0] - left[1], gram.fitting
 
 
 def names_of(items: Sequence[Screened]) -> list[str]:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
 from pmac_comp.physics.diagnose.records import Record, simulate_all
 from pmac_comp.physics.diagnose.statistics import Whitener, fit_whitener, huber_weights
@@ -24,6 +24,7 @@ _ORDER = 6
 _BLOCK_s = 0.5
 _SHORTEST_BLOCK_s = 0.1
 _LEAST_BLOCKS = 24
+_PIECE = 512
 _ONSET_m = 1e-7
 _ONSET_PLACES = ("guide", "nut", "motor")
 
@@ -169,31 +170,55 @@ class Workbench:
         """Measured minus simulated on the coarse grid."""
         return [r.coarse_measured_m - s for r, s in zip(self.records, simulated, strict=True)]
 
-    def columns(self, model: DriveModel, directions: Sequence[Direction]) -> Columns:
+    def columns(
+        self,
+        model: DriveModel,
+        directions: Sequence[Direction],
+        *,
+        into: Columns | None = None,
+        at: Sequence[int] | None = None,
+    ) -> Columns:
         """Finite-difference columns per record, shape (m, channels, k) each.
 
         Both ends of a difference are simulated with half the substeps: what a substep costs in
         accuracy is common to both (columns differ by less than 1 % from those of fine steps).
+        ``into`` and ``at`` say into which columns of which arrays they are written instead of new
+        ones: the columns of all candidates are the largest arrays of a diagnosis.
         """
+        count = len(directions)
+        shapes = [(*r.coarse_measured_m.shape, count) for r in self.records]
+        out = [np.empty(shape, dtype=np.float32) for shape in shapes] if into is None else into
+        places = range(count) if at is None else at
         needed = [half_substeps(d.model) for d in directions]
-        jobs = [(r, n) for r in self.records for n in sorted(set(needed))]
-        ends = self.executor.map(lambda job: job[0].simulated_m(model, substeps=job[1]), jobs)
-        base = {(id(r), n): end for (r, n), end in zip(jobs, ends, strict=True)}
+        ends = [(i, n) for i in range(len(self.records)) for n in sorted(set(needed))]
+        simulated = self.executor.map(
+            lambda end: self.records[end[0]].simulated_m(model, substeps=end[1]), ends
+        )
+        base = dict(zip(ends, simulated, strict=True))
 
-        def column(job: tuple[Record, int]) -> NDArray[np.float32]:
-            record, j = job
-            moved = record.simulated_m(directions[j].model, substeps=needed[j])
-            difference = (moved - base[id(record), needed[j]]) / directions[j].step
-            return np.asarray(difference, dtype=np.float32)
+        def write(job: tuple[int, int]) -> None:
+            i, j = job
+            moved = self.records[i].simulated_m(directions[j].model, substeps=needed[j])
+            out[i][:, :, places[j]] = (moved - base[i, needed[j]]) / directions[j].step
 
-        each = self.executor.map(column, [(r, j) for r in self.records for j in range(len(needed))])
-        empty = [np.zeros((*r.coarse_measured_m.shape, 0), dtype=np.float32) for r in self.records]
-        if not needed:
-            return empty
-        return [np.stack([next(each) for _ in needed], axis=2) for _ in self.records]
+        jobs = [(i, j) for i in range(len(self.records)) for j in range(count)]
+        for _ in self.executor.map(write, jobs):
+            pass  # raises what a simulation raised
+        return out
 
-    def gram(self, residuals: Sequence[FloatArray], columns: Columns, prior: Prior) -> Gram:
-        """Scalar products per block; blocks never mix fitted and judging samples."""
+    def gram(
+        self,
+        residuals: Sequence[FloatArray],
+        columns: Columns,
+        prior: Prior,
+        *,
+        longest_s: float | None = None,
+    ) -> Gram:
+        """Scalar products per block; blocks never mix fitted and judging samples.
+
+        Blocks are ``block_s`` long unless told otherwise: products of the columns of all
+        candidates are large and serve as sums over whole stretches.
+        """
         noise = self.noise
         if noise is None:
             raise ValueError("the noise has not been estimated")
@@ -203,7 +228,8 @@ class Workbench:
             for first, last, fits in _stretches(mask)
             if last - first > 2 * _ORDER
         ]
-        block = max(4 * _ORDER, round(self.block_s / self.records[0].coarse_period_s))
+        length_s = self.block_s if longest_s is None else longest_s
+        block = max(4 * _ORDER, round(length_s / self.records[0].coarse_period_s))
 
         def work(job: tuple[Record, int, int, bool, int]) -> tuple[FloatArray, FloatArray]:
             record, first, last, _, i = job
@@ -260,9 +286,22 @@ class Workbench:
     ) -> list[FloatArray]:
         """Residuals less what a linearised refit explains."""
         return [
-            r - np.einsum("tck,k->tc", c[:, :, solution.indices].astype(np.float64), solution.step)
+            r - combined(c, solution.indices, solution.step)
             for r, c in zip(residuals, columns, strict=True)
         ]
+
+
+def combined(
+    columns: NDArray[np.float32], indices: Sequence[int] | IntArray, step: FloatArray
+) -> FloatArray:
+    """Sum of some columns times a step, shape (m, channels), in double precision."""
+    whole = np.zeros(columns.shape[2])
+    whole[np.asarray(indices, dtype=np.int64)] = step
+    out = np.empty(columns.shape[:2])
+    for start in range(0, columns.shape[0], _PIECE):
+        part = columns[start : start + _PIECE]
+        out[start : start + _PIECE] = part.astype(np.float64) @ whole
+    return out
 
 
 def _fine(coarse: BoolArray, record: Record) -> BoolArray:
