@@ -39,7 +39,7 @@ from pmac_comp.machine.controller.settings import (
 )
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.variables import read_many, same_value
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
@@ -296,12 +296,13 @@ def deploy_program(axis: Axis, cam: Cam, context: Context) -> UploadResult:
     """
     _require_free_number(axis)
     number = axis.bench.controller.cam_motor_number
-    gather.stop(axis.link)
-    active = read_many(axis.link, [f"I{number}00"])[f"I{number}00"]
-    refusals = _time_motor_refusals(axis, time_motor_variables(axis.bench), active)
-    if active and not refusals:
-        rest_time_motor(axis)
-    goal = cam_settings(axis.bench, cam.program, read_axes(axis.link))
+    with untouched():
+        gather.stop(axis.link)
+        active = read_many(axis.link, [f"I{number}00"])[f"I{number}00"]
+        refusals = _time_motor_refusals(axis, time_motor_variables(axis.bench), active)
+        if active and not refusals:
+            rest_time_motor(axis)
+        goal = cam_settings(axis.bench, cam.program, read_axes(axis.link))
     moved = [axis.motor, number] if active else [axis.motor]
     with SettingsUpload(
         axis.link, context, goal, route="cam", motors=moved, refusals=refusals

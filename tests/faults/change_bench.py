@@ -19,7 +19,8 @@ from tests.faults.upload_bench import restore, snapshot
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 PROGRAM = 710
-WATCHED_I = (5, 8, 30, 51, 105, 106, 107, 119, 122, 129)
+TIME_MOTOR = tuple(800 + k for k in (0, 1, 2, 3, 4, 8, 11, 15, 19, 20, 22, 24, 30, 31, 32))
+WATCHED_I = (5, 8, 30, 42, 51, 105, 106, 107, 119, 122, 129, *TIME_MOTOR, 5113, 5190)
 WATCHED_M = (7000, 7001, 7002, 7003, 7004, 7007)
 
 
@@ -34,7 +35,7 @@ class Standing:
     law: tuple[float, ...]
     clamp_ct: float
     target: float
-    tables: tuple[int, ...] | None
+    tables: tuple[tuple[int, ...] | None, ...]
 
 
 def standing(bench: CardBench) -> Standing:
@@ -42,7 +43,7 @@ def standing(bench: CardBench) -> Standing:
     card, block = bench.card, LawBlock()
     bank = int(bench.p(block.p(Index.BANK)))
     values = tuple(bench.p(block.bank(bank, k)) for k in range(BANK_SIZE))
-    tables = bench.values("COMP", 1)
+    tables = [bench.values("COMP", motor) for motor in (1, 8)]
     return Standing(
         tuple(float(card.variables.read_i(n)) for n in WATCHED_I),
         tuple(card.variables.definition(n) for n in WATCHED_M),
@@ -51,7 +52,7 @@ def standing(bench: CardBench) -> Standing:
         values if values[BankIndex.SEALED] else (),
         bench.p(block.p(Index.CLAMP)),
         bench.p(block.p(Index.TARGET)),
-        None if tables is None else tuple(tables),
+        tuple(None if values is None else tuple(values) for values in tables),
     )
 
 

@@ -5,25 +5,29 @@ import signal
 import socket
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from pmac_comp.base.clock import SystemClock
 from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import law_arming, law_install, law_upload
+from pmac_comp.machine.controller import law_arming, law_install, law_upload, motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.recovery import grouped
-from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings import Settings, read_axes
 from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import Way
 from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.test_f15_f22_controller import LineFault
 from tests.faults.test_f29_f30_killed import SocketEnd
@@ -31,10 +35,12 @@ from tests.faults.upload_bench import new_table, old_table
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
-OLD = LawParameters(A0=1.5, T0=100.0, T_LIMIT=500.0)
-NEW = LawParameters(A0=2.5, T0=150.0, T_LIMIT=500.0)
+OLD = LawParameters(A0=1.5, JL=1.0, T0=100.0, T_LIMIT=500.0)
+NEW = LawParameters(A0=2.5, JL=1.0, T0=150.0, T_LIMIT=500.0)
 OLD_PROGRAM = Program(ProgramKind.PROG, PROGRAM, ("LINEAR", "X1000", "DWELL5"))
 NEW_PROGRAM = Program(ProgramKind.PROG, PROGRAM, ("LINEAR", "X2000", "X3000", "DWELL5"))
+TIME_PROGRAM = Program(ProgramKind.PROG, CAM_PROGRAM, ("INC(Y)", "X0:0Y100:10", "DWELL5"))
+BENCH = load_bench("paper")
 COUNTER = Program(ProgramKind.PLC, 5, ("P100=P100+1",))
 
 
@@ -90,6 +96,22 @@ def cam_route(link: Link, context: Context) -> None:
         upload_tables(link, parts, [new_table(24)])
 
 
+def time_motor(link: Link, context: Context) -> None:
+    """The route ``cam`` as it is: time motor, both axes and program, then the table over time."""
+    table = replace(new_table(24), motor=8, source=8)
+    with grouped(link, context, "cam") as parts:
+        with untouched():
+            goal = cam_settings(BENCH, TIME_PROGRAM, read_axes(link))
+        change_settings(link, parts, goal, route="cam", motors=[1])
+        motors.enable(link, 8)
+        upload_tables(link, parts, [table])
+
+
+def with_axes(link: Link, context: Context) -> None:
+    del context
+    link.write_buffer(["UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "&1#8->4W", "I5190=500"])
+
+
 SCENARIOS = [
     Scenario("first law", installed, lambda k, c: law_upload.upload_law(k, c, NEW)),
     Scenario("law", armed, lambda k, c: law_upload.upload_law(k, c, NEW)),
@@ -109,6 +131,7 @@ SCENARIOS = [
     Scenario("remove law", loaded, law_install.remove_law),
     Scenario("law route", with_table, whole_route),
     Scenario("cam route", with_program, cam_route),
+    Scenario("time motor", with_axes, time_motor),
 ]
 
 
