@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
@@ -62,6 +63,7 @@ def dynamic_law(
         latency_cycles=LATENCY_CYCLES[route],
         with_torque=route in TORQUE_ROUTES,
         every_cycles=every_cycles,
+        gap=nut_gap(model),
         provenance=provenance,
         progress=progress,
     )
@@ -73,6 +75,25 @@ def dynamic_law(
     latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
     return replace(law, provenance={**law.provenance, "turn_explained": found.explained})
+
+
+def nut_gap(model: "DriveModel") -> tuple[float, LoopRunner] | None:
+    """Half the clearance of a model's nut in m and the loop without it; None without a gap.
+
+    A soft zone of the nut counts as the clearance that it has beyond the stiff spring.
+    """
+    half_m, rest = 0.0, without_turn(model)
+    for name in model.effects:
+        bare = split_name(name)[0]
+        if bare == "backlash":
+            half_m += 0.5 * model.parameters["backlash.gap_m"]
+        elif bare == "preload_loss":
+            soft = 1.0 - model.parameters["preload_loss.stiffness_ratio"]
+            half_m += soft * model.parameters["preload_loss.half_width_m"]
+        else:
+            continue
+        rest = rest.without_effect(name)
+    return (half_m, model_loop(rest)) if half_m > 0.0 else None
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":
@@ -119,11 +140,10 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
             "the law, nothing trims it, and the promise is the model's alone"
         )
     if any(split_name(name)[0] == "backlash" for name in model.effects):
-        mass = model.parameters.get("chain.table_mass_kg", math.inf)
-        limit = model.parameters.get("coulomb.guide_N", 0.0) / mass
+        gap_um = model.parameters["backlash.gap_m"] * UM_PER_M
         remarks.append(
-            "the model holds backlash: the law takes the gap up with the direction; above "
-            f"{limit:.2g} m/s2 inertia turns the flank earlier, and it is wrong by up to the gap"
+            f"the model holds backlash: the law takes {gap_um:.1f} um up as the force in the nut "
+            "turns; while the table crosses the gap freely the law is wrong by a part of it"
         )
     return remarks
 

@@ -26,7 +26,7 @@ _CAM_SPACING_CYCLES = 4  # of cam entries: linear between them is 0.6 % off at 2
 _CAM_FADE_FRAC = 0.02  # of the motion at both ends: a cam begins and ends at zero
 
 
-def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -> LawParameters:
+def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
     """Law of a bank in counts and servo cycles (SC).
 
     With K counts per m, T the servo period and q the torque of a DAC unit, a quantity per
@@ -62,7 +62,7 @@ def law_parameters(law: CompensationLaw, scales: Scales, *, revision: int = 0) -
         T_INV=1.0 / (law.torque_breakaway_m * K),
         T0=law.torque_constant_Nm / q,
         T_LIMIT=law.torque_limit_Nm / q,
-        REVISION=float(revision),
+        GH=law.gap_half_m * K,
     )
 
 

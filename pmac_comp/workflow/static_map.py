@@ -39,7 +39,8 @@ def static_map(
     NotIdentifiable
         The runs cover a part of the travel only, and ``limit`` is to refuse.
     """
-    removed = law.with_values(coulomb_m=0.0, coulomb_per_m=0.0) if route == "table" else law
+    none = dict.fromkeys(("coulomb_m", "coulomb_per_m", "gap_half_m"), 0.0)
+    removed = law.with_values(**none) if route == "table" else law
     lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench))
     covered = covered_m(bench, lead)
     if covered is None:

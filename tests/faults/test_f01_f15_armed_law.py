@@ -19,8 +19,8 @@ from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
-OLD = LawParameters(A0=1.5, T0=100.0, T_LIMIT=500.0)
-NEW = LawParameters(A0=2.5, T0=150.0, T_LIMIT=500.0)
+OLD = LawParameters(A0=1.5, JL=1.0, T0=100.0, T_LIMIT=500.0)
+NEW = LawParameters(A0=2.5, JL=1.0, T0=150.0, T_LIMIT=500.0)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
-    c = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s + J0 j
+    e = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s
+    c = e + GH e / (S0 / 5 + |e|) + J0 j                  the flank of a gap goes with the force
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = (r + LR v) KP                                     angle of the screw, degrees
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(NH p + PH)
@@ -44,7 +45,7 @@ be wound up against by the integrator and be wrong at the next start.
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Final
 
@@ -65,6 +66,8 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 RESTART_GAP_SC: Final = 16  # a pause of more cycles than this restarts the differences
 HEARTBEAT_OFF: Final = -1
 TORQUE_STATE_FADE: Final = 0.002  # per pass
+FLANK_FRAC: Final = 0.2  # of S0: over this much of the elastic correction the gap is crossed
+_OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
 
 
 class Index(IntEnum):
@@ -136,7 +139,7 @@ class BankIndex(IntEnum):
     TH = 23  # DAC units, cogging
     NH = 24  # orders per turn
     PH = 25  # degrees
-    REVISION = 26  # number of the law, from the host
+    GH = 26  # counts, half the clearance of the nut; with it S0 is positive
     SEALED = 27  # 20261 once the bank was read back
     CRC_HIGH = 28
     CRC_LOW = 29
@@ -224,15 +227,32 @@ class LawParameters:
     TH: float = 0.0
     NH: float = 0.0
     PH: float = 0.0
-    REVISION: float = field(default=0.0, compare=True)
+    GH: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT", "JL") if getattr(self, n) < 0.0]
+        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT", "JL", "GH") if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
+        idle = [n for n in _OF_ACCELERATION if getattr(self, n) != 0.0]
+        if idle and self.JL == 0.0:
+            raise ConfigError(
+                f"With a jerk limit JL of zero {', '.join(idle)} would correct nothing.",
+                code="PC-LAW-005",
+                hint="Set JL above the largest jerk of the motions, in counts per servo cycle^3.",
+            )
+        if self.GH > 0.0 and self.S0 <= 0.0:
+            raise ConfigError(
+                "GH needs a positive S0, which tells the flank of the gap.", code="PC-LAW-006"
+            )
+
+    def with_gap(self, elastic_ct: FloatArray) -> FloatArray:
+        """Elastic correction in counts with half the gap on the side to which the nut pushes."""
+        if self.GH == 0.0:
+            return elastic_ct
+        return elastic_ct * (1.0 + self.GH / (FLANK_FRAC * self.S0 + np.abs(elastic_ct)))
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """The 30 values of a bank, with seal and checksum unless ``sealed`` is False."""
@@ -263,7 +283,14 @@ class LawParameters:
                 code="PC-LAW-011",
                 hint="Upload the law again; somebody wrote into the block.",
             )
-        return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
+        try:
+            return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
+        except ConfigError as error:
+            raise VerifyMismatch(
+                f"The bank is sealed but holds no law of this version: {error}",
+                code="PC-LAW-012",
+                hint="Upload the law again.",
+            ) from error
 
     @property
     def digest(self) -> int:
@@ -335,12 +362,13 @@ def evaluate(
     r = finite_array("position_ct", position_ct)
     v = np.diff(r, prepend=r[0])
     a, j = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
-    x = r - p.X0
     start = dict(start_state or {})
     ahead = v + p.L1 * (a + 0.5 * p.L1 * j)
     s = _friction_state(ahead * p.S_INV, start.get("s", 0.0))
     t = _friction_state(ahead * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
-    c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s + p.J0 * j
+    x = r - p.X0
+    c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
+    c = p.with_gap(c) + p.J0 * j
     angle = (r + p.LR * v) * p.KP
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
@@ -169,7 +171,7 @@ def _refusals(
 def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParameters) -> float:
     """Step of the correction in counts when an axis at rest changes over where it stands.
 
-    At rest only the friction state is left of the law: (S0 + S1 x) s.
+    At rest only the friction state is left of the law: (S0 + S1 x) s, and the gap with it.
     """
     if not head.is_armed:
         return 0.0
@@ -177,7 +179,8 @@ def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParamete
     def at_rest(law: LawParameters | None) -> float:
         if law is None:
             return 0.0
-        value = (law.S0 + law.S1 * (head.position_ct - law.X0)) * head.friction_state
+        elastic = (law.S0 + law.S1 * (head.position_ct - law.X0)) * head.friction_state
+        value = float(law.with_gap(np.array([elastic]))[0])
         return max(-head.clamp_ct, min(head.clamp_ct, value))
 
     return head.gain * (at_rest(new) - at_rest(old))

@@ -45,6 +45,7 @@ _MECHANICAL_FRAC = 0.1
 _TOTAL_FRAC = 0.2
 _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
+LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
 _START_BREAKAWAY_m = 1.2e-6
 _DRIVE_DELAY_s = 1.2e-3  # of dead time and current loop: where the look-ahead starts from
 _JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
@@ -202,6 +203,7 @@ def design_law(
     latency_cycles: int = 1,
     with_torque: bool = True,
     every_cycles: int = 1,
+    gap: tuple[float, LoopRunner] | None = None,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
@@ -220,6 +222,9 @@ def design_law(
         Whether the route carries torque feed-forward.
     every_cycles : int
         Servo cycles between two passes of the law.
+    gap : (float, LoopRunner), optional
+        Half the nut's clearance in m and the loop of the model without it, which the regression
+        starts from.
     motions : sequence of Trajectory, optional
         Where the coefficients are refined; ``design_motions`` if not given.
     provenance : dict, optional
@@ -233,9 +238,12 @@ def design_law(
         The model gives no finite response.
     """
     chosen = tuple(motions or design_motions(bench))
-    start = _start(bench, loop, chosen, latency_cycles, with_torque=with_torque)
+    half_m, regular = gap or (0.0, loop)
+    start = _start(bench, regular, chosen, latency_cycles, with_torque=with_torque)
     start = replace(
         start,
+        gap_half_m=half_m,
+        coulomb_m=start.coulomb_m if half_m == 0.0 else max(start.coulomb_m, LEAST_COULOMB_m),
         every_cycles=every_cycles,
         lookahead_s=start.lookahead_s + (every_cycles - 1) * bench.servo_period_s,
         provenance=dict(provenance or {}),
@@ -344,10 +352,14 @@ def _refined(
     most: int = _MOST_STEPS,
 ) -> CompensationLaw:
     scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if start.torque_limit_Nm > 0.0 else {})}
+    lower = dict(_LOWEST)
+    if start.gap_half_m > 0.0:
+        scales["gap_half_m"] = 1e-6
+        lower |= {"gap_half_m": 0.0, "coulomb_m": LEAST_COULOMB_m}
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size
-    lowest = np.array([_LOWEST.get(name, -np.inf) for name in names]) / size
+    lowest = np.array([lower.get(name, -np.inf) for name in names]) / size
     aims = [_aims(loop, motion) for motion in motions]
     count = 0
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 
@@ -70,6 +70,8 @@ def trimmed_law(
         name: getattr(law, name) - float(change)
         for name, change in zip(_TERMS, found / scale, strict=True)
     }
+    if law.gap_half_m > 0.0:
+        values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
     return replace(law, **values), explained
 
 

@@ -24,6 +24,7 @@ LAW = CompensationLaw(
     breakaway_m=5e-6,
     lookahead_s=1.8e-3,
     jerk_limit_m_per_s3=40.0,
+    gap_half_m=2.5e-6,
     torque_inertia_Nm_s2_per_m=0.01,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_viscous_Nm_s_per_m=0.1,
@@ -60,8 +61,8 @@ def test_law_in_counts_gives_the_same_correction_and_torque() -> None:
         law_parameters(LAW, scales), SINE.position_m / scales.motor_m_per_ct, clamp_ct=60.0
     )
     back_m = there.correction_ct * scales.motor_m_per_ct
-    # The bank holds nine digits.
-    assert np.max(np.abs(back_m - here.correction_m)) < 1e-10
+    # The bank holds nine digits and ten decimals, and a gap is steep where the flank turns.
+    assert np.max(np.abs(back_m - here.correction_m)) < 2e-9
     assert np.max(np.abs(there.torque_dac * scales.torque_Nm_per_dac - here.torque_Nm)) < 1e-6
 
 
@@ -85,6 +86,28 @@ def test_offset_state_holds_at_rest_and_torque_state_fades() -> None:
     got = evaluate_law(law, move.position_m, PERIOD)
     assert got.correction_m[-1] == pytest.approx(1e-6, rel=1e-3)
     assert abs(got.torque_Nm[-1]) < 0.02
+
+
+def test_gap_is_taken_up_with_the_force_and_not_with_the_velocity() -> None:
+    t = np.arange(0.0, 1.0, PERIOD)
+    position = 0.02 * np.cos(2.0 * np.pi * 2.0 * t)
+    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6)
+    plain = evaluate_law(law, position, PERIOD).correction_m
+    with_gap = evaluate_law(law.with_values(gap_half_m=2.5e-6), position, PERIOD).correction_m
+    flank = (with_gap - plain) / 2.5e-6
+    # Braking with 3.1 m/s2 at most, six times the friction: the flank turns long before the end.
+    clear = np.abs(plain) > 1e-6
+    assert np.all(np.sign(flank[clear]) == np.sign(plain[clear]))
+    assert np.all(np.abs(flank[clear]) > 0.8)
+    still_forward = (np.gradient(position) > 1e-7) & (plain < -1e-6)
+    assert np.all(flank[still_forward] < 0.0)
+    assert np.count_nonzero(still_forward) > 0.15 * t.size
+
+
+@pytest.mark.parametrize("coulomb_m", [0.0, -1e-6])
+def test_gap_without_friction_that_tells_its_flank_is_refused(coulomb_m: float) -> None:
+    with pytest.raises(ModelError, match="flank"):
+        CompensationLaw(gap_half_m=2e-6, coulomb_m=coulomb_m)
 
 
 def test_motion_the_other_way_gives_the_opposite() -> None:
@@ -165,9 +188,11 @@ def test_motions_with_limited_jerk_never_meet_the_limit() -> None:
 
 
 def test_a_law_that_runs_every_second_cycle_holds_its_values() -> None:
-    every = evaluate_law(LAW.with_values(every_cycles=2), SINE.position_m, PERIOD)
+    # The flank of a gap is a step, which half a cycle of delay does not leave small.
+    law = LAW.with_values(gap_half_m=0.0)
+    every = evaluate_law(law.with_values(every_cycles=2), SINE.position_m, PERIOD)
     assert np.array_equal(every.torque_Nm[0:-1:2], every.torque_Nm[1::2])
-    each = evaluate_law(LAW, SINE.position_m, PERIOD)
+    each = evaluate_law(law, SINE.position_m, PERIOD)
     moving = np.abs(np.gradient(SINE.position_m, PERIOD)) > 0.05
     # Away from reversals it is the same law, late by half a cycle on average.
     assert np.max(np.abs(every.correction_m - each.correction_m)[moving]) < 0.3e-6

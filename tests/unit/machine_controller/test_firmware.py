@@ -99,7 +99,7 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
 LAW = LawParameters(
     A0=11.3, A1=2e-6, V0=0.0087, V1=1e-8, S0=0.93, S1=8e-7, X0=1000.0, S_INV=0.05,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
-    TE=0.9, T_LIMIT=9000.0, KP=0.036, LR=3.0, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
+    GH=2.5, TE=0.9, T_LIMIT=9000.0, KP=0.036, LR=3.0, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
 )  # fmt: skip
 
 
@@ -186,7 +186,9 @@ def find_shift(a: np.ndarray, b: np.ndarray) -> int:
 def test_plc_form_clamps_and_limits_by_itself(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
-    wild = LawParameters(A0=5000.0, V0=3.0, S0=20.0, S_INV=0.05, TC=30000.0, T_INV=1, T_LIMIT=300)
+    wild = LawParameters(
+        A0=5000.0, V0=3.0, S0=20.0, S_INV=0.05, TC=30000.0, T_INV=1, T_LIMIT=300, JL=1.0
+    )
     result = run_with_law(bench, wild)
     assert np.max(np.abs(result.raw["word"])) <= 60 * 1024 + 1
     assert law_state.read_law_head(bench.link, LawBlock()).n_clamped > 0

@@ -17,7 +17,13 @@ from pmac_comp.machine.controller.comp_table import (
     parse_entries,
     parse_header,
 )
-from pmac_comp.machine.controller.law_bank import BankIndex, LawBlock, LawParameters
+from pmac_comp.machine.controller.law_bank import (
+    SEAL,
+    BankIndex,
+    LawBlock,
+    LawParameters,
+    bank_crc,
+)
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, plan, read_tables
 from tests.unit.machine_controller.card_bench import CardBench
@@ -126,7 +132,7 @@ def test_the_card_moves_by_what_the_table_says(tmp_path: Path, by_desired: bool)
 
 
 def test_bank_survives_and_its_seal_does_not_lie() -> None:
-    law = LawParameters(A0=11.123456789123, S_INV=1e-9, X0=-123456.789, T_LIMIT=5, REVISION=7)
+    law = LawParameters(A0=11.123456789123, S_INV=1e-9, X0=-123456.789, T_LIMIT=5, JL=7)
     assert law.A0 == 11.1234568
     values = law.values()
     assert LawParameters.from_values(values) == law
@@ -137,6 +143,23 @@ def test_bank_survives_and_its_seal_does_not_lie() -> None:
             LawParameters.from_values(broken)
     with pytest.raises(VerifyMismatch, match="not sealed"):
         LawParameters.from_values(law.values(sealed=False))
+
+
+@pytest.mark.parametrize("name", ["A0", "A1", "J0", "TJ", "TK", "TE"])
+def test_terms_that_a_jerk_limit_of_zero_would_silence_are_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"limit JL of zero {name} would correct nothing"):
+        LawParameters(**{name: 1.0})
+    assert not LawParameters(**{name: 1.0, "JL": 1.0}).is_null
+
+
+def test_sealed_bank_that_is_no_law_is_not_taken_for_one() -> None:
+    values = list(LawParameters(A0=1.0, JL=1.0).values(sealed=False))
+    values[BankIndex.JL] = 0.0
+    crc = bank_crc(values)
+    values[BankIndex.SEALED] = SEAL
+    values[BankIndex.CRC_HIGH], values[BankIndex.CRC_LOW] = crc >> 16, crc & 0xFFFF
+    with pytest.raises(VerifyMismatch, match="no law of this version"):
+        LawParameters.from_values(values)
 
 
 def test_block_addresses() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.dynamic_law import drive_delay_s, without_turn
+from pmac_comp.workflow.dynamic_law import drive_delay_s, nut_gap, without_turn
 
 BENCH = load_bench("paper")
 
@@ -28,3 +28,15 @@ def test_delays_that_a_diagnosis_found_are_those_of_the_law() -> None:
     soft = base.with_effect("current_bandwidth", {"bandwidth_Hz": 100.0})
     lag_s = 1.0 / (200.0 * math.pi) - 1.0 / (600.0 * math.pi)
     assert drive_delay_s(soft) - drive_delay_s(base) == pytest.approx(lag_s)
+
+
+def test_gap_of_a_grown_model_is_that_of_backlash_or_of_the_soft_zone() -> None:
+    base = DriveModel.base(BENCH)
+    assert nut_gap(base) is None
+    found = nut_gap(base.with_effect("backlash", {"gap_m": 5e-6}))
+    assert found is not None
+    assert found[0] == pytest.approx(2.5e-6)
+    soft = {"half_width_m": 4e-6, "stiffness_ratio": 0.25}
+    found = nut_gap(base.with_effect("preload_loss", soft))
+    assert found is not None
+    assert found[0] == pytest.approx(3e-6)

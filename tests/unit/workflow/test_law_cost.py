@@ -37,5 +37,5 @@ def test_what_a_law_lacks_is_said() -> None:
     assert "--captures" in text
     assert law_remarks(model, "law", has_captures=True) == []
     (text,) = law_remarks(model.with_effect("backlash"), "law", has_captures=True)
-    assert "up to the gap" in text
+    assert "takes 3.0 um up as the force" in text
     assert law_remarks(model, "table", has_captures=False) == []
