@@ -27,7 +27,7 @@ from pmac_comp.machine.controller.comp_table import CompTable, TableKind, same_o
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.motion import wait_for_end
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import (
     AxisDefinitions,
     Settings,
@@ -106,7 +106,7 @@ def render_cam(compensation: Compensation, bench: Bench) -> Cam:
     check_motion(known, bench)
     shape = cam_shape(position.size, bench)
     lines = _program_lines(pvt_program(known, bench), shape, bench.servo_period_s)
-    program = Program(ProgramKind.PROG, CAM_PROGRAM, lines)
+    program = programs.sealed_motion(CAM_PROGRAM, lines)
     return Cam(known, cam_table(correction, bench), program, shape)
 
 

@@ -18,7 +18,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import gather, programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
@@ -88,7 +88,8 @@ def draw_motion(compensation: Compensation, bench: Bench) -> DrawnMotion:
     drawn = with_offset(motion, correction)
     check_motion(drawn, bench)
     pvt = pvt_program(drawn, bench)
-    program = Program(ProgramKind.PROG, COMPENSATED_PROGRAM, ("DWELL100", *pvt.lines, "DWELL50"))
+    lines = ("DWELL100", *pvt.lines, "DWELL50")
+    program = programs.sealed_motion(COMPENSATED_PROGRAM, lines)
     rounding = pvt.rounding_ct * bench.motor_resolution_m * UM_PER_M
     return DrawnMotion(motion, drawn, program, pvt.shape_error_m * UM_PER_M, rounding)
 

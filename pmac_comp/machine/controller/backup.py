@@ -17,13 +17,12 @@ from pmac_comp.base.errors import (
     RemoteProtocolError,
     VerifyMismatch,
 )
-from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
-from pmac_comp.machine.controller.settings import plc_runs, read_axes
+from pmac_comp.machine.controller.settings import plc_runs, read_axes, read_body
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 
@@ -171,10 +170,9 @@ def _read_programs(link: Link) -> Iterator[Program]:
     numbers = sorted({w & 0xFFFF for w in words if w & 0xFFFF})
     for kind, group in ((ProgramKind.PLC, range(32)), (ProgramKind.PROG, numbers)):
         for number in group:
-            lines = programs.listing(link, kind, number) or []
-            body = [line for line in lines if line.strip().upper() not in {"RETURN", "RET"}]
+            body = read_body(link, kind, number)
             if body:
-                yield Program(kind, number, tuple(body))
+                yield Program(kind, number, body)
 
 
 def write_backup(path: Path, backup: Backup) -> None:

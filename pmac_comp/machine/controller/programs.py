@@ -99,6 +99,18 @@ class Program:
         return ["CLOSE", f"OPEN {self.name}", "CLEAR", *self.lines, "CLOSE", "CLOSE"]
 
 
+def sealed_motion(number: int, lines: Sequence[str]) -> Program:
+    """Motion program that moves nothing before its last line is there.
+
+    The first statement jumps to the last, which jumps back to the body. Cut short and closed by
+    hand the program stops at its start with run-time error 6, missing label (Turbo PMAC Software
+    Reference Manual, code in Y:$2014 of coordinate system 1).
+    """
+    body, seal = 1, 2
+    text = (f"GOTO{seal}", f"N{body}", *lines, "RETURN", f"N{seal}", f"GOTO{body}")
+    return Program(ProgramKind.PROG, number, text)
+
+
 @dataclass(frozen=True)
 class Source:
     """A file of on-line commands and at most a few programs, in order.

@@ -104,7 +104,7 @@ class Settings:
 
 def read_settings(link: Link, like: Settings) -> Settings:
     """The same items as ``like`` has, as they stand on the card."""
-    found = {kind_number: _body(link, *kind_number) for kind_number in like.programs}
+    found = {kind_number: read_body(link, *kind_number) for kind_number in like.programs}
     return Settings(
         dict(zip(like.variables, _ask(link, list(like.variables)), strict=True)),
         dict(zip(like.definitions, _ask(link, [f"M{n}->" for n in like.definitions]), strict=True)),
@@ -128,7 +128,8 @@ def _ask(link: Link, names: Sequence[str]) -> list[str]:
     return answers
 
 
-def _body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
+def read_body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
+    """Statements of a buffer as listed, none for an empty one; a RETURN within it stays."""
     lines = [line.strip() for line in programs.listing(link, kind, number) or []]
     while lines and lines[-1].upper() in {"RETURN", "RET"}:
         lines.pop()  # CLOSE adds it
