@@ -112,6 +112,8 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
     raise_all(double_corrections(axis, context, compensation), "The upload")
+    if tables:
+        notes += law_install.install_guard(axis.link, context)
     _set_take_up(axis, context, tables)
     if compensation.route == "cam":
         parts.append(_deploy_cam(axis, compensation, context, tables))
@@ -153,14 +155,18 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
 
 
 def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
-    """PLC programs that an upload of a law would write; none where they stand already."""
-    if route != "law":
-        return []
-    wanted = (
-        law_install.law_program(context.block, axis.motor),
-        law_install.guard_program(context.block),
-    )
-    missing = [p for p in wanted if not programs.is_present(axis.link, p)]
+    """PLC programs that an upload would write; none where they stand already."""
+    if route == "law":
+        wanted = (
+            law_install.law_program(context.block, axis.motor),
+            law_install.guard_program(context.block),
+        )
+        return _download_lines([p for p in wanted if not programs.is_present(axis.link, p)])
+    _, guard = law_install.guard_settings(axis.link, context)
+    return _download_lines([programs.Program(*key, body) for key, body in guard.programs.items()])
+
+
+def _download_lines(missing: Sequence[programs.Program]) -> list[str]:
     return [
         line
         for program in missing

@@ -10,7 +10,7 @@ from typing import Any
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
-from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller import law_install, motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.upload import TableUpload
@@ -99,6 +99,9 @@ def preview(
         lines += plan.lines
         refusals += [r for r in plan.refusals if not _settled_by_moving(r, axis)]
         text += _table_lines(plan, url)
+        if tables and compensation.route != "law":
+            lines += program_lines(axis, context, compensation.route)
+            text += _guard_lines(axis, context)
         text += _motion_lines(axis)
     if compensation.route == "cam":
         text += _cam_lines(axis, compensation)
@@ -137,6 +140,15 @@ def _table_lines(plan: UploadPlan, url: str) -> list[str]:
         "written and read back"
         + (f"; that concerns {', '.join(others)} as well" if others else ""),
     ]
+
+
+def _guard_lines(axis: Axis, context: Context) -> list[str]:
+    refusal, goal = law_install.guard_settings(axis.link, context)
+    if refusal:
+        return [f"  {refusal}"]
+    if goal.is_empty:
+        return []
+    return ["  guard: PLC 1 comes onto the controller; it keeps half-written tables off"]
 
 
 def _off_s(url: str, characters: int) -> float:

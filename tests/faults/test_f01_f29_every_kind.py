@@ -107,6 +107,13 @@ def time_motor(link: Link, context: Context) -> None:
         upload_tables(link, parts, [table])
 
 
+def guarded_table(link: Link, context: Context) -> None:
+    """The route ``table``: the guard PLC, then the tables."""
+    with grouped(link, context, "table") as parts:
+        law_install.install_guard(link, parts)
+        upload_tables(link, parts, [new_table(24)])
+
+
 def with_axes(link: Link, context: Context) -> None:
     del context
     link.write_buffer(["UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "&1#8->4W", "I5190=500"])
@@ -131,6 +138,7 @@ SCENARIOS = [
     Scenario("remove law", loaded, law_install.remove_law),
     Scenario("law route", with_table, whole_route),
     Scenario("cam route", with_program, cam_route),
+    Scenario("guarded table", with_table, guarded_table),
     Scenario("time motor", with_axes, time_motor),
 ]
 

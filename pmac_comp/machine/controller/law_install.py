@@ -5,6 +5,7 @@ that leaves everything as it was if it does not end. What may not: coefficients 
 the gain (``law_arming``).
 """
 
+from dataclasses import replace
 from typing import Final
 
 from pmac_comp.base.errors import (
@@ -38,7 +39,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.settings import Settings, read_settings
-from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_many, same_value
@@ -123,6 +124,57 @@ def install_law(
         upload.check(lambda: _require_life(link, context))
         upload.finish()
     return done
+
+
+GUARD_DEFINITION: Final = 7007  # the card's clock, in 1/1024 s
+
+
+def install_guard(link: Link, context: Context) -> tuple[str, ...]:
+    """Put the guard PLC beside tables, so that the card itself keeps half-written ones off.
+
+    A PLC 1 of somebody else stays; without the guard tables that another client enables during an
+    upload act until the upload's next step finds them.
+
+    Returns
+    -------
+    tuple of str
+        What was done, or why not, for a person.
+
+    Raises
+    ------
+    VerifyMismatch
+        It does not list back as sent; what stood before was put back.
+    """
+    with untouched():
+        refusal, goal = guard_settings(link, context)
+    if refusal or goal.is_empty:
+        return (refusal,) if refusal else ()
+    change_settings(link, context, goal, route="guard")
+    i5 = parse_integer(link.query("I5")[0])
+    held = "" if i5 & 2 else f", but I5 = {i5} holds background PLCs: it does not run"
+    return (f"the guard (PLC 1) was written and listed back{held}",)
+
+
+def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
+    """Why the guard does not go onto the card, and what is missing of it; nothing is changed."""
+    guard, definition = guard_program(context.block), f"M{GUARD_DEFINITION}"
+    asked = Settings({}, {GUARD_DEFINITION: definitions(1)[GUARD_DEFINITION]}, {GUARD: ()})
+    found = read_settings(link, asked)
+    stands = programs.canonical(found.programs[GUARD])
+    if stands == guard.tokens and 1 in found.running:
+        return "", Settings()
+    if stands and stands[0] != guard.tokens[0]:
+        return (
+            "PLC 1 holds another program, so the guard was not installed: tables that another "
+            "client enables during an upload are found at its next step only"
+        ), Settings()
+    defined = found.definitions[GUARD_DEFINITION].upper().replace(" ", "")
+    if defined not in {"*", asked.definitions[GUARD_DEFINITION]}:
+        return (
+            f"{definition} is defined as {defined}, so the guard was not installed: it needs "
+            f"{asked.definitions[GUARD_DEFINITION]} there"
+        ), Settings()
+    return "", replace(asked, programs={GUARD: guard.lines}, running=frozenset({1}))
 
 
 def _missing(
