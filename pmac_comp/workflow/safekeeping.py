@@ -46,6 +46,7 @@ def backup_to_file(
     return {
         "file": out,
         "summary": f"{len(stored.ivariables)} I, {len(stored.pvariables)} P, "
+        f"{len(stored.qvariables)} Q, "
         f"{len(stored.definitions)} M, {len(stored.programs)} programs, "
         f"{len(stored.tables)} tables",
         "identity": stored.identity,

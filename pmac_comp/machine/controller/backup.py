@@ -28,6 +28,7 @@ from pmac_comp.machine.controller.table_set import TableSet, read_tables
 
 VARIABLES: Final = 8192
 STEP: Final = 64
+Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin within it
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
 N_PROGRAMS: Final = 224
 SYSTEMS: Final = 16
@@ -48,8 +49,8 @@ class Backup:
     ----------
     identity : dict
         Who it was.
-    ivariables, pvariables : dict of int to str
-        Values as printed.
+    ivariables, pvariables, qvariables : dict of int to str
+        Values as printed; Q in the window of coordinate system 1, which begins with the pool.
     definitions : dict of int to str
         M-variable definitions.
     axes : tuple of (int, int, str)
@@ -73,6 +74,7 @@ class Backup:
     tables: TableSet = field(default_factory=TableSet)
     enabled: bool = False
     running: frozenset[int] = frozenset()
+    qvariables: dict[int, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """For the file."""
@@ -81,6 +83,7 @@ class Backup:
             "identity": self.identity,
             "i": {str(k): v for k, v in self.ivariables.items()},
             "p": {str(k): v for k, v in self.pvariables.items()},
+            "q": {str(k): v for k, v in self.qvariables.items()},
             "m": {str(k): v for k, v in self.definitions.items()},
             "axes": [list(a) for a in self.axes],
             "programs": [
@@ -114,6 +117,7 @@ def read_backup(
     link: Link,
     *,
     p_range: tuple[int, int] = (0, VARIABLES - 1),
+    with_q: bool = True,
     progress: Progress = silent,
 ) -> Backup:
     """Read the whole configuration; nothing is changed.
@@ -124,18 +128,22 @@ def read_backup(
         Conversation.
     p_range : (int, int)
         First and last P-variable to keep.
+    with_q : bool
+        Whether Q-variables are read.
     progress : callable
         Told of each part.
     """
     identity = read_identity(link)
     i_values = _read_range(link, "I", 0, VARIABLES - 1, "", progress)
     p_values = _read_range(link, "P", *p_range, "", progress)
+    q_values = _read_range(link, Q_WINDOW, 0, VARIABLES - 1, "", progress) if with_q else {}
     definitions = _read_range(link, "M", 0, VARIABLES - 1, "->", progress)
     found = tuple(_read_programs(link))
     return Backup(
         identity=dict(identity.as_dict()),
         ivariables={n: v for n, v in i_values.items() if n not in TIMERS},
         pvariables=p_values,
+        qvariables=q_values,
         definitions=definitions,
         axes=read_axes(link),
         programs=found,
@@ -206,6 +214,8 @@ def _from_dict(data: Mapping[str, object]) -> Backup:
         identity=dict(data["identity"]),  # type: ignore[call-overload]
         ivariables=numbered("i"),
         pvariables=numbered("p"),
+        # Backups of earlier versions have none.
+        qvariables=numbered("q") if "q" in data else {},
         definitions=numbered("m"),
         axes=tuple(axes),
         programs=tuple(found),
@@ -216,11 +226,13 @@ def _from_dict(data: Mapping[str, object]) -> Backup:
 
 
 def compare(before: Backup, after: Backup, *, with_p: bool = False) -> tuple[Difference, ...]:
-    """What differs between two backups; P-variables live and are compared only on request."""
+    """What differs between two backups; P and Q live and are compared only on request."""
     found = list(_differences("I", before.ivariables, after.ivariables))
     found += _differences("M", before.definitions, after.definitions, suffix="->")
     if with_p:
         found += _differences("P", before.pvariables, after.pvariables)
+        if before.qvariables and after.qvariables:
+            found += _differences(Q_WINDOW, before.qvariables, after.qvariables)
     found += _differences("", _axes(before), _axes(after))
     found += _differences("", _programs(before), _programs(after))
     for table in {*before.tables, *after.tables}:

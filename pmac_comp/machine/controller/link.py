@@ -3,7 +3,7 @@
 ``machine.client.commander.Commander`` is the one in use; tests put a scripted peer in its place.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from pmac_comp.base.clock import Clock
@@ -28,8 +28,13 @@ class Link(Protocol):
         """
         ...
 
-    def write_buffer(self, lines: Sequence[str]) -> None:
-        """Send many lines in packets; raises CommandRefused naming the line that was refused."""
+    def write_buffer(
+        self, lines: Sequence[str], *, progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """Send many lines in packets; ``progress`` hears of lines done and in all after each.
+
+        Raises CommandRefused naming the line that was refused.
+        """
         ...
 
     def get_memory(self, offset: int, n_bytes: int) -> bytes:

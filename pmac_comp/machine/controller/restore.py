@@ -6,6 +6,7 @@ from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, Sa
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.backup import (
     NOT_RESTORED,
+    Q_WINDOW,
     Backup,
     Difference,
     Progress,
@@ -63,7 +64,7 @@ def restore(
         if not other_card:
             _refuse_other_card(read_identity(link), backup)
         refusals = _enabled_motors(link)
-        present = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+        present = _read_like(link, backup, progress)
     with grouped(link, context, "restore") as parts:
         goal = _goal(present, backup, context)
         with SettingsUpload(
@@ -79,8 +80,18 @@ def restore(
             check_limits=False,
         ) as tables:
             result = tables.execute()
-    after = read_backup(link, p_range=_span(backup.pvariables), progress=progress)
+    after = _read_like(link, backup, progress)
     return result, compare(backup, after)
+
+
+def _read_like(link: Link, backup: Backup, progress: Progress) -> Backup:
+    """What stands of the variables that the backup has."""
+    return read_backup(
+        link,
+        p_range=_span(backup.pvariables),
+        with_q=bool(backup.qvariables),
+        progress=progress,
+    )
 
 
 def _enabled_motors(link: Link) -> list[SafetyRefusal]:
@@ -136,6 +147,9 @@ def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
         for n, v in backup.pvariables.items()
         # Manifest and lease belong to the upload that runs now.
         if n not in ours and present.pvariables.get(n) != v
+    }
+    variables |= {
+        f"{Q_WINDOW}{n}": v for n, v in backup.qvariables.items() if present.qvariables.get(n) != v
     }
     differing = {n: v for n, v in backup.definitions.items() if present.definitions.get(n) != v}
     bodies = {(p.kind, p.number): p.lines for p in backup.programs}

@@ -7,7 +7,7 @@ empty buffer.
 
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -102,21 +102,30 @@ class Settings:
             raise ConfigError(f"Stored settings are not understood: {error}.") from error
 
 
-def read_settings(link: Link, like: Settings) -> Settings:
-    """The same items as ``like`` has, as they stand on the card."""
+Alive = Callable[[], None]
+
+
+def quiet() -> None:
+    """Nothing to be done between two requests."""
+
+
+def read_settings(link: Link, like: Settings, *, between: Alive = quiet) -> Settings:
+    """The same items as ``like`` has, as they stand; ``between`` is called between requests."""
+    definitions = [f"M{n}->" for n in like.definitions]
     found = {kind_number: read_body(link, *kind_number) for kind_number in like.programs}
     return Settings(
-        dict(zip(like.variables, _ask(link, list(like.variables)), strict=True)),
-        dict(zip(like.definitions, _ask(link, [f"M{n}->" for n in like.definitions]), strict=True)),
+        dict(zip(like.variables, _ask(link, list(like.variables), between), strict=True)),
+        dict(zip(like.definitions, _ask(link, definitions, between), strict=True)),
         found,
         None if like.axes is None else read_axes(link),
         frozenset(n for (kind, n), body in found.items() if _is_running(link, kind, n, body)),
     )
 
 
-def _ask(link: Link, names: Sequence[str]) -> list[str]:
+def _ask(link: Link, names: Sequence[str], between: Alive) -> list[str]:
     answers: list[str] = []
     for group in batches(names):
+        between()
         lines = link.query(" ".join(group))
         if len(lines) != len(group):
             raise RemoteProtocolError(
@@ -218,7 +227,12 @@ def _plain_definition(text: str) -> str:
 
 
 def write_settings(
-    link: Link, present: Settings, goal: Settings, *, skip_refused: bool = False
+    link: Link,
+    present: Settings,
+    goal: Settings,
+    *,
+    skip_refused: bool = False,
+    between: Alive = quiet,
 ) -> tuple[str, ...]:
     """Bring the card from ``present`` to ``goal``; PLCs that change are held meanwhile.
 
@@ -230,6 +244,8 @@ def write_settings(
         As they stand, and as they shall be.
     skip_refused : bool
         Leave out variables and definitions that the card refuses (a backup of another firmware).
+    between : callable
+        Called between requests while no buffer is open, to renew a lease.
 
     Returns
     -------
@@ -252,8 +268,10 @@ def write_settings(
         link.write_buffer(["CLOSE"])
     if plcs:
         link.write_buffer([f"DISABLE PLC {n}" for n in plcs])
-    refused = _send(link, setting_lines(present, goal), skip_refused=skip_refused)
+    lines = setting_lines(present, goal)
+    refused = _send(link, lines, between, skip_refused=skip_refused)
     for (kind, number), body in changed.items():
+        between()
         if body:
             programs.download(link, Program(kind, number, body))
         else:
@@ -282,11 +300,13 @@ def setting_lines(present: Settings, goal: Settings) -> list[str]:
     return lines
 
 
-def _send(link: Link, lines: Sequence[str], *, skip_refused: bool) -> tuple[str, ...]:
+def _send(
+    link: Link, lines: Sequence[str], between: Alive, *, skip_refused: bool
+) -> tuple[str, ...]:
     rest, refused = list(lines), []
     while rest:
         try:
-            link.write_buffer(rest)
+            link.write_buffer(rest, progress=lambda _done, _total: between())
         except CommandRefused as error:
             if not skip_refused:
                 raise
@@ -309,9 +329,9 @@ def _one_by_one(link: Link, lines: Sequence[str]) -> list[str]:
     return refused
 
 
-def require_settings(link: Link, goal: Settings) -> None:
+def require_settings(link: Link, goal: Settings, *, between: Alive = quiet) -> None:
     """Read everything back; raises VerifyMismatch naming what differs."""
-    wrong = differences(goal, read_settings(link, goal))
+    wrong = differences(goal, read_settings(link, goal, between=between))
     if wrong:
         raise VerifyMismatch(
             f"{len(wrong)} setting(s) do not stand as written: {'; '.join(wrong[:5])}.",

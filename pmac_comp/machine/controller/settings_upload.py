@@ -130,7 +130,7 @@ class SettingsUpload:
             present = self.old
             if first is not None:
                 first()
-                present = read_settings(self.link, self.goal)
+                present = read_settings(self.link, self.goal, between=change.keep_lease)
             self._write(present)
 
     def _look(self) -> list[SafetyRefusal]:
@@ -143,13 +143,13 @@ class SettingsUpload:
 
     def _write(self, present: Settings) -> None:
         self.context.progress("write", 0, 2)
+        keep = self._change.keep_lease
         self.refused = write_settings(
-            self.link, present, self.goal, skip_refused=self._skip_refused
+            self.link, present, self.goal, skip_refused=self._skip_refused, between=keep
         )
-        self._change.keep_lease()
         self.context.progress("write", 1, 2)
         if not self._skip_refused:
-            require_settings(self.link, self.goal)
+            require_settings(self.link, self.goal, between=keep)
         self.context.progress("write", 2, 2)
 
     def check(self, proof: Callable[[], None]) -> None:

@@ -18,6 +18,7 @@ from pmac_comp.machine.controller import (
     restore,
     settings_upload,
     sign_check,
+    transaction,
     upload,
     variables,
 )
@@ -176,7 +177,7 @@ EVERYTHING = [
 def filled(folder: Path) -> CardBench:
     """A card with something of every kind that a backup holds."""
     bench = CardBench(folder)
-    bench.link.write_buffer(EVERYTHING)
+    bench.link.write_buffer([*EVERYTHING, "&1Q7=3.25"])
     programs.download(
         bench.link, Program(ProgramKind.PLC, 4, ("IF(P100>3)", "P102=SIN(P101)*2", "ENDIF"))
     )
@@ -197,10 +198,11 @@ def test_backup_of_everything_comes_back_token_by_token(tmp_path: Path) -> None:
     bench = filled(tmp_path)
     stored = backup.read_backup(bench.link, p_range=(100, 110))
     assert stored.running == {4}
+    assert (stored.qvariables[7], len(stored.qvariables)) == ("3.25", 8192)
     assert {t.kind for t in stored.tables} == {t.kind for t in upload_kinds()}
     bench.link.write_buffer(
         ["M500->*", "M600->*", "I8000=0", "I5001=0", "I5049=0",
-         "I130=1", "P100=0", "P101=7", "UNDEFINE ALL", "I122=2"]
+         "I130=1", "P100=0", "P101=7", "UNDEFINE ALL", "I122=2", "&1Q7=-1", "&1Q8191=2"]
     )  # fmt: skip
     programs.delete(bench.link, ProgramKind.PLC, 4)
     programs.delete(bench.link, ProgramKind.PROG, 20)
@@ -212,10 +214,23 @@ def test_backup_of_everything_comes_back_token_by_token(tmp_path: Path) -> None:
     assert remaining == ()
     found = backup.read_backup(bench.link, p_range=(100, 110))
     assert backup.compare(stored, found, with_p=True) == ()
+    assert bench.link.query("&1Q7 Q8191") == ["3.25", "0"]
     assert found.running == {4}
     # And the whole of it can be taken back.
     recovery.rollback_last(bench.link, bench.context)
     assert backup.compare(before, backup.read_backup(bench.link, p_range=(100, 110))) == ()
+
+
+def test_long_restore_renews_its_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = filled(tmp_path)
+    stored = backup.read_backup(bench.link, p_range=(100, 2000))
+    bench.link.write_buffer([f"P{n}=1" for n in range(110, 2000)])
+    monkeypatch.setattr(transaction, "LEASE_s", 0.05)
+    ends: list[float] = []
+    bench.on_request = lambda _n: ends.append(bench.p(7081)) if bench.p(7080) else None
+    restore.restore(bench.link, bench.context, stored)
+    # Taken once for the settings and once for the tables; all others are renewals.
+    assert len(set(ends)) > 5
 
 
 def upload_kinds() -> tuple[CompTable, BacklashTable, TorqueTable]:
