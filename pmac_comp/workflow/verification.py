@@ -154,6 +154,6 @@ def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
         return ()
     return (
         f"the reversal value at rest grew from {before * UM_PER_M:.2f} to {after * UM_PER_M:.2f} "
-        "um: the wind-up that friction leaves while the axis moves relaxes when it rests, the "
-        "correction does not",
+        "um: the correction holds the screw's wind-up, which rest does not relieve; what is left "
+        "is the motor's own stop within its friction, which had cancelled the wind-up before",
     )

@@ -21,6 +21,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 
 _REVERSAL_CLEARANCE_m = 0.2e-3  # samples closer than this to a reversal carry the friction step
 _LEAST_SPEED_m_per_s = 1e-3
+_KERNEL = np.array([-1.0, 4.0, 10.0, 4.0, -1.0]) / 16.0  # passes cubics, stops alternation
 _COVERED = 0.9  # share of the knots that both directions must have seen
 
 
@@ -101,10 +102,22 @@ def lead_map(
         raise _uncovered(f"both directions cover only {100 * np.mean(seen):.0f} % of the range")
     up = np.interp(knots, knots[seen], up[seen])
     down = np.interp(knots, knots[seen], down[seen])
-    mean = 0.5 * (up + down)
+    mean = _smooth(0.5 * (up + down))
     zero = 0.0 if knots[0] <= 0.0 <= knots[-1] else float(np.median(knots))
     mean -= np.interp(zero, knots, mean)
     return LeadMap(knots, mean, up - down, noise)
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    """Without what alternates from knot to knot: cogging's ripple at the speed of the run.
+
+    Of a wobble with twenty knots per turn it leaves 99.9 %, of its second order 99 %.
+    """
+    if values.size < _KERNEL.size:
+        return values
+    side = _KERNEL.size // 2
+    padded = np.pad(values, side, mode="reflect", reflect_type="odd")
+    return np.asarray(np.convolve(padded, _KERNEL, mode="valid"))
 
 
 def _samples(

@@ -7,7 +7,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import lead_map
+from pmac_comp.physics.compensate.lead import _smooth, lead_map
 from pmac_comp.workflow.campaigns import lead_motions
 from pmac_comp.workflow.rendering import lead_spacing_m, lead_table
 
@@ -80,3 +80,11 @@ def test_knots_follow_the_wobble_and_fit_the_table(name: str) -> None:
     far = bench.travel.model_copy(update={"min_mm": -3000.0, "max_mm": 3000.0})
     long = bench.model_copy(update={"travel": far})
     assert 6.0 / lead_spacing_m(long) < 4000
+
+
+def test_ripple_from_knot_to_knot_is_no_lead_and_a_wobble_is() -> None:
+    knots = 0.5e-3 * np.arange(200)
+    wobble = 3e-6 * np.sin(2.0 * np.pi * knots / 10e-3) + 1e-4 * knots
+    ripple = 0.4e-6 * (-1.0) ** np.arange(200)
+    assert np.max(np.abs(_smooth(wobble) - wobble)) < 0.01e-6
+    assert np.max(np.abs(_smooth(wobble + ripple) - wobble)[2:-2]) < 0.01e-6
