@@ -18,6 +18,7 @@ from pmac_comp.workflow.compensation_file import Compensation, check_route, writ
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
+from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.identification import identify_captures, load_model
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
@@ -211,8 +212,11 @@ def reestimated(
 
     The diagnosis weighs positions to tell effects apart; between two laws nothing but the effect
     may differ. Where the effect leaves this estimate nothing to stand on, the diagnosis' values
-    stay.
+    stay. So they do with a gap in the nut: torque does not show it, and an estimate that weighs
+    torque trades it against friction (4.9 became 3.5 um of 5).
     """
+    if nut_gap(grown) is not None:
+        return grown
     try:
         found = identify_captures(captures, bench, model=grown, progress=progress)
     except ModelError:

@@ -31,6 +31,7 @@ class Bench:
         self.answers = [verification(1.0, 2.0)]
         self.validated: Any = None
         self.hopeless = False
+        self.gap: float | None = None
         self.diagnosis = SimpleNamespace(
             diagnosis=SimpleNamespace(named=named, model="grown"),
             model="file",
@@ -49,6 +50,7 @@ class Bench:
             "store": lambda *a: None,
             "context_of": lambda *a: "context",
             "identify_captures": self.identified,
+            "nut_gap": lambda model: None if self.gap is None else (self.gap, None),
             "compute_compensation": lambda bench, drive, **k: f"compensation of {drive}",
             "deploy": lambda axis, compensation, context: self.done.append(f"up {compensation}"),
             "switch": lambda axis, context, what, on: self.done.append(f"off {what}"),
@@ -85,10 +87,20 @@ def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, t
 def test_where_the_effect_cannot_be_estimated_again_the_diagnosis_values_stay(
     monkeypatch, tmp_path
 ) -> None:
-    bench = Bench(monkeypatch, ("backlash",))
+    bench = Bench(monkeypatch, ("cogging",))
     bench.hopeless = True
     bench.answers.append(verification(0.4, 1.5))
     bench.run(tmp_path)
+    assert bench.done[-1] == "up compensation of grown"
+
+
+def test_a_gap_that_torque_does_not_show_stays_as_the_diagnosis_found_it(
+    monkeypatch, tmp_path
+) -> None:
+    bench = Bench(monkeypatch, ("backlash",))
+    bench.gap = 2.5e-6
+    bench.answers.append(verification(0.4, 1.5))
+    assert bench.run(tmp_path).kept == "grown"
     assert bench.done[-1] == "up compensation of grown"
 
 
