@@ -18,7 +18,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, split_name
 from pmac_comp.physics.model.parameters import ParameterSpec
 
-_STEP_FRAC = 0.02
+STEP_FRAC = 0.02
 # A tolerance counts as two standard deviations.
 _SIGMAS = 2.0
 _EDGE = 1.02
@@ -80,20 +80,23 @@ def relieved(model: DriveModel, effect: str) -> DriveModel:
     )
 
 
-def own_directions(model: DriveModel) -> list[Direction]:
-    """Directions along the model's own parameters, known ones within their tolerance."""
+def own_directions(model: DriveModel, *, step_frac: float = STEP_FRAC) -> list[Direction]:
+    """Directions along the model's own parameters, known ones within their tolerance.
+
+    ``step_frac`` is the size of a difference as a share of the parameter.
+    """
     directions = []
     doubled = {ADDITIONS[name] for name in map(_bare, model.effects) if name in ADDITIONS}
     for spec in model.specs:
         if spec.discrete or spec.name in doubled:
             continue
-        direction = _own_direction(model, spec)
+        direction = _own_direction(model, spec, step_frac)
         if direction is not None:
             directions.append(direction)
     return directions
 
 
-def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
+def _own_direction(model: DriveModel, spec: ParameterSpec, step_frac: float) -> Direction | None:
     value = model.parameters[spec.name]
     lower, upper, centre, sigma = spec.lower, spec.upper, value, math.inf
     if spec.kind == "known":
@@ -105,7 +108,7 @@ def _own_direction(model: DriveModel, spec: ParameterSpec) -> Direction | None:
         centre, sigma = spec.nominal, width / _SIGMAS
     if spec.name in _SPLIT:
         lower, upper = _shared(model, spec, lower, upper)
-    step = _step(spec, value, lower, upper)
+    step = _step(spec, value, lower, upper, step_frac)
     if step == 0.0:
         return None
     unit = abs(step)
@@ -139,13 +142,13 @@ def _shared(
     return max(lower, low * total), min(upper, high * total)
 
 
-def _step(spec: ParameterSpec, value: float, lower: float, upper: float) -> float:
+def _step(spec: ParameterSpec, value: float, lower: float, upper: float, step_frac: float) -> float:
     """Finite step that stays inside the hard bounds; 0 where there is no room."""
-    size = _STEP_FRAC * max(abs(value), spec.scale)
+    size = step_frac * max(abs(value), spec.scale)
     if spec.kind == "known":
-        size = min(size, 0.2 * (upper - lower))
+        size = min(size, 10.0 * step_frac * (upper - lower))
     if spec.period:
-        size = 0.05
+        size = 0.05 * step_frac / STEP_FRAC
     if value + size <= spec.upper:
         return size
     return -size if value - size >= spec.lower else 0.0

@@ -52,14 +52,14 @@ def estimates_of(grown: Grown, material: float) -> tuple[tuple[Estimate, ...], t
     spread = np.maximum(spread, jackknife_spread(gram))
     names = {c.effect for c in grown.accepted}
     found = [
-        _estimate(model, direction, std)
+        _estimate(model, direction, std, grown.open_SI.get(direction.label, 0.0))
         for direction, std in zip(directions, spread.tolist(), strict=True)
         if direction.label.partition(".")[0] in names
     ]
     return tuple(found), _findings(model, bounded, directions, material)
 
 
-def _estimate(model: DriveModel, direction: Direction, std: float) -> Estimate:
+def _estimate(model: DriveModel, direction: Direction, std: float, moved_SI: float) -> Estimate:
     effect, _, bare = direction.label.partition(".")
     spec = model.spec(direction.label)
     value = spec.to_file(model.parameters[direction.label])
@@ -67,7 +67,7 @@ def _estimate(model: DriveModel, direction: Direction, std: float) -> Estimate:
     if direction.label == "post_reversal_dip.fraction":
         # A fraction of the nut's friction, of which only the sum with the motor's is known.
         open_ = SPLIT_FRAC * abs(model.parameters[direction.label])
-    width = abs(spec.to_file(math.hypot(std * direction.unit, open_)))
+    width = abs(spec.to_file(math.hypot(std * direction.unit, open_, moved_SI)))
     name = f"{effect}.{spec.file_name or bare}"
     unit = spec.file_unit or spec.unit
     return Estimate(name, value, unit, width, value - Z95 * width, value + Z95 * width)

@@ -15,7 +15,7 @@ from pmac_comp.physics.diagnose.candidates import Start, relieved, started
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
-from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit, settled
 from pmac_comp.physics.diagnose.screen import (
     Look,
     Screened,
@@ -134,12 +134,15 @@ class Grown:
         Refitted base model and grown model.
     rounds : tuple of Round
         All rounds, the last one without an accepted candidate unless the limit was reached.
+    open_SI : Mapping of str to float
+        Per parameter, how far it still moved between the last refits.
     """
 
     bench: Workbench
     base: Fitted
     final: Fitted
     rounds: tuple[Round, ...] = field(default=())
+    open_SI: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def accepted(self) -> tuple[Contender, ...]:
@@ -220,14 +223,15 @@ def grow(
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
         point = evaluate(bench.fitting_bench(), done.accepted.fitted.model)
+    open_SI: Mapping[str, float] = {}
     if any(r.accepted is not None for r in rounds):
         progress("settling all parameters")
         part = bench.fitting_bench()
-        point = refit(part, evaluate(part, point.model), rounds=4)
+        point, open_SI = settled(part, evaluate(part, point.model))
     final = evaluate(bench, point.model)
     grew = base is not None and any(r.accepted is not None for r in rounds)
     base_model = evaluate(bench, base.model) if base is not None and grew else final
-    return Grown(bench, base_model, final, tuple(rounds))
+    return Grown(bench, base_model, final, tuple(rounds), open_SI)
 
 
 def _look_around(

@@ -12,7 +12,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.physics.diagnose.candidates import own_directions
+from pmac_comp.physics.diagnose.candidates import STEP_FRAC, own_directions
 from pmac_comp.physics.diagnose.gram import Gram, Solution
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, prior_of
 from pmac_comp.physics.model.drive import DriveModel
@@ -21,6 +21,8 @@ _HALVINGS = 4
 _ENOUGH = 0.5  # chi-square: below one, no parameter moves by a standard deviation
 _LARGEST_STEPS = 60.0
 _TRUSTED = 0.8
+_SETTLING = (STEP_FRAC, STEP_FRAC / 5, STEP_FRAC / 20)
+_SETTLING_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ def refit(
     *,
     frozen: Frozen | None = None,
     rounds: int = 4,
+    step_frac: float = STEP_FRAC,
 ) -> Fitted:
     """Model moved to the least weighted squares on the fitting samples.
 
@@ -98,6 +101,9 @@ def refit(
         Columns of parameters that need not be simulated again; all others are, in each round.
     rounds : int
         Most Gauss-Newton rounds.
+    step_frac : float
+        Size of the differences: wide ones see past the roughness that sticking leaves in the sum
+        of squares, narrow ones find the bottom.
 
     Returns
     -------
@@ -107,7 +113,7 @@ def refit(
     best = start
     held = frozen
     for _ in range(rounds):
-        gram, directions, columns = linearised(bench, best, held)
+        gram, directions, columns = linearised(bench, best, held, step_frac=step_frac)
         solution = gram.solve(range(gram.n_columns))
         moved = _line_search(bench, best, directions, solution)
         if moved is None:
@@ -124,12 +130,39 @@ def refit(
     return best
 
 
+def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
+    """Refits with ever narrower differences until none helps, and how far they still moved.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records and weights.
+    start : Fitted
+        Where to begin.
+
+    Returns
+    -------
+    Fitted
+        Never worse than the start.
+    dict
+        Per parameter, the largest distance in SI from the end of an earlier refit: what friction's
+        roughness leaves open although the sum of squares hardly tells.
+    """
+    ends: list[Fitted] = []
+    best = start
+    for step_frac in _SETTLING:
+        best = refit(bench, best, rounds=_SETTLING_ROUNDS, step_frac=step_frac)
+        ends.append(best)
+    final = best.model.parameters
+    return best, {k: max(abs(v - e.model.parameters[k]) for e in ends) for k, v in final.items()}
+
+
 def linearised(
-    bench: Workbench, point: Fitted, frozen: Frozen | None
+    bench: Workbench, point: Fitted, frozen: Frozen | None, *, step_frac: float = STEP_FRAC
 ) -> tuple[Gram, list[Direction], Columns]:
     """Gram matrices of a model's own directions at a point, with directions and columns."""
     known = {} if frozen is None else {d.label: i for i, d in enumerate(frozen.directions)}
-    directions = own_directions(point.model)
+    directions = own_directions(point.model, step_frac=step_frac)
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
     columns = bench.columns(point.model, fresh)
