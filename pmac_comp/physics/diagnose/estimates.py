@@ -5,6 +5,7 @@ What lives here: covariances that count the correlation of what is left. May imp
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -13,9 +14,9 @@ from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.physics.diagnose.candidates import ADDITIONS, SPLIT_FRAC
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
 from pmac_comp.physics.diagnose.growth import Grown
-from pmac_comp.physics.diagnose.refit import linearised
+from pmac_comp.physics.diagnose.refit import Fitted, linearised
 from pmac_comp.physics.diagnose.result import Estimate, Finding
-from pmac_comp.physics.diagnose.workbench import Direction
+from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench
 from pmac_comp.physics.identify.result import Z95
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
@@ -24,6 +25,8 @@ _PINNED = 0.9
 _BEYOND = 3.0
 _LEAST_GROUPS = 4
 _MOST_GROUPS = 12
+_UNDER_WHITENED = 0.7
+_WHOLE_s = 1e6
 
 
 def estimates_of(grown: Grown, material: float) -> tuple[tuple[Estimate, ...], tuple[Finding, ...]]:
@@ -44,12 +47,14 @@ def estimates_of(grown: Grown, material: float) -> tuple[tuple[Estimate, ...], t
     """
     part = grown.bench.fitting_bench()
     model = grown.final.model
-    gram, directions, _ = linearised(part, grown.final_on(part), None)
+    point = grown.final_on(part)
+    gram, directions, columns = linearised(part, point, None)
     bounded = gram
     gram = gram.with_bounds(_unbounded(gram.prior))
     solution = gram.solve(range(gram.n_columns))
     spread = np.sqrt(np.maximum(np.diag(robust_covariance(gram, solution)), 0.0))
     spread = np.maximum(spread, jackknife_spread(gram))
+    spread = np.hypot(spread, _weighting_spread(part, point, columns, gram.prior))
     names = {c.effect for c in grown.accepted}
     found = [
         _estimate(model, direction, std, grown.open_SI.get(direction.label, 0.0))
@@ -131,6 +136,35 @@ def jackknife_spread(gram: Gram) -> FloatArray:
     )
     variance = (count - 1) / count * np.sum((steps - steps.mean(axis=0)) ** 2, axis=0)
     return np.asarray(np.sqrt(variance) * student.ppf(0.975, count - 1) / Z95)
+
+
+def _weighting_spread(part: Workbench, point: Fitted, columns: Columns, prior: Prior) -> FloatArray:
+    """How far parameters move when the same data is weighed otherwise.
+
+    A true model gives the same answer under any weights, but for noise; what a model lacks does
+    not, and pulls every part of the data alike, which leaving out parts cannot show.
+
+    Source
+    ------
+    Hausman (1978): two estimators of which one is robust differ where the model is misspecified.
+    """
+    noise = part.noise
+    if noise is None:
+        return np.zeros(prior.sigma.size)
+    softer = replace(noise.whitener, lags=_UNDER_WHITENED * noise.whitener.lags)
+    weighings = [
+        noise,
+        replace(noise, robust=None),
+        replace(noise, doubtful=None),
+        replace(noise, whitener=softer),
+    ]
+    residuals = part.residuals(point.simulated)
+    every = range(prior.sigma.size)
+    steps = [
+        part.with_noise(w).gram(residuals, columns, prior, longest_s=_WHOLE_s).solve(every).step
+        for w in weighings
+    ]
+    return np.asarray(np.max([np.abs(s - steps[0]) for s in steps], axis=0))
 
 
 def _groups(gram: Gram) -> IntArray:
