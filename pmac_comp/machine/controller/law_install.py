@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from pmac_comp.base.errors import (
+    CommandRefused,
     ControllerState,
     MotorNotSafe,
     SafetyRefusal,
@@ -129,6 +130,12 @@ def install_law(
 GUARD_DEFINITION: Final = 7007  # the card's clock, in 1/1024 s
 
 
+_LOCKED: Final = (
+    "a password protects PLC 1 on the controller, so the guard was not installed: tables that "
+    "another client enables during an upload are found at its next step only"
+)
+
+
 def install_guard(link: Link, context: Context) -> tuple[str, ...]:
     """Put the guard PLC beside tables, so that the card itself keeps half-written ones off.
 
@@ -149,7 +156,12 @@ def install_guard(link: Link, context: Context) -> tuple[str, ...]:
         refusal, goal = guard_settings(link, context)
     if refusal or goal.is_empty:
         return (refusal,) if refusal else ()
-    change_settings(link, context, goal, route="guard")
+    try:
+        change_settings(link, context, goal, route="guard")
+    except CommandRefused as error:
+        if programs.explain_protection(error) and error.left is ControllerState.OLD:
+            return (_LOCKED,)
+        raise
     i5 = parse_integer(link.query("I5")[0])
     held = "" if i5 & 2 else f", but I5 = {i5} holds background PLCs: it does not run"
     return (f"the guard (PLC 1) was written and listed back{held}",)
@@ -159,7 +171,12 @@ def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
     """Why the guard does not go onto the card, and what is missing of it; nothing is changed."""
     guard, definition = guard_program(context.block), f"M{GUARD_DEFINITION}"
     asked = Settings({}, {GUARD_DEFINITION: definitions(1)[GUARD_DEFINITION]}, {GUARD: ()})
-    found = read_settings(link, asked)
+    try:
+        found = read_settings(link, asked)
+    except CommandRefused as error:
+        if programs.explain_protection(error):
+            return _LOCKED, Settings()
+        raise
     stands = programs.canonical(found.programs[GUARD])
     if stands == guard.tokens and 1 in found.running:
         return "", Settings()

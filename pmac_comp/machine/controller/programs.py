@@ -17,6 +17,7 @@ from pmac_comp.base.errors import CommandRefused, ConfigError, VerifyMismatch
 from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, DEFAULT_FIRST
 from pmac_comp.machine.controller.link import Link
 
+PROTECTED: Final = 2  # ERR002
 _OPEN: Final = re.compile(r"^OPEN\s*(PLC|PROG(?:RAM)?)\s*(\d+)\s*(CLEAR)?$", re.I)
 _P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b")
 _MOTOR_I: Final = re.compile(r"\bI1(\d\d)\b")
@@ -238,9 +239,21 @@ def download(link: Link, program: Program) -> None:
     try:
         link.write_buffer(program.download_lines())
     except CommandRefused as error:
+        explain_protection(error)
         _close_quietly(link, error)
         raise
     verify(link, program)
+
+
+def explain_protection(error: CommandRefused) -> bool:
+    """Whether a password was the reason; then the error says what to do."""
+    if error.context.get("error") != PROTECTED:
+        return False
+    error.hint = (
+        "A password protects PLC 0 to 15 and PROG 1000 and above on this controller: unlock it "
+        "with `pmac-comp terminal URL -c 'PASSWORD=...'` and try again."
+    )
+    return True
 
 
 def _close_quietly(link: Link, error: CommandRefused) -> None:
@@ -251,12 +264,19 @@ def _close_quietly(link: Link, error: CommandRefused) -> None:
 
 
 def listing(link: Link, kind: ProgramKind, number: int) -> list[str] | None:
-    """Lines of a program as the card lists them, None if there is none (ERR003)."""
+    """Lines of a program as the card lists them, None if there is none (ERR003).
+
+    Raises
+    ------
+    CommandRefused
+        A password protects PLC 0-15 and PROG 1000 and above (ERR002, p. 384).
+    """
     try:
         return link.query(f"LIST {kind.value} {number}")
     except CommandRefused as error:
         if error.context.get("error") == 3:
             return None
+        explain_protection(error)
         raise
 
 
