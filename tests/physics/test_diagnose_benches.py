@@ -1,0 +1,95 @@
+"""A diagnosis on benches and runs beside the typical ones: a verdict or a clear error, always."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose import Diagnosis, diagnose
+from pmac_comp.physics.model.effect import effect_library
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+from tests.generators.motions import sine
+
+BENCH = load_bench("paper")
+LIBRARY = {n: effect_library()[n] for n in ("backlash", "payload", "bias_force", "lead_cyclic")}
+VERDICTS = ("named", "none", "unknown", "tie")
+FORCE = "external_force_N"
+SECONDS = 4.0
+
+
+def runs(
+    made: Bench, effects: dict[str, dict[str, float]], force_N: FloatArray | None = None
+) -> list[Capture]:
+    """Three motions of a drive of nominal values with effects hidden in it."""
+    plant = make_plant(made, effects=effects, seed=3, spread=0.0)
+    commands = [
+        sine(made, half, frequency, SECONDS, centre)
+        for half, frequency, centre in ((0.02, 0.8, 0.1), (0.05, 1.0, 0.0), (0.03, 0.9, -0.1))
+    ]
+    captures = []
+    for command in commands:
+        force = None if force_N is None else force_N[: command.size]
+        capture = closed_loop_capture(made, plant, command, external_force_N=force)
+        extra = dict(capture.extra) if force is None else {**capture.extra, FORCE: force}
+        captures.append(replace(capture, extra=extra))
+    return captures
+
+
+def judged(captures: list[Capture], bench: Bench) -> Diagnosis:
+    return diagnose(captures[:2], bench, validate=captures[2:], effects=LIBRARY)
+
+
+def push() -> FloatArray:
+    """Force of the loading screws: it swells to 150 N and back."""
+    time = BENCH.servo_period_s * np.arange(round(SECONDS / BENCH.servo_period_s) + 1)
+    return np.asarray(75.0 * (1.0 - np.cos(2 * np.pi * time / SECONDS)))
+
+
+def test_a_known_external_force_is_not_taken_for_an_effect():
+    found = judged(runs(BENCH, {}, push()), BENCH)
+    assert found.named == ()
+    assert found.gap_after_um < 0.3
+
+
+def test_a_gap_is_found_beside_a_known_external_force():
+    found = judged(runs(BENCH, {"backlash": {"gap_um": 4.0}}, push()), BENCH)
+    assert found.named == ("backlash",)
+    # Slow motion beside a swelling force: friction takes up to a tenth of the gap.
+    assert found.estimates[0].value == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_other_servo_gains_than_the_typical_ones_lead_to_no_other_name(share):
+    given = dict(BENCH.controller.ivariables)
+    name = next(key for key in given if key.upper().endswith("30"))
+    bench = with_controller(BENCH, {**given, name: round(share * given[name])})
+    found = judged(runs(bench, {"backlash": {"gap_um": 4.0}}), bench)
+    # Two short runs may not be enough evidence for a name; they must not lead to a wrong one.
+    assert found.verdict in ("named", "unknown")
+    assert set(found.named) <= {"backlash"}
+    assert found.evidence[0].name == "backlash"
+    if found.verdict == "named":
+        assert found.gap_after_um < 0.5 * found.gap_before_um
+
+
+def with_controller(bench: Bench, ivariables: dict[str, float]) -> Bench:
+    controller = bench.controller.model_copy(update={"ivariables": ivariables})
+    return bench.model_copy(update={"controller": controller})
+
+
+def test_a_bench_ten_per_cent_off_in_several_values_still_gets_a_verdict():
+    off = {
+        key: 1.1 * value if key != "efficiency" else 0.9 * value
+        for key, value in BENCH.nominal.model_dump().items()
+        if value is not None
+    }
+    truth = BENCH.model_copy(update={"nominal": BENCH.nominal.model_copy(update=off)})
+    found = judged(runs(truth, {"backlash": {"gap_um": 4.0}}), BENCH)
+    assert found.verdict in VERDICTS
+    assert np.isfinite([found.gap_before_um, found.gap_after_um, found.noise_floor_um]).all()
+    # Ten per cent more mass than the file says is a finding or an effect, not swallowed.
+    assert "payload" in found.named or found.findings or found.verdict == "unknown"
