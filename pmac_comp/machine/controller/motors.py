@@ -18,6 +18,7 @@ from pmac_comp.machine.wire.numbers import read_number
 
 POLL_s: Final = 0.02
 STATIONARY_SPACING_s: Final = 0.02
+LONGEST_SPACING_s: Final = 0.1  # between two looks
 
 
 class Word1(IntFlag):
@@ -163,16 +164,34 @@ def read_motor(link: Link, motor: int) -> MotorReading:
     return read_motors(link, [motor])[motor]
 
 
-def moving_motors(link: Link, motors: Sequence[int]) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Standstill:
+    """First of the two looks that prove that motors stand; other requests may lie between."""
+
+    first: dict[int, MotorReading]
+    at_s: float
+
+
+def begin_standstill(link: Link, motors: Sequence[int]) -> Standstill:
+    """Look where motors are, for ``moving_motors`` later."""
+    return Standstill(read_motors(link, motors), link.clock.now_s())
+
+
+def moving_motors(
+    link: Link, motors: Sequence[int], begun: Standstill | None = None
+) -> tuple[str, ...]:
     """Why motors are not at rest, one text per reason; empty when all stand.
 
     A motor is at rest if it is killed and its position does not change, or if its trajectory
-    stands. Two readings are compared, 20 ms apart.
+    stands. Two readings are compared, at least 20 ms apart; ``begun`` may be the first if it is
+    fresh, otherwise slow drift would count as motion.
     """
-    first = read_motors(link, motors)
-    link.clock.sleep_s(STATIONARY_SPACING_s)
+    now_s = link.clock.now_s()
+    if begun is None or set(motors) - set(begun.first) or now_s - begun.at_s > LONGEST_SPACING_s:
+        begun = begin_standstill(link, motors)
+    link.clock.sleep_s(max(0.0, STATIONARY_SPACING_s - (link.clock.now_s() - begun.at_s)))
     second = read_motors(link, motors)
-    reasons = [_motion(first[m], second[m]) for m in motors]
+    reasons = [_motion(begun.first[m], second[m]) for m in motors]
     return tuple(reason for reason in reasons if reason)
 
 
@@ -186,7 +205,7 @@ def _motion(first: MotorReading, second: MotorReading) -> str:
     # Closed loop at rest: encoder noise and the settling of the integrator stay within this.
     allowed = 20.0 if second.status.is_closed_loop else 2.0
     if travelled > allowed:
-        return f"{name} moves by itself ({travelled:.1f} counts in 20 ms)"
+        return f"{name} moves by itself ({travelled:.1f} counts within 0.1 s)"
     return ""
 
 

@@ -31,7 +31,7 @@ from pmac_comp.machine.controller.manifest import (
     ManifestState,
     clear_lines,
 )
-from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.motors import Standstill, begin_standstill, read_motors
 from pmac_comp.machine.controller.persist import save
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.switching import switch_tables, watch
@@ -182,10 +182,12 @@ class TableUpload:
             manifest = self._intend(the_plan, backup)
             self._disable(the_plan)
             self._write(the_plan)
+            # The first look that motors stand comes before the reading that takes longest.
+            begun = begin_standstill(self.link, the_plan.motors)
             self._read_back(the_plan, manifest)
             self._seal(manifest)
             if self._wish.enable_after:
-                self._enable(the_plan)
+                self._enable(the_plan, begun)
             if self.persist:
                 self._persist(the_plan)
             change.finish(change.left, self._closing)
@@ -336,10 +338,10 @@ class TableUpload:
         if head.manifest is None or head.manifest.state is not ManifestState.VALID:
             raise VerifyMismatch("The manifest could not be sealed.", code="PC-UPL-007")
 
-    def _enable(self, the_plan: UploadPlan) -> None:
+    def _enable(self, the_plan: UploadPlan, begun: Standstill) -> None:
         motors = the_plan.motors
         if motors:
-            refusals = motion_refusals(self.link, motors)
+            refusals = motion_refusals(self.link, motors, begun)
             readings = read_motors(self.link, motors)
             refusals += step_refusals(self.context, readings, TableSet(), the_plan.new)
             raise_all(refusals, "Enabling")

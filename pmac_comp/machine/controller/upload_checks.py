@@ -14,6 +14,7 @@ from pmac_comp.machine.controller.comp_table import Table, TableKind
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import (
+    Standstill,
     moving_motors,
 )
 from pmac_comp.machine.controller.table_set import (
@@ -101,11 +102,13 @@ def memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefu
     ]
 
 
-def motion_refusals(link: Link, motors: Sequence[int]) -> list[SafetyRefusal]:
+def motion_refusals(
+    link: Link, motors: Sequence[int], begun: Standstill | None = None
+) -> list[SafetyRefusal]:
     """One refusal for every motor that moves."""
     return [
         MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
-        for reason in moving_motors(link, motors)
+        for reason in moving_motors(link, motors, begun)
     ]
 
 

@@ -6,7 +6,7 @@ from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.lease import read_clock, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import MotorReading, read_motors
+from pmac_comp.machine.controller.motors import MotorReading, begin_standstill, read_motors
 from pmac_comp.machine.controller.safety import check_step, check_table
 from pmac_comp.machine.controller.table_set import Key, TableSet, plan, read_tables, with_lookup
 from pmac_comp.machine.controller.table_status import Head, read_head
@@ -83,6 +83,7 @@ def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
     context.progress("pre-flight", 0, 1)
     head = read_head(link, context)
     now = read_clock(link)
+    begun = begin_standstill(link, wish.of(TableSet()).motors)
     old = with_lookup(read_tables(link), wish.of(TableSet()))
     new = wish.of(old)
     motors = tuple(sorted(set(old.motors) | set(new.motors)))
@@ -97,7 +98,7 @@ def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
     refusals += memory_refusals(head, old, new)
     readings: dict[int, MotorReading] = {}
     if motors:
-        refusals += motion_refusals(link, motors)
+        refusals += motion_refusals(link, motors, begun)
         readings = read_motors(link, motors)
     after = new if wish.enable_after else TableSet()
     refusals += step_refusals(context, readings, old if head.i51 else TableSet(), after)
