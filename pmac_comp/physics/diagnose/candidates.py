@@ -204,6 +204,10 @@ _FACTORS: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "current_bandwidth": ("chain.current_bandwidth_Hz", (0.12, 0.2, 0.35, 0.6, 1.8)),
 }
 
+# A torque limit shows only below the largest torque asked for: where to try, as shares of it.
+_LIMIT_SHARES = (0.97, 0.92, 0.86, 0.78, 0.65, 0.45)
+_TRIED_AS_THEY_ARE = (*_FACTORS, "torque_saturation")
+
 # Which trace shows the order or frequency of an effect; others try all orders found.
 _TRACES = {
     "cogging": "torque",
@@ -232,6 +236,9 @@ def _start_values(
         present = model.parameters.get(name) or specs[0].nominal
         inside = [float(np.clip(f * present, specs[0].lower, specs[0].upper)) for f in factors]
         return [{**listed[0], specs[0].name: value} for value in inside]
+    if effect.name == "torque_saturation" and peaks.largest_torque_Nm > 0.0:
+        tried = [share * peaks.largest_torque_Nm for share in _LIMIT_SHARES]
+        return [{**listed[0], specs[0].name: max(specs[0].lower, limit)} for limit in tried]
     orders = getattr(peaks, _TRACES.get(effect.name, "torque"))
     for name, grid in (("order_per_rev", orders), ("frequency_Hz", peaks.frequencies_Hz)):
         if name not in names or not grid or effect.name == "base_mode":
@@ -269,7 +276,7 @@ def _start(
     turns = [values] if angle is None else [{**values, angle: 0.0}, {**values, angle: math.pi / 2}]
     linear = vanishes(key, size, values, model, library)
     # Near the edge of stability nothing is linear: the value itself is judged, not a step to it.
-    exact = effect.name in _FACTORS
+    exact = effect.name in _TRIED_AS_THEY_ARE
     free_sign = linear and (angle is not None or size.lower < 0.0)
     directions = tuple(
         Direction(

@@ -35,6 +35,8 @@ class Peaks:
         proportion to the torque, and in table minus motor.
     frequencies_Hz : tuple of float
         Frequencies in the torque residual.
+    largest_torque_Nm : float
+        Largest torque that the model asks for: a limit above it leaves no trace.
     """
 
     torque: tuple[float, ...] = ()
@@ -42,6 +44,7 @@ class Peaks:
     ripple: tuple[float, ...] = ()
     reading: tuple[float, ...] = ()
     frequencies_Hz: tuple[float, ...] = ()
+    largest_torque_Nm: float = 0.0
 
 
 def peaks_of(
@@ -83,6 +86,7 @@ def peaks_of(
         orders(torque, "load"),
         orders(stretch, "one"),
         tuple(frequency_peaks(records, responses)),
+        max(float(np.max(np.abs(p.torque_command_Nm))) for p in responses),
     )
 
 
