@@ -2,16 +2,13 @@
 
 import os
 import signal
-import socket
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.clock import SystemClock
-from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.base.errors import ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import law_arming, law_install, law_upload, motors
@@ -26,11 +23,10 @@ from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import Way
-from pmac_comp.simulator.sessions import EthernetSession
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
+from tests.faults.killed_child import serve_child
 from tests.faults.test_f15_f22_controller import LineFault
-from tests.faults.test_f29_f30_killed import SocketEnd
 from tests.faults.upload_bench import new_table, old_table
 
 pytestmark = pytest.mark.faults
@@ -204,47 +200,27 @@ def test_f15_f16_any_line_of_any_change(
     count_runs(len(lines))
 
 
-def serve_child(rig: ChangeBench, kill_after: int) -> tuple[int, int]:
-    """Fork a child that makes the change and is killed; the card stays with us. Status, bytes."""
-    ours, theirs = socket.socketpair()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            ours.close()
-            link = Commander(SocketEnd(theirs, kill_after), clock=SystemClock(), timeout_s=5.0)
-            rig.scenario.change(link, rig.bench.context)
-            code = 0
-        except PmacCompError:
-            traceback.print_exc()
-        finally:
-            os._exit(code)
-    theirs.close()
-    session = EthernetSession(rig.bench.card)
-    received = 0
-    while data := ours.recv(65536):
-        received += len(data)
-        # The child waits on its own clock, the card is served cycles by its questions.
-        rig.bench.card.run_cycles(200)
-        for answer in session.answers(data):
-            ours.sendall(answer)
-    session.close()
-    ours.close()
-    return os.waitpid(child, 0)[1], received
+def killed_change(rig: ChangeBench, kill_after: int) -> tuple[int, int]:
+    """The change, killed after so many bytes: exit status and bytes."""
+
+    def work(link: Commander) -> None:
+        rig.scenario.change(link, rig.bench.context)
+
+    return serve_child(rig.bench.card, work, kill_after, timeout_s=5.0, cycles=200)
 
 
 def test_f29_sigkill_in_any_change(
     *, rig: ChangeBench, exhaustive: bool, count_runs: Count
 ) -> None:
     rig.restart()
-    status, total = serve_child(rig, 1 << 30)
+    status, total = killed_change(rig, 1 << 30)
     assert status == 0
     rig.fresh()
     rig.judge(ControllerState.NEW)
     at = range(0, total - 200, 1 if exhaustive else max(1, total // 2))
     for n in at:
         rig.restart()
-        status, _ = serve_child(rig, n)
+        status, _ = killed_change(rig, n)
         if not os.WIFSIGNALED(status):
             continue  # waits are shorter or longer: this one asked less often than the first
         assert os.WTERMSIG(status) == signal.SIGKILL

@@ -2,25 +2,18 @@
 
 import os
 import signal
-import socket
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.base.errors import (
     ControllerState,
-    LinkLost,
-    PmacCompError,
-    ReplyTimeout,
     UploadIncomplete,
 )
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import upload
-from pmac_comp.machine.transport.base import Framing
-from pmac_comp.simulator.sessions import EthernetSession
+from tests.faults.killed_child import serve_child
 from tests.faults.upload_bench import UploadBench
 from tests.unit.machine_controller.card_bench import CardBench
 
@@ -28,82 +21,25 @@ pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 
 
-class SocketEnd:
-    """Transport over one end of a socket pair that kills its own process after a byte."""
+def killed_upload(rig: UploadBench, kill_after: int) -> tuple[int, int]:
+    """An upload killed after so many bytes: exit status and bytes."""
 
-    framing = Framing.PACKETS
-    name = "pair"
+    def work(link: Commander) -> None:
+        upload.upload_tables(link, rig.bench.context, [rig.new])
 
-    def __init__(self, end: socket.socket, kill_after: int) -> None:
-        self.end = end
-        self.left = kill_after
-
-    def send(self, data: bytes, deadline: Deadline) -> None:
-        del deadline
-        part = data[: max(0, self.left)]
-        self.end.sendall(part)
-        self.left -= len(data)
-        if self.left < 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    def receive(self, deadline: Deadline) -> bytes:
-        self.end.settimeout(max(1e-3, deadline.remaining_s()))
-        try:
-            data = self.end.recv(65536)
-        except TimeoutError as error:
-            raise ReplyTimeout("silence") from error
-        if not data:
-            raise LinkLost("gone")
-        return data
-
-    def drain(self) -> bytes:
-        return b""
-
-    def renew(self) -> None:
-        raise LinkLost("one end of a pair cannot be renewed")
-
-    def close(self) -> None:
-        self.end.close()
-
-
-def serve_child(rig: UploadBench, kill_after: int) -> tuple[int, int]:
-    """Fork a child that uploads and is killed; the card stays with us. Exit status and bytes."""
-    ours, theirs = socket.socketpair()
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            ours.close()
-            link = Commander(SocketEnd(theirs, kill_after), clock=SystemClock(), timeout_s=2.0)
-            upload.upload_tables(link, rig.bench.context, [rig.new])
-            code = 0
-        except PmacCompError:
-            traceback.print_exc()
-        finally:
-            os._exit(code)
-    theirs.close()
-    session = EthernetSession(rig.bench.card)
-    received = 0
-    while data := ours.recv(65536):
-        received += len(data)
-        rig.bench.card.run_cycles(60)
-        for answer in session.answers(data):
-            ours.sendall(answer)
-    session.close()
-    ours.close()
-    return os.waitpid(child, 0)[1], received
+    return serve_child(rig.bench.card, work, kill_after)
 
 
 def test_f29_sigkill_at_any_byte(*, tmp_path: Path, exhaustive: bool, count_runs: Count) -> None:
     rig = UploadBench(tmp_path)
     rig.restart()
-    status, total = serve_child(rig, 1 << 30)
+    status, total = killed_upload(rig, 1 << 30)
     assert status == 0
     assert rig.state is ControllerState.NEW
     points = range(0, total, 1 if exhaustive else total // 9)
     for n in points:
         rig.restart()
-        status, _ = serve_child(rig, n)
+        status, _ = killed_upload(rig, n)
         assert os.WIFSIGNALED(status)
         assert os.WTERMSIG(status) == signal.SIGKILL
         assert rig.state in ControllerState

@@ -1,0 +1,90 @@
+"""A child that talks to the simulated card and is killed after a byte; the card survives."""
+
+import os
+import signal
+import socket
+import traceback
+from collections.abc import Callable
+
+from pmac_comp.base.clock import Deadline, SystemClock
+from pmac_comp.base.errors import LinkLost, PmacCompError, ReplyTimeout
+from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.transport.base import Framing
+from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.sessions import EthernetSession
+
+
+class SocketEnd:
+    """Transport over one end of a socket pair that kills its own process after a byte."""
+
+    framing = Framing.PACKETS
+    name = "pair"
+
+    def __init__(self, end: socket.socket, kill_after: int) -> None:
+        self.end = end
+        self.left = kill_after
+
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        del deadline
+        part = data[: max(0, self.left)]
+        self.end.sendall(part)
+        self.left -= len(data)
+        if self.left < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        self.end.settimeout(max(1e-3, deadline.remaining_s()))
+        try:
+            data = self.end.recv(65536)
+        except TimeoutError as error:
+            raise ReplyTimeout("silence") from error
+        if not data:
+            raise LinkLost("gone")
+        return data
+
+    def drain(self) -> bytes:
+        return b""
+
+    def renew(self) -> None:
+        raise LinkLost("one end of a pair cannot be renewed")
+
+    def close(self) -> None:
+        self.end.close()
+
+
+def serve_child(
+    card: Card,
+    work: Callable[[Commander], object],
+    kill_after: int,
+    *,
+    timeout_s: float = 2.0,
+    cycles: int = 60,
+) -> tuple[int, int]:
+    """Fork a child that does its work and is killed after so many bytes. Exit status and bytes.
+
+    The card stays with us: the child waits on its own clock, its questions serve the card cycles.
+    """
+    ours, theirs = socket.socketpair()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            ours.close()
+            end = SocketEnd(theirs, kill_after)
+            work(Commander(end, clock=SystemClock(), timeout_s=timeout_s))
+            code = 0
+        except PmacCompError:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    theirs.close()
+    session = EthernetSession(card)
+    received = 0
+    while data := ours.recv(65536):
+        received += len(data)
+        card.run_cycles(cycles)
+        for answer in session.answers(data):
+            ours.sendall(answer)
+    session.close()
+    ours.close()
+    return os.waitpid(child, 0)[1], received
