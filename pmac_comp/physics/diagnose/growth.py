@@ -60,6 +60,8 @@ class Rules:
         Multiple of ``material`` on fitting samples that need not be as large on judging ones.
     material_gap : float
         Share of the noise floor that a slow effect must take out of the gap instead.
+    widened : float
+        Multiple of the gap before beyond which a candidate widens what it should close.
     p_value : float
         Largest p-value, by sign flips over the blocks of fitting and judging runs together (a
         candidate's few parameters take a few units of chi-square of what it earns on the former),
@@ -79,6 +81,7 @@ class Rules:
     material: float = 0.04
     overwhelming: float = 4.0
     material_gap: float = 0.6
+    widened: float = 1.1
     p_value: float = 0.01
     tie_z: float = 3.0
     tie_material: float = 0.015
@@ -423,6 +426,8 @@ def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
 def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
     """Whether a candidate is worth a name: material, held out, and not by chance."""
     if winner.p_value >= rules.p_value or winner.bic_gain <= 0.0 or not _seen(winner.fitted.model):
+        return False
+    if winner.gap_um > rules.widened * done.gap_um:
         return False
     fit, judged = winner.fit_gain / done.rows_fit, winner.judged_gain / done.rows_judge
     if min(fit, judged) > rules.material:
