@@ -4,11 +4,9 @@ The plant is written separately from the model; the small coverage run here has 
 ``tools/acceptance/identify_coverage.py``.
 """
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,28 +25,15 @@ from pmac_comp.physics.identify.linear_start import six_coefficients
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from tools.acceptance import identify_coverage as tool
 
-ROOT = Path(__file__).resolve().parents[2]
 BENCH = load_bench("paper")
 PERIOD_S = BENCH.servo_period_s
 
 
-def coverage_tool() -> ModuleType:
-    path = ROOT / "tools/acceptance/identify_coverage.py"
-    spec = importlib.util.spec_from_file_location("identify_coverage", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-TOOL = coverage_tool()
-
-
 @pytest.fixture(scope="module")
 def captures() -> tuple[list[Capture], dict[str, float]]:
-    runs, truth = TOOL.captures_of(BENCH, 11)
+    runs, truth = tool.captures_of(BENCH, 11)
     return runs, truth
 
 
@@ -85,7 +70,7 @@ def test_words_say_what_cannot_be_told_apart(found: Identification) -> None:
 def test_words_say_where_friction_is_not_plain(found: Identification) -> None:
     assert "Around reversals" not in " ".join(found.statements)
     plant = make_plant(BENCH, effects={"presliding": {"distance_um": 20.0}}, seed=11)
-    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in TOOL.motions(BENCH, 11)]
+    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in tool.motions(BENCH, 11)]
     assert "Around reversals" in " ".join(identify(runs, BENCH).statements)
 
 
@@ -119,9 +104,9 @@ def test_lead_error_does_not_bend_the_dynamics() -> None:
         "lead_cyclic": {"amplitude_um": 2.0, "order_per_rev": 1.0, "phase_rad": 1.0},
     }
     plant = make_plant(BENCH, effects=lead, seed=11)
-    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in TOOL.motions(BENCH, 11)]
+    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in tool.motions(BENCH, 11)]
     result = identify(runs, BENCH)
-    truth = TOOL.truth_si(plant.truth)
+    truth = tool.truth_si(plant.truth)
     for name in ("chain.axial_stiffness_N_per_m", "coulomb.guide_N", "viscous.guide_Ns_per_m"):
         estimate = result.parameters[name]
         assert abs(estimate.value - truth[name]) < 4.0 * estimate.std
@@ -150,10 +135,10 @@ def test_load_steps_at_standstill_give_stiffness() -> None:
     push = np.repeat([0.0, 600.0, 0.0, -600.0, 0.0, 900.0], still.size // 6 + 1)[: still.size]
     step = closed_loop_capture(BENCH, plant, still, external_force_N=push)
     step = replace(step, extra={**step.extra, "external_force_N": push})
-    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in TOOL.motions(BENCH, 5)]
+    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in tool.motions(BENCH, 5)]
     without, with_step = identify(runs, BENCH), identify([*runs, step], BENCH)
     name = "chain.axial_stiffness_N_per_m"
-    truth = TOOL.truth_si(plant.truth)[name]
+    truth = tool.truth_si(plant.truth)[name]
     estimate = with_step.parameters[name]
     assert estimate.std < without.parameters[name].std
     assert abs(estimate.value - truth) < 4.0 * estimate.std
@@ -219,7 +204,7 @@ def starved(case: str) -> tuple[list[Capture], dict[str, float]]:
         "five micrometres": 5e-6 * np.sin(2 * np.pi * 3.0 * np.arange(9000) * PERIOD_S),
     }.get(case, sine)  # fmt: skip
     run = closed_loop_capture(BENCH, plant, command)
-    return [spoilt(run, case)], TOOL.truth_si(plant.truth)
+    return [spoilt(run, case)], tool.truth_si(plant.truth)
 
 
 def spoilt(run: Capture, case: str) -> Capture:
@@ -239,13 +224,13 @@ def spoilt(run: Capture, case: str) -> Capture:
 
 def test_small_coverage_run(tmp_path: Path) -> None:
     path = tmp_path / "coverage.jsonl"
-    rows = [TOOL.trial(BENCH, seed) for seed in range(302, 304)]
+    rows = [tool.trial(BENCH, seed) for seed in range(302, 304)]
     path.write_text("\n".join(json.dumps(row) for row in rows))
     assert all("parameters" in row for row in rows)
     inside = [p["inside"] for row in rows for p in row["parameters"].values()]
     # 32 intervals, not independent of each other: at 95 % fewer than 25 would be a broken method.
     assert sum(inside) >= 25
-    assert "pooled" in TOOL.summary(path)
+    assert "pooled" in tool.summary(path)
 
 
 def test_rivals_are_judged_on_the_same_unseen_motions(

@@ -10,19 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.system.command import run
+
 pytestmark = pytest.mark.system
-
-
-def run(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pmac_comp.cli.app", *words],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=240,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
 
 
 VERBS = [

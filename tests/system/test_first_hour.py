@@ -13,19 +13,9 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from tests.system.command import run
 
 pytestmark = pytest.mark.system
-
-
-def run(*words: str, cwd: Path, said: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(
-        [sys.executable, "-m", "pmac_comp", *words],
-        capture_output=True,
-        cwd=cwd,
-        timeout=240,
-        check=False,
-        input=said,
-    )
 
 
 @pytest.mark.parametrize(
@@ -44,7 +34,7 @@ def test_wrong_input_is_no_bug_and_leaves_nothing(
     (tmp_path / "binary.pmc").write_bytes(b"\xff\xfe\x00")
     done = run(*words, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
-    assert code in done.stderr.decode()
+    assert code in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["binary.pmc"]
 
 
@@ -63,7 +53,7 @@ def test_compensation_of_another_bench_is_refused(tmp_path: Path, verb: str) -> 
 
 
 def test_terminal_in_a_pipe_answers_as_json(tmp_path: Path) -> None:
-    done = run("terminal", "sim://", "--json", cwd=tmp_path, said=b"I130\nNONSENSE\n")
+    done = run("terminal", "sim://", "--json", cwd=tmp_path, said="I130\nNONSENSE\n")
     answers = json.loads(done.stdout)
     assert [a["command"] for a in answers] == ["I130", "NONSENSE"]
     assert answers[0]["answer"] == ["139449"]
@@ -71,11 +61,11 @@ def test_terminal_in_a_pipe_answers_as_json(tmp_path: Path) -> None:
 
 
 def test_only_commands_with_a_dry_run_advise_it(tmp_path: Path) -> None:
-    assert b"--dry-run" not in run("rollback", "sim://", cwd=tmp_path).stderr
+    assert "--dry-run" not in run("rollback", "sim://", cwd=tmp_path).stderr
     capture = run(
         "capture", "sim://", "-b", "paper", "--motion", "sine:amplitude_mm=2", cwd=tmp_path
     )
-    assert b"--dry-run" in capture.stderr
+    assert "--dry-run" in capture.stderr
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])

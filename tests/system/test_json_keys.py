@@ -1,12 +1,12 @@
 """The keys of ``--json`` that other programs read: kept in ``tests/golden/json_keys.json``."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.system.command import run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 GOLDEN = Path(__file__).resolve().parent.parent / "golden" / "json_keys.json"
@@ -14,15 +14,7 @@ MOTION = "sine:amplitude_mm=12,frequency_Hz=3.5,cycles=8"
 
 
 def result_of(cwd: Path, *words: str) -> dict[str, Any]:
-    done = subprocess.run(
-        [sys.executable, "-m", "pmac_comp", *words, "--json"],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=240,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
+    done = run(*words, "--json", cwd=cwd)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found

@@ -1,8 +1,6 @@
 """Upload, diff and plan as a person runs them: what is said before, and how it ends."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from tests.system.command import run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 BENCH = load_bench("paper")
@@ -30,22 +29,8 @@ MOVE = 0.02 * (T / T[-1]) ** 3 * (10.0 - 15.0 * (T / T[-1]) + 6.0 * (T / T[-1]) 
 BUMP = 8e-6 * np.sin(np.pi * T / T[-1]) ** 2
 
 
-def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pmac_comp", *words],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=300,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
-
-
 def compensation(route: str) -> Compensation:
-    if route in {"law", "servo"}:
-        return Compensation(route, LAW, LEAD, backlash=True)
-    if route == "table":
+    if route in {"law", "servo", "table"}:
         return Compensation(route, LAW, LEAD, backlash=True)
     return Compensation(
         route, LAW, motion_time_s=T, motion_position_m=MOVE, motion_correction_m=BUMP

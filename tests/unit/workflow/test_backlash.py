@@ -1,6 +1,6 @@
 """The direction-dependent part: worth a table or not, on the card, through the servo, and back."""
 
-from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +26,6 @@ from pmac_comp.workflow.compensation_file import (
 from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign
-from pmac_comp.workflow.simulated import embedded, make_card
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.verify import measured_sign
 
@@ -34,15 +33,6 @@ BENCH = load_bench("paper")
 X = np.arange(-0.3, 0.3005, 1e-3)
 LEAD = LeadMap(X, 35e-6 * X, -6e-6 - 10e-6 * X, 0.05e-6)
 COMPENSATION = Compensation("table", CompensationLaw(), LEAD, backlash=True)
-
-
-@pytest.fixture
-def axis() -> Iterator[Axis]:
-    with embedded(make_card(BENCH)) as link:
-        found = Axis(link, BENCH, "test")
-        found.set_up()
-        found.enable()
-        yield found
 
 
 def test_only_a_difference_above_noise_and_size_is_worth_a_table() -> None:
@@ -99,14 +89,7 @@ def test_the_servo_gets_both_directions_and_rollback_takes_all_away(
     # The backward direction gets the difference of both errors more: 6 um at zero, sign kept.
     assert down - up == pytest.approx(-6.0, abs=0.2)
 
-    class Opened:
-        def __enter__(self) -> Axis:
-            return axis
-
-        def __exit__(self, *_failure: object) -> None:
-            pass
-
-    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
     assert upload_flow.rollback_upload("sim://", "paper", tmp_path)["verdict"] == "OLD"
     assert len(read_tables(axis.link)) == 0
     assert read_many(axis.link, list(before)) == before

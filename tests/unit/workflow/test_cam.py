@@ -1,6 +1,6 @@
 """The electronic cam on the embedded card: exact table in time, better motion, gone by rollback."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
-from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
+from pmac_comp.workflow.simulated import TruthRecorder
 
 BENCH = load_bench("paper")
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
@@ -50,18 +50,6 @@ def cam_of(correction_m: np.ndarray, lead: LeadMap | None = None) -> Compensatio
     return Compensation(
         "cam", CompensationLaw(), lead, MOTION.trajectory.time_s, MOTION.position_m, correction_m
     )
-
-
-@pytest.fixture
-def axis() -> Iterator[Axis]:
-    card = make_card(BENCH)
-    truth = TruthRecorder(card, 120.0)
-    with embedded(card) as link:
-        found = Axis(link, BENCH, "test")
-        found.set_up()
-        found.enable()
-        found.truth = truth.truth  # type: ignore[attr-defined]
-        yield found
 
 
 def offset_of(capture: Capture) -> np.ndarray:
@@ -121,7 +109,7 @@ def test_interrupted_cam_fades_and_starts_anew(axis: Axis, tmp_path: Path) -> No
 
 
 def test_total_error_falls_and_rollback_restores(
-    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    axis: Axis, recorder: TruthRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench_lead = LeadMap(np.arange(-0.3, 0.3005, 1e-3), np.zeros(601), np.zeros(601), 0.0)
     drive = DriveModel.base(BENCH)
@@ -142,7 +130,7 @@ def test_total_error_falls_and_rollback_restores(
     for on in (False, True):
         switch(axis, context, compensation, on=on)
         capture = runner.run(motion)
-        _, table = axis.truth().of(capture)  # type: ignore[attr-defined]
+        _, table = recorder.truth().of(capture)
         left[on] = (
             float(np.std(table - capture.commanded_position_m)),
             float(np.std(offset_of(capture))),

@@ -1,6 +1,5 @@
 """The bridge on the embedded card: what was meant is what the servo receives, and can be undone."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from pmac_comp.workflow.deploy import check_law_on_card, context_of, deploy, swi
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.repeated import run_with_offset
-from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
+from pmac_comp.workflow.simulated import TruthRecorder
 
 BENCH = load_bench("paper")
 LAW = CompensationLaw(
@@ -43,19 +42,7 @@ LEAD = LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0)
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
 
 
-@pytest.fixture
-def axis() -> Iterator[Axis]:
-    card = make_card(BENCH)
-    axis_truth = TruthRecorder(card, 120.0)
-    with embedded(card) as link:
-        found = Axis(link, BENCH, "test")
-        found.set_up()
-        found.enable()
-        found.truth = axis_truth.truth  # type: ignore[attr-defined]
-        yield found
-
-
-def test_capture_is_the_motion_in_si(axis: Axis) -> None:
+def test_capture_is_the_motion_in_si(axis: Axis, recorder: TruthRecorder) -> None:
     capture = axis.run(MOTION)
     assert capture.sample_period_s == pytest.approx(BENCH.servo_period_s)
     span = np.ptp(capture.commanded_position_m)
@@ -67,7 +54,7 @@ def test_capture_is_the_motion_in_si(axis: Axis) -> None:
     assert capture.table_position_m is not None
     steps = capture.table_position_m / 0.125e-6
     assert np.max(np.abs(steps - np.round(steps))) < 1e-6
-    true = axis.truth().of(capture)  # type: ignore[attr-defined]
+    true = recorder.truth().of(capture)
     assert np.max(np.abs(true[0] - capture.motor_position_m)) < 0.51e-6
 
 

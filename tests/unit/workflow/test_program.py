@@ -1,6 +1,6 @@
 """The route ``program``: what was uploaded draws the motion with its correction, and is checked."""
 
-from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.runs import left_as_found, runs_of
-from pmac_comp.workflow.simulated import embedded, make_card
 from pmac_comp.workflow.verify import verify_axis
 
 BENCH = load_bench("paper")
@@ -32,15 +31,6 @@ COMPENSATION = Compensation(
     motion_position_m=MOTION.position_m,
     motion_correction_m=BUMP,
 )
-
-
-@pytest.fixture
-def axis() -> Iterator[Axis]:
-    with embedded(make_card(BENCH)) as link:
-        found = Axis(link, BENCH, "test", simulated=True)
-        found.set_up()
-        found.enable()
-        yield found
 
 
 def test_the_program_states_its_errors() -> None:
@@ -76,14 +66,7 @@ def test_verify_runs_what_was_uploaded_against_the_plain_motion(
     span = np.ptp(MOTION.position_m)
     assert np.ptp(after.commanded_position_m) == pytest.approx(span, abs=0.2e-6)
 
-    class Opened:
-        def __enter__(self) -> Axis:
-            return axis
-
-        def __exit__(self, *_failure: object) -> None:
-            pass
-
-    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: Opened())
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
     assert upload_flow.rollback_upload("sim://", "paper", tmp_path)["verdict"] == "OLD"
     runs = runs_of(axis, context, COMPENSATION, ())
     with pytest.raises(VerifyMismatch):
