@@ -7,7 +7,7 @@ empty buffer.
 
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,7 +16,7 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.variables import batches, same_value
+from pmac_comp.machine.controller.variables import Between, ask, quiet, same_value
 from pmac_comp.machine.wire.numbers import read_number
 
 PLC_TABLE: Final = 0x3100  # Y: bits 0-18 storage address, bit 22 disabled (p. 509)
@@ -102,14 +102,7 @@ class Settings:
             raise ConfigError(f"Stored settings are not understood: {error}.") from error
 
 
-Alive = Callable[[], None]
-
-
-def quiet() -> None:
-    """Nothing to be done between two requests."""
-
-
-def read_settings(link: Link, like: Settings, *, between: Alive = quiet) -> Settings:
+def read_settings(link: Link, like: Settings, *, between: Between = quiet) -> Settings:
     """The same items as ``like`` has, as they stand; ``between`` is called between requests."""
     definitions = [f"M{n}->" for n in like.definitions]
     found = {kind_number: read_body(link, *kind_number) for kind_number in like.programs}
@@ -122,19 +115,9 @@ def read_settings(link: Link, like: Settings, *, between: Alive = quiet) -> Sett
     )
 
 
-def _ask(link: Link, names: Sequence[str], between: Alive) -> list[str]:
-    answers: list[str] = []
-    for group in batches(names):
-        between()
-        lines = link.query(" ".join(group))
-        if len(lines) != len(group):
-            raise RemoteProtocolError(
-                f"{len(group)} questions were answered with {len(lines)} lines.",
-                code="PC-SET-001",
-                context={"asked": list(group), "answer": lines[:8]},
-            )
-        answers += [line.strip() for line in lines]
-    return answers
+def _ask(link: Link, names: Sequence[str], between: Between) -> list[str]:
+    words = "{} questions were answered with {} lines."
+    return ask(link, names, between, code="PC-SET-001", words=words)
 
 
 def read_body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
@@ -232,7 +215,7 @@ def write_settings(
     goal: Settings,
     *,
     skip_refused: bool = False,
-    between: Alive = quiet,
+    between: Between = quiet,
 ) -> tuple[str, ...]:
     """Bring the card from ``present`` to ``goal``; PLCs that change are held meanwhile.
 
@@ -301,7 +284,7 @@ def setting_lines(present: Settings, goal: Settings) -> list[str]:
 
 
 def _send(
-    link: Link, lines: Sequence[str], between: Alive, *, skip_refused: bool
+    link: Link, lines: Sequence[str], between: Between, *, skip_refused: bool
 ) -> tuple[str, ...]:
     rest, refused = list(lines), []
     while rest:
@@ -329,7 +312,7 @@ def _one_by_one(link: Link, lines: Sequence[str]) -> list[str]:
     return refused
 
 
-def require_settings(link: Link, goal: Settings, *, between: Alive = quiet) -> None:
+def require_settings(link: Link, goal: Settings, *, between: Between = quiet) -> None:
     """Read everything back; raises VerifyMismatch naming what differs."""
     wrong = differences(goal, read_settings(link, goal, between=between))
     if wrong:

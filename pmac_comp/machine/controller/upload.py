@@ -51,8 +51,9 @@ from pmac_comp.machine.controller.transaction import (
     UploadResult,
     mark_left,
 )
-from pmac_comp.machine.controller.upload_checks import difference, motion_refusals, packets
+from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, motion_refusals
 from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look, step_refusals
+from pmac_comp.machine.controller.variables import batches
 
 FRESH_s: Final = 5.0
 
@@ -293,7 +294,7 @@ class TableUpload:
     def _write(self, the_plan: UploadPlan) -> None:
         self._change.step("write", {"n_lines": len(the_plan.lines)})
         lines = ["DELETE GATHER", *the_plan.lines, f"I30={self._i30}"]
-        parts = list(packets(lines))
+        parts = list(batches(lines, PACKET_BYTES))
         for k, packet in enumerate(parts):
             if self.context.stop_requested():
                 raise UploadIncomplete(

@@ -1,6 +1,6 @@
-"""What forbids an upload, what it would change, and how its lines are packed."""
+"""What forbids an upload, and what it would change."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -110,17 +110,3 @@ def motion_refusals(
         MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
         for reason in moving_motors(link, motors, begun)
     ]
-
-
-def packets(lines: Sequence[str]) -> Iterator[list[str]]:
-    """Lines in groups that fit one request each."""
-    packet: list[str] = []
-    size = 0
-    for line in lines:
-        if packet and size + len(line) + 1 > PACKET_BYTES:
-            yield packet
-            packet, size = [], 0
-        packet.append(line)
-        size += len(line) + 1
-    if packet:
-        yield packet

@@ -4,7 +4,7 @@ Ranges and units: Software Reference Manual p. 35-191 (I-variables), p. 243 (cou
 ``base`` and this layer.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -157,25 +157,57 @@ def check_value(name: str, value: float) -> None:
         )
 
 
-def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:
-    """Values of variables such as ``I130`` or ``P7001``, several per question.
+Between = Callable[[], None]
+"""Called before each request of many, e.g. to renew a lease."""
+
+
+def quiet() -> None:
+    """Nothing to be done between two requests."""
+
+
+def ask(
+    link: Link,
+    names: Sequence[str],
+    between: Between = quiet,
+    *,
+    code: str = "PC-VAR-002",
+    words: str = "{} variables were asked for, {} values came back.",
+) -> list[str]:
+    """One line for each name, several names per question.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    names : sequence of str
+        Questions that are answered with one line each.
+    between : callable
+        Called before each request.
+    code, words : str
+        Of the error; ``words`` takes the numbers asked for and answered.
 
     Raises
     ------
     RemoteProtocolError
         Number of answers differs from the number of questions.
     """
-    values: dict[str, float] = {}
+    answers: list[str] = []
     for group in batches(names):
+        between()
         lines = link.query(" ".join(group))
         if len(lines) != len(group):
             raise RemoteProtocolError(
-                f"{len(group)} variables were asked for, {len(lines)} values came back.",
-                code="PC-VAR-002",
+                words.format(len(group), len(lines)),
+                code=code,
                 context={"asked": list(group), "answer": lines[:8]},
             )
-        values.update(zip(group, map(read_number, lines), strict=True))
-    return values
+        answers += [line.strip() for line in lines]
+    return answers
+
+
+def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:
+    """Values of variables such as ``I130`` or ``P7001``, several per question."""
+    return dict(zip(names, map(read_number, ask(link, names)), strict=True))
 
 
 def read_range(link: Link, letter: str, first: int, last: int) -> list[float]:
@@ -227,7 +259,7 @@ def same_value(found: float, meant: float) -> bool:
 
 
 def batches(items: Iterable[str], limit: int = LINE_LIMIT) -> Iterator[list[str]]:
-    """Items in groups that fit one command line."""
+    """Items in groups that fit one command line, or another limit in characters."""
     group: list[str] = []
     length = 0
     for item in items:
