@@ -12,8 +12,9 @@ import numpy as np
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import estimates_of
-from pmac_comp.physics.diagnose.growth import Grown, Rules, grow
+from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare

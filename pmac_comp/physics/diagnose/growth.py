@@ -9,105 +9,38 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.physics.diagnose.candidates import Start, relieved, started
+from pmac_comp.physics.diagnose.contenders import (
+    Contender,
+    Ground,
+    Rules,
+    contend,
+    judged,
+    leaders,
+    polished,
+)
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
-from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit, settled
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.screen import (
     Look,
-    Screened,
     Screening,
     look,
     noise_like,
     refreshed,
     screen,
 )
-from pmac_comp.physics.diagnose.statistics import (
-    bic_gain,
-    corrected_p,
-    effective_size,
-    sign_flip_p,
-    studentised,
-)
+from pmac_comp.physics.diagnose.statistics import studentised
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
 
 Progress = Callable[[str], None]
-_ELEMENTARY = frozenset({"coulomb", "viscous"})
-_CLOSE = 0.9
-# Share of the best gain from which on the second is worth a refit of everything.
-_OPEN = 0.25
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
-
-
-@dataclass(frozen=True)
-class Rules:
-    """Figures of the decisions.
-
-    Parameters
-    ----------
-    material : float
-        Least drop of chi-square per sample, on fitting and on judging samples alike: an effect
-        that changes less than this share of the noise's variance is not worth a name, however
-        significant it is (the model's own integration leaves about a quarter of it).
-    overwhelming : float
-        Multiple of ``material`` on fitting samples that need not be as large on judging ones.
-    material_gap : float
-        Share of the noise floor that a slow effect must take out of the gap instead.
-    widened : float
-        Multiple of the gap before beyond which a candidate widens what it should close.
-    p_value : float
-        Largest p-value, by sign flips over the blocks of fitting and judging runs together (a
-        candidate's few parameters take a few units of chi-square of what it earns on the former),
-        corrected for the number of candidates.
-    tie_z : float
-        Paired difference over its standard error below which look-alikes are tied.
-    tie_material : float
-        Difference per sample below which look-alikes are tied, significant or not.
-    tie_share : float
-        Share of the winner's gain that effects which are seldom inseparable must reach as well.
-    leaders : int
-        Candidates that get a full refit.
-    most_effects : int
-        Most effects added.
-    """
-
-    material: float = 0.04
-    overwhelming: float = 4.0
-    material_gap: float = 0.6
-    widened: float = 1.1
-    p_value: float = 0.01
-    tie_z: float = 3.0
-    tie_material: float = 0.015
-    tie_share: float = 0.97
-    leaders: int = 4
-    most_effects: int = 4
-
-
-@dataclass(frozen=True)
-class Contender:
-    """A candidate after its full joint refit, judged against the model without it."""
-
-    effect: str
-    key: str
-    screened: Screened
-    fitted: Fitted
-    fit_gain: float
-    judged_gain: float
-    p_value: float
-    bic_gain: float
-    gap_um: float
-
-    @property
-    def gain(self) -> float:
-        """What ranks: both gains together."""
-        return self.fit_gain + self.judged_gain
 
 
 @dataclass(frozen=True)
@@ -150,11 +83,15 @@ class Grown:
     @property
     def accepted(self) -> tuple[Contender, ...]:
         """Accepted candidates in order."""
-        return tuple(r.accepted for r in self.rounds if r.accepted is not None)
+        return _accepted(self.rounds)
 
     def final_on(self, part: Workbench) -> Fitted:
         """The grown model evaluated on some of the records."""
         return evaluate(part, self.final.model)
+
+
+def _accepted(rounds: Sequence[Round]) -> tuple[Contender, ...]:
+    return tuple(r.accepted for r in rounds if r.accepted is not None)
 
 
 def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
@@ -225,16 +162,66 @@ def grow(
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        point = evaluate(bench.fitting_bench(), done.accepted.fitted.model)
+        whole, rounds = _pruned(bench, done.accepted.fitted, rounds, library, rules, progress)
+        point = evaluate(bench.fitting_bench(), whole.model)
     open_SI: Mapping[str, float] = {}
-    if any(r.accepted is not None for r in rounds):
+    if _accepted(rounds):
         progress("settling all parameters")
         part = bench.fitting_bench()
         point, open_SI = settled(part, evaluate(part, point.model))
+        grown, kept = evaluate(bench, point.model), rounds
+        whole, rounds = _pruned(bench, grown, kept, library, rules, progress)
+        if len(_accepted(rounds)) < len(_accepted(kept)):
+            point, open_SI = settled(part, evaluate(part, whole.model))
     final = evaluate(bench, point.model)
-    grew = base is not None and any(r.accepted is not None for r in rounds)
+    grew = base is not None and bool(_accepted(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)
+
+
+def _pruned(
+    bench: Workbench,
+    whole: Fitted,
+    rounds: Sequence[Round],
+    library: Mapping[str, Effect],
+    rules: Rules,
+    progress: Progress,
+) -> tuple[Fitted, list[Round]]:
+    """The model less the effects that no longer earn their place beside the later ones.
+
+    What was added first stood for everything that was missing then; once its true cause is in the
+    model, an imitation has nothing left to explain.
+    """
+    kept = list(rounds)
+    while len(_accepted(kept)) > 1:
+        for i, done in enumerate(kept):
+            less = _without(bench, whole, done, library, rules)
+            if less is not None:
+                progress("an effect is no longer needed beside those found after it")
+                kept[i] = replace(done, accepted=None, tied=())
+                whole = less
+                break
+        else:
+            break
+    return whole, kept
+
+
+def _without(
+    bench: Workbench, whole: Fitted, done: Round, library: Mapping[str, Effect], rules: Rules
+) -> Fitted | None:
+    """The model refitted without a round's effect, or None where that earns its place."""
+    if done.accepted is None:
+        return None
+    part = bench.fitting_bench()
+    try:
+        bare = whole.model.without_effect(done.accepted.effect)
+        fitted = refit(part, evaluate(part, bare), rounds=8)
+        less = evaluate(bench, fitted.model)
+    except ModelError:
+        return None
+    gap_um = gap(bench.judging_records, less.model, bench.executor).position_um
+    back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
+    return None if _earned(back, replace(done, gap_um=gap_um), rules) else less
 
 
 def _look_around(
@@ -283,16 +270,14 @@ def _round(
     rules: Rules,
     progress: Progress,
 ) -> Round:
-    gram = empty_gram(bench, before.simulated)
-    fits, rows = gram.fitting, gram.rows
+    ground = Ground.of(bench, before, library)
+    fits, rows = ground.fitting, ground.rows
     rows_fit, rows_judge = float(rows[fits].sum()), float(rows[~fits].sum())
-    contenders = []
-    for item in _leaders(screening, rows_fit, library, rules):
+    tried = []
+    for item in leaders(screening, rows_fit, library, rules):
         progress(f"refitting with {item.start.key}")
-        contender = _contend(bench, before, screening, item, library, fits)
-        if contender is not None:
-            contenders.append(contender)
-    contenders = _polished(bench, before, _best_of_each(contenders), library, fits)
+        tried.append(contend(ground, item, screening.frozen))
+    contenders = polished(ground, [c for c in tried if c is not None])
     winner = contenders[0] if contenders else None
     gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
     floor_um = noise_floor_um(bench, before.model)
@@ -303,124 +288,6 @@ def _round(
         return bare
     tied = _tied(winner, contenders, library, rows, rules)
     return replace(bare, accepted=winner, tied=tied)
-
-
-def _leaders(
-    screening: Screening, rows_fit: float, library: Mapping[str, Effect], rules: Rules
-) -> list[Screened]:
-    """Candidates worth a full refit: the best few, and the look-alikes of the very best."""
-    worth = [s for s in screening.ranked if s.fit_gain > 0.1 * rules.material * rows_fit]
-    if not worth:
-        return []
-    top = worth[0]
-    chosen = [s for s in worth[: rules.leaders] if s.fit_gain > 0.05 * top.fit_gain]
-    names = {s.start.effect for s in chosen}
-    for item in worth:
-        name = item.start.effect
-        close = item.fit_gain > 0.2 * top.fit_gain
-        if name not in names and close and alike(name, top.start.effect, library):
-            chosen.append(item)
-    second = screening.starts[top.start.effect][1:2]
-    return [*chosen, *(s for s in second if s.fit_gain > 0.5 * top.fit_gain)]
-
-
-def _contend(
-    bench: Workbench,
-    before: Fitted,
-    screening: Screening,
-    item: Screened,
-    library: Mapping[str, Effect],
-    fits: BoolArray,
-) -> Contender | None:
-    """Full joint refit of one candidate; None where no simulation stays finite."""
-    part = bench.fitting_bench()
-    start = item.start
-    try:
-        model = _model_at(before.model, start, item.step, library)
-        fitted = refit(part, evaluate(part, model), frozen=screening.frozen, rounds=4)
-        whole = evaluate(bench, fitted.model)
-    except ModelError:
-        return None
-    return _contender(bench, before, item, whole, library, fits)
-
-
-def _contender(
-    bench: Workbench,
-    before: Fitted,
-    item: Screened,
-    whole: Fitted,
-    library: Mapping[str, Effect],
-    fits: BoolArray,
-) -> Contender:
-    """A refitted candidate with its evidence."""
-    start = item.start
-    drop = before.blocks - whole.blocks
-    judged = drop[~fits]
-    gain = float(drop[fits].sum())
-    size = effective_size(drop) / max(1, drop.size)
-    rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
-    parameters = len(library[start.effect].parameters)
-    return Contender(
-        start.effect,
-        start.key,
-        item,
-        whole,
-        gain,
-        float(judged.sum()),
-        corrected_p(sign_flip_p(drop, seed=len(start.key)), len(library)),
-        bic_gain(gain * size, parameters, rows * size),
-        gap(bench.judging_records, whole.model, bench.executor).position_um,
-    )
-
-
-def _polished(
-    bench: Workbench,
-    before: Fitted,
-    contenders: Sequence[Contender],
-    library: Mapping[str, Effect],
-    fits: BoolArray,
-) -> list[Contender]:
-    """The two best refitted with columns of their own where the order between them is open."""
-    if len(contenders) < 2 or contenders[1].gain < _OPEN * contenders[0].gain:
-        return list(contenders)
-    part = bench.fitting_bench()
-    best = []
-    for contender in contenders[:2]:
-        fitted = refit(part, evaluate(part, contender.fitted.model), rounds=3)
-        best.append(
-            _contender(
-                bench, before, contender.screened, evaluate(bench, fitted.model), library, fits
-            )
-        )
-    return _best_of_each([*best, *contenders[2:]])
-
-
-def _model_at(
-    model: DriveModel, start: Start, step: Sequence[float], library: Mapping[str, Effect]
-) -> DriveModel:
-    """The model with the candidate at the size that the linearised refit found."""
-    effect = library[start.effect]
-    placed = model.with_effect(start.key, start.values, library={start.effect: effect})
-    specs = tuple(
-        replace(spec, name=spec.name.partition(".")[2])
-        for spec in placed.specs
-        if spec.name.startswith(f"{start.effect}.")
-    )
-    values = started(start, step, specs)
-    placed = placed.with_parameters({f"{start.effect}.{k}": v for k, v in values.items()})
-    return relieved(placed, start.effect)
-
-
-def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
-    """The best start of every effect, best effect first."""
-    best: dict[str, Contender] = {}
-    for contender in sorted(contenders, key=lambda c: -c.gain):
-        best.setdefault(contender.effect, contender)
-    ranked = list(best.values())
-    # Flexible forms can imitate elementary friction to a few per cent: the elementary one goes
-    # first and the other may still earn its place beside it.
-    plain = [c for c in ranked if c.effect in _ELEMENTARY and c.gain > _CLOSE * ranked[0].gain]
-    return [*plain, *(c for c in ranked if c not in plain)]
 
 
 def _earned(winner: Contender, done: Round, rules: Rules) -> bool:

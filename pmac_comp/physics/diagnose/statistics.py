@@ -14,12 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.stats import norm
+from scipy.stats import beta, norm
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 
 _RIDGE = 1e-9
 _MIN_BLOCKS = 4
+# Whitened residuals that hold more than noise are correlated over a few hundredths of a second.
+_SAMPLES_PER_INDEPENDENT = 16.0
 
 
 @dataclass(frozen=True)
@@ -238,6 +240,45 @@ def sign_flip_p(differences: FloatArray, *, seed: int, draws: int = 2000) -> flo
         return max(least, (hits + 1) / (draws + 1))
     tail = float(norm.sf(studentised(differences)))
     return max(least, tail)
+
+
+def rotation_p(
+    before: FloatArray, after: FloatArray, rows: FloatArray, *, parameters: int
+) -> float:
+    """p-value of a drop of chi-square that may come from a single event.
+
+    Signs of blocks cannot prove what happens once or twice (a torque limit reached at the start of
+    a stroke). Given the sum of squares before, a residual without cause points anywhere: the share
+    of it that a few parameters take away is Beta distributed in as many dimensions as there are
+    independent samples where the sum of squares lives.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (blocks,)
+        Sum of squares in every block without and with the candidate.
+    rows : ndarray, shape (blocks,)
+        Samples in every block.
+    parameters : int
+        Parameters of the candidate.
+
+    Returns
+    -------
+    float
+        One where nothing is gained.
+
+    Source
+    ------
+    Rotation test (Langsrud 2005); blocks are counted by the participation ratio of their power,
+    their samples as one in ``_SAMPLES_PER_INDEPENDENT``.
+    """
+    whole = float(before.sum())
+    share = 1.0 - float(after.sum()) / whole if whole > 0.0 else 0.0
+    if share <= 0.0:
+        return 1.0
+    blocks = whole**2 / float(np.sum(before**2))
+    size = blocks * float(rows.mean()) / _SAMPLES_PER_INDEPENDENT
+    free = size - parameters
+    return float(beta.sf(share, 0.5 * parameters, 0.5 * free)) if free > 1.0 else 1.0
 
 
 def studentised(differences: FloatArray) -> float:

@@ -1,0 +1,239 @@
+"""Candidates that are worth a refit of everything, and their evidence after it.
+
+What lives here: which candidates contend, from which starts, and what each earns. No acceptance.
+May import the rest of this package below ``growth``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.physics.diagnose.candidates import Start, relieved, started
+from pmac_comp.physics.diagnose.lookalikes import alike
+from pmac_comp.physics.diagnose.records import gap
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
+from pmac_comp.physics.diagnose.screen import Screened, Screening
+from pmac_comp.physics.diagnose.statistics import (
+    bic_gain,
+    corrected_p,
+    effective_size,
+    rotation_p,
+    sign_flip_p,
+)
+from pmac_comp.physics.diagnose.workbench import Workbench
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import Effect
+
+_ELEMENTARY = frozenset({"coulomb", "viscous"})
+_CLOSE = 0.9
+# Share of the best gain from which on the second is worth a refit of everything.
+_OPEN = 0.25
+# Effects that change the stability of the loop: between the truth and a wrong value there are other
+# minima, so that every value at which they were tried is a start of its own.
+_EVERY_START = frozenset({"actuator_delay", "current_bandwidth"})
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Figures of the decisions.
+
+    Parameters
+    ----------
+    material : float
+        Least drop of chi-square per sample, on fitting and on judging samples alike: an effect
+        that changes less than this share of the noise's variance is not worth a name, however
+        significant it is (the model's own integration leaves about a quarter of it).
+    overwhelming : float
+        Multiple of ``material`` on fitting samples that need not be as large on judging ones.
+    material_gap : float
+        Share of the noise floor that a slow effect must take out of the gap instead.
+    widened : float
+        Multiple of the gap before beyond which a candidate widens what it should close.
+    p_value : float
+        Largest p-value, by sign flips over the blocks of fitting and judging runs together (a
+        candidate's few parameters take a few units of chi-square of what it earns on the former),
+        corrected for the number of candidates.
+    tie_z : float
+        Paired difference over its standard error below which look-alikes are tied.
+    tie_material : float
+        Difference per sample below which look-alikes are tied, significant or not.
+    tie_share : float
+        Share of the winner's gain that effects which are seldom inseparable must reach as well.
+    leaders : int
+        Candidates that get a full refit.
+    most_effects : int
+        Most effects added.
+    """
+
+    material: float = 0.04
+    overwhelming: float = 4.0
+    material_gap: float = 0.6
+    widened: float = 1.1
+    p_value: float = 0.01
+    tie_z: float = 3.0
+    tie_material: float = 0.015
+    tie_share: float = 0.97
+    leaders: int = 4
+    most_effects: int = 4
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A candidate after its full joint refit, judged against the model without it."""
+
+    effect: str
+    key: str
+    screened: Screened
+    fitted: Fitted
+    fit_gain: float
+    judged_gain: float
+    p_value: float
+    bic_gain: float
+    gap_um: float
+
+    @property
+    def gain(self) -> float:
+        """What ranks: both gains together."""
+        return self.fit_gain + self.judged_gain
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What every candidate of a round stands on.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records and weights.
+    before : Fitted
+        The model without any of them.
+    fitting, rows : ndarray, shape (b,)
+        Which blocks are fitted, and the samples of each.
+    library : Mapping of str to Effect
+        Candidates.
+    """
+
+    bench: Workbench
+    before: Fitted
+    fitting: BoolArray
+    rows: FloatArray
+    library: Mapping[str, Effect]
+
+    @classmethod
+    def of(cls, bench: Workbench, before: Fitted, library: Mapping[str, Effect]) -> "Ground":
+        """The ground under a model."""
+        gram = empty_gram(bench, before.simulated)
+        return cls(bench, before, gram.fitting, gram.rows, library)
+
+
+def leaders(
+    screening: Screening, rows_fit: float, library: Mapping[str, Effect], rules: Rules
+) -> list[Screened]:
+    """Candidates worth a full refit: the best few, and the look-alikes of the very best."""
+    worth = [s for s in screening.ranked if s.fit_gain > 0.1 * rules.material * rows_fit]
+    if not worth:
+        return []
+    top = worth[0]
+    chosen = [s for s in worth[: rules.leaders] if s.fit_gain > 0.05 * top.fit_gain]
+    names = {s.start.effect for s in chosen}
+    for item in worth:
+        name = item.start.effect
+        close = item.fit_gain > 0.2 * top.fit_gain
+        if name not in names and close and alike(name, top.start.effect, library):
+            chosen.append(item)
+    return [*chosen, *_other_starts(screening, chosen)]
+
+
+def _other_starts(screening: Screening, chosen: Sequence[Screened]) -> list[Screened]:
+    """Further starts: the second of the best, and all of effects with minima of their own."""
+    top = chosen[0]
+    found = [s for s in screening.starts[top.start.effect][1:2] if s.fit_gain > 0.5 * top.fit_gain]
+    for item in chosen:
+        if item.start.effect in _EVERY_START:
+            found += [s for s in screening.starts[item.start.effect][1:] if s not in found]
+    return found
+
+
+def contend(ground: Ground, item: Screened, frozen: Frozen) -> Contender | None:
+    """Full joint refit of one candidate; None where no simulation stays finite."""
+    part = ground.bench.fitting_bench()
+    try:
+        model = _model_at(ground.before.model, item.start, item.step, ground.library)
+        fitted = refit(part, evaluate(part, model), frozen=frozen, rounds=4)
+        whole = evaluate(ground.bench, fitted.model)
+    except ModelError:
+        return None
+    return judged(ground, item, whole)
+
+
+def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
+    """A refitted candidate with its evidence."""
+    bench, before = ground.bench, ground.before
+    drop = before.blocks - whole.blocks
+    gain = float(drop[ground.fitting].sum())
+    size = effective_size(drop) / max(1, drop.size)
+    rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
+    parameters = len(ground.library[item.start.effect].parameters)
+    return Contender(
+        item.start.effect,
+        item.start.key,
+        item,
+        whole,
+        gain,
+        float(drop[~ground.fitting].sum()),
+        corrected_p(_by_chance(ground, whole, parameters), len(ground.library)),
+        bic_gain(gain * size, parameters, rows * size),
+        gap(bench.judging_records, whole.model, bench.executor).position_um,
+    )
+
+
+def _by_chance(ground: Ground, whole: Fitted, parameters: int) -> float:
+    """p-value of the better of two tests: many blocks that gain, or one event explained."""
+    by_signs = sign_flip_p(ground.before.blocks - whole.blocks, seed=7)
+    by_share = rotation_p(ground.before.blocks, whole.blocks, ground.rows, parameters=parameters)
+    return min(1.0, 2.0 * min(by_signs, by_share))
+
+
+def polished(ground: Ground, contenders: Sequence[Contender]) -> list[Contender]:
+    """The best of every effect; the two best refitted anew where the order between them is open."""
+    ranked = _best_of_each(contenders)
+    if len(ranked) < 2 or ranked[1].gain < _OPEN * ranked[0].gain:
+        return ranked
+    part = ground.bench.fitting_bench()
+    best = []
+    for contender in ranked[:2]:
+        fitted = refit(part, evaluate(part, contender.fitted.model), rounds=3)
+        whole = evaluate(ground.bench, fitted.model)
+        best.append(judged(ground, contender.screened, whole))
+    return _best_of_each([*best, *ranked[2:]])
+
+
+def _model_at(
+    model: DriveModel, start: Start, step: Sequence[float], library: Mapping[str, Effect]
+) -> DriveModel:
+    """The model with the candidate at the size that the linearised refit found."""
+    effect = library[start.effect]
+    placed = model.with_effect(start.key, start.values, library={start.effect: effect})
+    specs = tuple(
+        replace(spec, name=spec.name.partition(".")[2])
+        for spec in placed.specs
+        if spec.name.startswith(f"{start.effect}.")
+    )
+    values = started(start, step, specs)
+    placed = placed.with_parameters({f"{start.effect}.{k}": v for k, v in values.items()})
+    return relieved(placed, start.effect)
+
+
+def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
+    """The best start of every effect, best effect first."""
+    best: dict[str, Contender] = {}
+    for contender in sorted(contenders, key=lambda c: -c.gain):
+        best.setdefault(contender.effect, contender)
+    ranked = list(best.values())
+    # Flexible forms can imitate elementary friction to a few per cent: the elementary one goes
+    # first and the other may still earn its place beside it.
+    plain = [c for c in ranked if c.effect in _ELEMENTARY and c.gain > _CLOSE * ranked[0].gain]
+    return [*plain, *(c for c in ranked if c not in plain)]
