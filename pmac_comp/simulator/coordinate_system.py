@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pmac_comp.simulator import motion_moves as moves
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator import vm
@@ -20,8 +21,8 @@ from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.hold_point import HoldPoint
 from pmac_comp.simulator.language.statements import Statement
 from pmac_comp.simulator.machine import Context
-from pmac_comp.simulator.memory import read_float48, read_long, write_float48
-from pmac_comp.simulator.motion_planner import LinearMove, Planner, Segments, join
+from pmac_comp.simulator.memory import read_long, write_float48
+from pmac_comp.simulator.motion_planner import Planner, Segments, join
 from pmac_comp.simulator.programs import Program
 
 if TYPE_CHECKING:
@@ -116,7 +117,8 @@ class CoordinateSystem:
         """Motors assigned to this coordinate system."""
         return sorted(self.axes)
 
-    def _isx(self, index: int) -> float:
+    def isx(self, index: int) -> float:
+        """I-variable Isx of this coordinate system by its last two digits."""
         return self.card.variables.read_i(5000 + 100 * self.number + index)
 
     def match(self) -> None:
@@ -203,9 +205,9 @@ class CoordinateSystem:
         self._event(statement, ())
 
     def _load_defaults(self) -> None:
-        self.modal.ta_ms = self._isx(87)
-        self.modal.ts_ms = self._isx(88)
-        self.modal.feed = self._isx(89)
+        self.modal.ta_ms = self.isx(87)
+        self.modal.ts_ms = self.isx(88)
+        self.modal.feed = self.isx(89)
         self.modal.tm_ms = None
 
     def forget_program(self) -> None:
@@ -484,7 +486,7 @@ class CoordinateSystem:
         self.modal.tm_ms, self.modal.feed = arguments[0], None
 
     def _do_feed(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
-        limit = self._isx(98)
+        limit = self.isx(98)
         feed = min(arguments[0], limit) if limit > 0.0 else arguments[0]
         self.modal.feed, self.modal.tm_ms = feed, None
 
@@ -614,18 +616,10 @@ class CoordinateSystem:
             else:
                 targets[letter] = start + self._rolled_over(letter, start, value)
             if has_velocity:
-                rates[letter] = next(values) / self._isx(90)
+                rates[letter] = next(values) / self.isx(90)
         self._calculation_time()
         tag = self._next_tag()
-        mode = self.modal.mode
-        if mode == "pvt":
-            segments = self._pvt(targets, rates, tag)
-        elif mode == "spline":
-            segments = self._spline(targets, tag)
-        elif mode == "rapid":
-            segments = self._rapid(targets, tag)
-        else:
-            segments = self._linear(targets, tag)
+        segments = moves.move_segments(self, self.planner, targets, rates, tag)
         self.targets = targets
         self._accept(segments, tag)
 
@@ -654,7 +648,7 @@ class CoordinateSystem:
         """I11: the first move after R, DWELL, PSET or WAIT starts that many ms later (p. 43)."""
         wait_ms = self.card.variables.int_i(11)
         if self._fresh and wait_ms and self.planner is not None:
-            cycles, flags = self._cycles(wait_ms), traj.TIMED | traj.REAL_TIME
+            cycles, flags = self.cycles(wait_ms), traj.TIMED | traj.REAL_TIME
             position = self.planner.position
             self._push({m: [traj.Segment(cycles, (position[m],), flags)] for m in self.motors})
         self._fresh = False
@@ -685,132 +679,15 @@ class CoordinateSystem:
         self._tags = self._tags % _MOST_TAG + 1
         return self._tags
 
-    def _cycles(self, time_ms: float) -> float:
+    def cycles(self, time_ms: float) -> float:
+        """Servo cycles of a time at 100 % override."""
         return time_ms / self.card.servo.cycle_ms
-
-    def _linear(self, targets: dict[str, float], tag: int) -> Segments:
-        if self.planner is None:
-            return {}
-        deltas = {a: targets[a] - self.targets.get(a, 0.0) for a in targets}
-        time_ms = self._move_time_ms(deltas)
-        s_ms = self.modal.ts_ms
-        ramp_ms = max(self.modal.ta_ms, 2.0 * s_ms, self.card.servo.cycle_ms)
-        time_ms, ramp_ms = self._limited(deltas, time_ms, ramp_ms)
-        return self._linear_move(targets, deltas, time_ms, ramp_ms, s_ms, tag)
-
-    def _linear_move(
-        self,
-        targets: dict[str, float],
-        deltas: dict[str, float],
-        time_ms: float,
-        ramp_ms: float,
-        s_ms: float,
-        tag: int,
-    ) -> Segments:
-        if self.planner is None:
-            return {}
-        rates = {a: d / time_ms for a, d in deltas.items()}
-        move = LinearMove(
-            end=self.motor_targets(targets),
-            velocity=self.motor_rates(rates),
-            cycles=self._cycles(time_ms),
-            ramp_cycles=self._cycles(ramp_ms),
-            s_cycles=self._cycles(s_ms),
-            tag=tag,
-        )
-        segments = self.planner.linear(move)
-        if self._isx(92):
-            join(segments, self.planner.finish())
-        return segments
-
-    def _move_time_ms(self, deltas: dict[str, float]) -> float:
-        if self.modal.tm_ms is not None:
-            time_ms = self.modal.tm_ms
-        else:
-            feed = self.modal.feed or self._isx(89)
-            distance = math.sqrt(sum(deltas.get(a, 0.0) ** 2 for a in self.modal.feed_axes))
-            if distance == 0.0:
-                distance = max((abs(d) for d in deltas.values()), default=0.0)
-            time_ms = distance / feed * self._isx(90) if feed > 0.0 else 0.0
-        return min(max(time_ms, 0.5), 8388608.0)
-
-    def _limited(
-        self, deltas: dict[str, float], time_ms: float, ramp_ms: float
-    ) -> tuple[float, float]:
-        """Move and ramp time under Ixx16 and Ixx17; a move is never shorter than its ramp."""
-        memory = self.card.memory
-        for motor, definition in self.axes.items():
-            counts = abs(sum(s * deltas.get(a, 0.0) for a, s in definition.terms))
-            if counts == 0.0:
-                continue
-            base = r.motor_base(motor)
-            speed = read_float48(memory.x, memory.y, base + r.M_IXX16)
-            acceleration = read_float48(memory.x, memory.y, base + r.M_IXX17)
-            if speed > 0.0:
-                time_ms = max(time_ms, counts / speed)
-            if acceleration > 0.0:
-                shortest = math.sqrt(counts / acceleration)
-                longest_ramp = max(time_ms, ramp_ms)
-                ramp_ms = max(ramp_ms, min(counts / longest_ramp / acceleration, shortest))
-        return max(time_ms, ramp_ms), ramp_ms
-
-    def _pvt(self, targets: dict[str, float], rates: dict[str, float], tag: int) -> Segments:
-        if self.planner is None:
-            return {}
-        cycles = self._cycles(self._spline_time_ms())
-        segments = self.planner.pvt(
-            self.motor_targets(targets),
-            self.motor_rates(rates),
-            self.motor_rates(self.velocities),
-            cycles,
-            tag,
-        )
-        self.velocities = rates
-        return segments
-
-    def _spline_time_ms(self) -> float:
-        if self.card.variables.int_i(42):
-            time_ms = self.modal.ta_ms
-        else:
-            # Quarter microseconds are what the register resolves (p. 463).
-            time_ms = round((self.modal.tm_ms or 0.0) * 4096.0) / 4096.0
-        if time_ms <= 0.0:
-            raise CardError(3, "segment time is zero")
-        return time_ms
-
-    def _spline(self, targets: dict[str, float], tag: int) -> Segments:
-        if self.planner is None:
-            return {}
-        cycles = self._cycles(self._spline_time_ms())
-        return self.planner.spline(self.motor_targets(targets), cycles, tag)
-
-    def _rapid(self, targets: dict[str, float], tag: int) -> Segments:
-        """Jog-style moves, not blended; only the slowest motor uses its full speed (p. 465)."""
-        if self.planner is None:
-            return {}
-        out = self.planner.finish()
-        ends = self.motor_targets(targets)
-        plans: dict[int, list[traj.Segment]] = {}
-        for motor, end in ends.items():
-            limits = self.card.rapid_limits(motor)
-            start = self.planner.position[motor]
-            plans[motor] = traj.jog_to(start, 0.0, limits, end, flags=traj.TIMED)
-        longest = max((_total(p) for p in plans.values()), default=0.0)
-        for motor, plan in plans.items():
-            stretched = _stretched(plan, longest)
-            if not stretched:
-                stretched = [traj.Segment(max(longest, 1.0), (ends[motor],), traj.TIMED)]
-            first = stretched[0]
-            stretched[0] = traj.Segment(first.duration_cycles, first.coefficients, first.flags, tag)
-            out.setdefault(motor, []).extend(stretched)
-            self.planner.position[motor] = ends[motor]
-        return out
 
     def _do_dwell(self, _statement: Statement, arguments: tuple[float, ...]) -> None:
         if self.planner is None:
             return
         tag = self._next_tag()
-        cycles = self._cycles(min(max(arguments[0], 0.0), 8388607.0))
+        cycles = self.cycles(min(max(arguments[0], 0.0), 8388607.0))
         # Nothing is calculated before the dwell is over (p. 429): its last cycles tell. A shorter
         # piece than these could pass unseen; a DWELL0 is these alone.
         before = cycles - _DWELL_END_CYCLES
@@ -831,13 +708,7 @@ class CoordinateSystem:
         if self.planner is None:
             return
         tag = self._next_tag()
-        s_ms = self.modal.ts_ms
-        ramp_ms = max(self.modal.ta_ms, 2.0 * s_ms, self.card.servo.cycle_ms)
-        time_ms = max(arguments[0], ramp_ms)
-        targets = dict(self.targets)
-        segments = self._linear_move(
-            targets, dict.fromkeys(targets, 0.0), time_ms, ramp_ms, s_ms, tag
-        )
+        segments = moves.delay_segments(self, self.planner, arguments[0], tag)
         self._accept(segments, tag)
 
     # --- reports --------------------------------------------------------------------------------
@@ -909,27 +780,6 @@ def _offset_of(place: Place) -> tuple[int, int]:
         raise CardError(3)
     index = program.assembled.statement_at(position)
     return program.number, program.offset_of(max(index, 0))
-
-
-def _total(plan: list[traj.Segment]) -> float:
-    return sum(s.duration_cycles for s in plan)
-
-
-def _stretched(plan: list[traj.Segment], cycles: float) -> list[traj.Segment]:
-    """Plan with all times scaled so that it lasts `cycles`."""
-    total = _total(plan)
-    if total <= 0.0 or cycles <= total:
-        return list(plan)
-    k = cycles / total
-    return [
-        traj.Segment(
-            s.duration_cycles * k,
-            tuple(c / k**i for i, c in enumerate(s.coefficients)),
-            s.flags,
-            s.tag,
-        )
-        for s in plan
-    ]
 
 
 def _solve(letters: list[str], rows: list[tuple[AxisDefinition, float]]) -> dict[str, float]:
