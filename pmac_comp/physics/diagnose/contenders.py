@@ -31,9 +31,9 @@ _ELEMENTARY = frozenset({"coulomb", "viscous"})
 _CLOSE = 0.9
 # Share of the best gain from which on the second is worth a refit of everything.
 _OPEN = 0.25
-# Effects that change the stability of the loop: between the truth and a wrong value there are other
-# minima, so that every value at which they were tried is a start of its own.
-_EVERY_START = frozenset({"actuator_delay", "current_bandwidth"})
+# Effects that change the stability of the loop, and from how many values they start anew.
+_FRESH = frozenset({"actuator_delay", "current_bandwidth"})
+_MOST_FRESH = 2
 
 
 @dataclass(frozen=True)
@@ -144,29 +144,45 @@ def leaders(
         close = item.fit_gain > 0.2 * top.fit_gain
         if name not in names and close and alike(name, top.start.effect, library):
             chosen.append(item)
-    return [*chosen, *_other_starts(screening, chosen)]
+    second = screening.starts[top.start.effect][1:2]
+    return [*chosen, *(s for s in second if s.fit_gain > 0.5 * top.fit_gain)]
 
 
-def _other_starts(screening: Screening, chosen: Sequence[Screened]) -> list[Screened]:
-    """Further starts: the second of the best, and all of effects with minima of their own."""
-    top = chosen[0]
-    found = [s for s in screening.starts[top.start.effect][1:2] if s.fit_gain > 0.5 * top.fit_gain]
-    for item in chosen:
-        if item.start.effect in _EVERY_START:
-            found += [s for s in screening.starts[item.start.effect][1:] if s not in found]
+def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contender]:
+    """Refits from the bench's own values of what is known, for effects with minima of their own.
+
+    While the effect was missing, the fit dragged what is known to the edges of its tolerance to
+    imitate it; beside a delay near the truth those values may not even be stable.
+    """
+    if item.start.effect not in _FRESH:
+        return []
+    part = ground.bench.fitting_bench()
+    nominal = {s.name: s.nominal for s in ground.before.model.specs if s.kind == "known"}
+    fresh = ground.before.model.with_parameters(nominal)
+    begun = []
+    for start in screening.starts[item.start.effect]:
+        model = _model_at(fresh, start.start, start.step, ground.library)
+        try:
+            begun.append((start, evaluate(part, model)))
+        except ModelError:
+            continue
+    found = []
+    for start, point in sorted(begun, key=lambda b: b[1].chi2)[:_MOST_FRESH]:
+        fitted = refit(part, point, rounds=6)
+        found.append(judged(ground, start, evaluate(ground.bench, fitted.model)))
     return found
 
 
-def contend(ground: Ground, item: Screened, frozen: Frozen) -> Contender | None:
-    """Full joint refit of one candidate; None where no simulation stays finite."""
+def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
+    """Full joint refit of one candidate; nothing where no simulation stays finite."""
     part = ground.bench.fitting_bench()
     try:
         model = _model_at(ground.before.model, item.start, item.step, ground.library)
         fitted = refit(part, evaluate(part, model), frozen=frozen, rounds=4)
         whole = evaluate(ground.bench, fitted.model)
     except ModelError:
-        return None
-    return judged(ground, item, whole)
+        return []
+    return [judged(ground, item, whole)]
 
 
 def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:

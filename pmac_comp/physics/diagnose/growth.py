@@ -15,6 +15,7 @@ from pmac_comp.physics.diagnose.contenders import (
     Contender,
     Ground,
     Rules,
+    afresh,
     contend,
     judged,
     leaders,
@@ -273,11 +274,11 @@ def _round(
     ground = Ground.of(bench, before, library)
     fits, rows = ground.fitting, ground.rows
     rows_fit, rows_judge = float(rows[fits].sum()), float(rows[~fits].sum())
-    tried = []
+    tried: list[Contender] = []
     for item in leaders(screening, rows_fit, library, rules):
         progress(f"refitting with {item.start.key}")
-        tried.append(contend(ground, item, screening.frozen))
-    contenders = polished(ground, [c for c in tried if c is not None])
+        tried += [*contend(ground, item, screening.frozen), *afresh(ground, screening, item)]
+    contenders = polished(ground, tried)
     winner = contenders[0] if contenders else None
     gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
     floor_um = noise_floor_um(bench, before.model)
