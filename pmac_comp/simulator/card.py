@@ -14,10 +14,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pmac_comp.files.bench import Bench
 from pmac_comp.simulator import kernel_servo as ks
+from pmac_comp.simulator import power_up
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator.answers import Answers
@@ -28,15 +27,11 @@ from pmac_comp.simulator.coordinate_system import CoordinateSystem
 from pmac_comp.simulator.dpram_ascii import DpramAscii
 from pmac_comp.simulator.dpram_reports import DpramReports
 from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.flash import Flash, FlashDamaged, Image
-from pmac_comp.simulator.ivariables import TABLE
+from pmac_comp.simulator.flash import Flash
 from pmac_comp.simulator.language.scanner import Scanner
 from pmac_comp.simulator.language.statements import MOTION, PLC, Statement, StatementParser
 from pmac_comp.simulator.machine import Machine
 from pmac_comp.simulator.memory import (
-    DPRAM_END_LARGE,
-    DPRAM_END_SMALL,
-    DPRAM_START,
     Memory,
     read_float48,
     read_long,
@@ -45,11 +40,10 @@ from pmac_comp.simulator.memory import (
 from pmac_comp.simulator.plant.door import Plant
 from pmac_comp.simulator.plcs import Plcs
 from pmac_comp.simulator.ports import Port
-from pmac_comp.simulator.programs import Program, ProgramStore, parse_program
+from pmac_comp.simulator.programs import Program, ProgramStore
 from pmac_comp.simulator.ring_hold import RingHold
 from pmac_comp.simulator.rotary import RotaryBuffers
 from pmac_comp.simulator.servo import Servo, ServoEvent
-from pmac_comp.simulator.servo_tuning import pmac_gains
 from pmac_comp.simulator.variables import Variables
 
 # Commands register themselves when their modules are imported.
@@ -67,11 +61,6 @@ _STOPPING_EVENTS = {
     ks.EV_INTEGRATED,
     ks.EV_SERVO_FAULT,
 }
-_DPRAM_ENDS = {"small": DPRAM_END_SMALL, "large": DPRAM_END_LARGE, "none": DPRAM_START}
-_SAVED_RANGES = (
-    (r.M_DEFINITIONS, r.USER_BUFFER_START - r.M_DEFINITIONS),  # M definitions, P, Q
-    (r.BLCOMP_POINTERS, r.MEMORY_END - r.BLCOMP_POINTERS),
-)
 Listener = Callable[[str, str], None]
 
 
@@ -405,7 +394,7 @@ class Card:
             system.axes.pop(motor, None)
         else:
             system.axes[motor] = definition
-        self._write_assignment(motor)
+        self.write_assignment(motor)
 
     def undefine_axes(self, cs: int | None) -> None:
         """UNDEFINE (ALL)."""
@@ -416,9 +405,9 @@ class Card:
                 motors = system.motors
                 system.axes.clear()
                 for motor in motors:
-                    self._write_assignment(motor)
+                    self.write_assignment(motor)
 
-    def _write_assignment(self, motor: int) -> None:
+    def write_assignment(self, motor: int) -> None:
         """Coordinate system, axis code and scale factors in the motor's registers."""
         base = r.motor_base(motor)
         word = int(self.memory.y[base + r.M_STATUS2]) & 0x007FFF
@@ -641,7 +630,7 @@ class Card:
     def reset(self, *, factory: bool = False) -> None:
         """Power-up (``$$$``), or ``$$$***`` which goes to factory values in memory only."""
         if factory:
-            self._factory_reset()
+            power_up.factory_reset(self)
             self.dpram_ascii.power_up()
             return
         for system in self.systems.values():
@@ -652,157 +641,23 @@ class Card:
         self.programs.clear_all()
         self.rotary.delete_all()
         self.variables.set_factory_memory()
-        self._fixed_registers()
+        power_up.fixed_registers(self)
         for system in self.systems.values():
             system.power_up()
-        damaged = self._restore()
-        self._after_restore()
+        damaged = power_up.restore(self)
         self.dpram_ascii.power_up()
         if damaged:
             self.memory.x[r.GLOBAL_STATUS] |= r.G1_FLASH_ERROR | r.G1_CHECKSUM
 
-    def _fixed_registers(self) -> None:
-        m = self.memory
-        m.x[r.MEMORY_END] = r.USER_BUFFER_END_STANDARD
-        m.y[r.DPRAM_END_REGISTER] = _DPRAM_ENDS[self.dpram]
-        m.x[r.GLOBAL_STATUS] |= r.G1_THIS_CARD
-        m.y[r.GLOBAL_STATUS] |= r.G2_UMAC
-        # Task times in half CPU cycles: what load monitors read; the phase interval is never zero.
-        m.x[0x7FF8C] = 4420
-        m.x[r.TASK_TIME], m.y[r.TASK_TIME] = 180, 1500
-        m.x[r.BACKGROUND_TIME], m.y[r.BACKGROUND_TIME] = 40000, 60000
-        m.x[0x0B], m.y[0x0B] = 400, 800
-
-    def _restore(self) -> bool:
-        """Load flash, or the bench's set-up if nothing was saved; True if flash is damaged."""
-        try:
-            image = self.flash.load()
-        except FlashDamaged:
-            return True
-        if image is None:
-            self._apply_bench()
-        else:
-            self._apply_image(image)
-        return False
-
-    def _apply_bench(self) -> None:
-        """I-variables of the bench file, as though they had been saved."""
-        bench = self.bench
-        for number, value in ((3, 2.0), (4, 0.0), (6, 1.0), (9, 2.0)):
-            self.variables.write_i(number, value)
-        numbers = [bench.encoder.motor_number]
-        if bench.scale is not None:
-            numbers.append(bench.scale.motor_number)
-        for motor in numbers:
-            self.variables.write_i(100 * motor, 1.0)
-            entry = 8000 + motor - 1
-            is_encoder = motor == bench.encoder.motor_number
-            if not is_encoder or bench.encoder.extension == "none":
-                self.variables.write_i(entry, float(0xC00000 | r.channel_base(motor)))
-        # A bench file that states no I10 still has a servo period; the clock must agree with it.
-        self.variables.write_i(10, float(round(bench.servo_period_s * 1e3 * 8388608.0)))
-        for tail, value in pmac_gains(bench).items():
-            self.variables.write_i(100 * bench.encoder.motor_number + tail, value)
-        for name, value in bench.controller.ivariables.items():
-            self.variables.write_i(int(name[1:]), value)
-
-    def _apply_image(self, image: Image) -> None:
-        for number, value in image.variables.items():
-            self.variables.write_i(number, value)
-        for start, words in image.cells.items():
-            self.memory.x[start : start + words.shape[1]] = words[0]
-            self.memory.y[start : start + words.shape[1]] = words[1]
-        for kind, texts, table in (
-            (MOTION, image.programs, self.programs.programs),
-            (PLC, image.plcs, self.programs.plcs),
-        ):
-            for number, text in texts.items():
-                program = Program(kind, number, parse_program(text, kind))
-                program.reassemble()
-                table[number] = program
-        for cs, motor, text in image.axes:
-            definition = read_definition(Scanner(text))
-            if definition is not None:
-                self.systems[cs].axes[motor] = definition
-        self.programs.password = image.password
-        self.programs.unlocked = not image.password
-
-    def _after_restore(self) -> None:
-        self.programs.update_memory()
-        self.servo.boot()
-        self._power_up_motors()
-        for system in self.systems.values():
-            for motor in system.axes:
-                self._write_assignment(motor)
-        for number in range(32):
-            self.plcs.reload(number)
-        self.plcs.enable_all()
-        self.memory.touch()
-
-    def _power_up_motors(self) -> None:
-        """Ixx80 bit 0: close the loop at power-up (p. 271-275)."""
-        for motor in self.servo.active_motors():
-            if self.variables.int_i(100 * motor + 80) & 1:
-                self.servo.enable(motor)
-
-    def _factory_reset(self) -> None:
-        for system in self.systems.values():
-            system.power_up()
-        for motor in self.servo.active_motors():
-            self.servo.kill(motor)
-        self.variables.set_factory_values()
-        self.programs.clear_all()
-        self.programs.password, self.programs.unlocked = "", True
-        self.rotary.delete_all()
-        self.gathering.stop()
-        self.gathering.delete()
-        self.tables.delete_all()
-        for number in range(32):
-            self.plcs.reload(number)
-        self.servo.boot()
-        for system in self.systems.values():
-            for motor in system.axes:
-                self._write_assignment(motor)
-
     def save(self) -> None:
         """SAVE: write the flash image; no background task runs meanwhile (p. 394)."""
-        cells: dict[int, np.ndarray[tuple[int, int], np.dtype[np.int32]]] = {}
-        for start, count in (*_SAVED_RANGES, self._table_range()):
-            if count:
-                cells[start] = np.stack(
-                    [self.memory.x[start : start + count], self.memory.y[start : start + count]]
-                )
-        image = Image(
-            {n: self.variables.read_i(n) for n, v in TABLE.items() if not v.fixed},
-            dict(cells),
-            {n: program_text(p) for n, p in self.programs.programs.items()},
-            {n: program_text(p) for n, p in self.programs.plcs.items()},
-            [(s.number, m, d.text()) for s in self.systems.values() for m, d in s.axes.items()],
-            self.programs.password,
-        )
-        self.flash.store(image)
+        self.flash.store(power_up.saved_image(self))
         pause = round(SAVE_TIME_s / self.bench.servo_period_s)
         done = 0
         while done < pause:
             done += self.servo.run(pause - done)
         self._elapsed += pause
         self._next_background = self._elapsed + BACKGROUND_CYCLES
-
-    def _table_range(self) -> tuple[int, int]:
-        """Memory of the compensation tables, at the end of the user area."""
-        end = int(self.memory.x[r.MEMORY_END])
-        starts = [
-            int(self.memory.x[pointers + k])
-            for pointers in (r.BLCOMP_POINTERS, r.TCOMP_POINTERS, r.COMP_POINTERS)
-            for k in range(r.MOTORS)
-        ]
-        lowest = min((s for s in starts if s), default=end)
-        return lowest, end - lowest
-
-
-def program_text(program: Program) -> str:
-    """Text of a program that can be entered again, without its RETURN."""
-    return "\n".join(text for _, text in program.lines(long=True)[:-1])
 
 
 def _is_program_text(text: str) -> bool:
