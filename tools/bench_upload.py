@@ -1,9 +1,9 @@
 """Upload of a 1000-entry table against the same requests replayed bare, and request counts.
 
 Run through ``tools/bench``, or by itself: ``python tools/bench_upload.py [--json FILE]``. Both runs
-go over one TCP connection on loopback to the simulated card. Journal syncs, the watch after
-enabling (its requests are not replayed either) and the two waits of 20 ms in which motors have to
-prove that they stand are taken out of the upload's time and given apart.
+go over TCP on loopback to the simulated card, turn by turn. Only journal syncs and the watch after
+enabling (its requests are not replayed either) are taken out of the upload's time and given apart;
+waits in which motors prove that they stand count.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
 
 N_ENTRIES = 1000
-ROUNDS = 15
+ROUNDS = 40
 
 
 class CountingClock(SystemClock):
@@ -161,8 +161,9 @@ def measure() -> dict[str, object]:
             total_s = time.perf_counter() - start
             requests = [r for k, r in enumerate(recorder.requests) if k not in watch.requests]
             link.close()
-            upload_s = total_s - synced[0] - clock.slept_s - watch.spent_s
-            bare_s = replay(server.port, requests)
+            waited_s = clock.slept_s - watch.slept_s
+            upload_s = total_s - synced[0] - watch.slept_s - watch.spent_s
+            bare_s = min(replay(server.port, requests) for _ in range(2))
             carrying = (
                 sum(
                     len(bytes(data)) > 600 or b"LIST COMP" in bytes(data)  # type: ignore[call-overload]
@@ -171,7 +172,7 @@ def measure() -> dict[str, object]:
                 + sum(data[1:2] == b"\xc5" for data, _ in requests)
             )  # type: ignore[index]
             rows.append((total_s, upload_s, bare_s, len(recorder.requests), carrying))
-            aside.append((synced[0], clock.slept_s, watch.spent_s))
+            aside.append((synced[0], waited_s, watch.slept_s + watch.spent_s))
     os.fsync = fsync
     server.stop()
     # The machine may be busy: the least time of each is what the work takes.
@@ -182,11 +183,11 @@ def measure() -> dict[str, object]:
         "entries": N_ENTRIES,
         "ratio_of_least_times": round(best, 3),
         "total_s": round(last[0], 4),
-        "upload_without_syncs_and_waits_s": round(last[1], 4),
+        "upload_without_syncs_and_watch_s": round(last[1], 4),
         "bare_s": round(last[2], 4),
         "apart_syncs_s": round(syncs_s, 4),
-        "apart_standstill_waits_s": round(waits_s - watch.slept_s, 4),
-        "apart_watch_s": round(watch_s + watch.slept_s, 4),
+        "apart_watch_s": round(watch_s, 4),
+        "standstill_waits_s": round(waits_s, 4),
         "requests": last[3],
         "requests_beyond_the_table": last[3] - last[4],
     }

@@ -124,7 +124,6 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     elif tables or stale:
         stand_at_zero(axis)
         with TableUpload(axis.link, context, tables, without=stale) as upload:
-            upload.prepare()
             parts.append(upload.execute())
         notes += check_table_sign(axis, tables)
     if compensation.route == "law":
@@ -231,7 +230,6 @@ def _deploy_cam(
     stand_at_zero(axis)
     deploy_program(axis, render_cam(compensation, axis.bench), context)
     with TableUpload(axis.link, context, tables, route="cam") as upload:
-        upload.prepare()
         return upload.execute()
 
 

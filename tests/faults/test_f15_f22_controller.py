@@ -406,3 +406,41 @@ def test_f16_removal_leaves_nothing(rig: UploadBench) -> None:
     assert not rig.truth.i51
     with pytest.raises(TableStateError):
         law_arming.arm(bench.link, bench.context)
+
+
+@pytest.mark.parametrize("prepared", [False, True])
+def test_f22_slow_drift_is_refused_before_anything_is_switched(
+    *, rig: UploadBench, prepared: bool, count_runs: Count
+) -> None:
+    """A motor that creeps shows in positions only, over 20 ms and more."""
+    switched: list[str] = []
+
+    def creep(bench: CardBench) -> None:
+        ask, do = bench.link.query, bench.link.command
+        start_s = bench.clock.now_s()
+
+        def query(text: str, **options: float) -> list[str]:
+            lines = ask(text, **options)
+            if text == "#1?#1P#1V#1F":
+                lines[1] = f"{float(lines[1]) + 1500.0 * (bench.clock.now_s() - start_s):.1f}"
+            return lines
+
+        def command(text: str, **options: float) -> list[str]:
+            switched.append(text)
+            return do(text, **options)
+
+        bench.link.query, bench.link.command = query, command  # type: ignore[method-assign]
+
+    bench = rig.restart()
+    creep(bench)
+    with upload.TableUpload(bench.link, bench.context, [rig.new]) as change:
+        if prepared:
+            assert any("moves by itself" in r.message for r in change.prepare().refusals)
+        with pytest.raises(MotorNotSafe, match="moves by itself") as refused:
+            change.execute()
+    assert refused.value.left is rig.state is ControllerState.OLD
+    assert refused.value.context["confirmed"]
+    assert not any("I51=" in text for text in switched)
+    assert bench.p(7080) == 0
+    assert rig.recover() is ControllerState.OLD
+    count_runs(1)

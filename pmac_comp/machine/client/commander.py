@@ -27,7 +27,13 @@ from pmac_comp.machine.client.batches import buffer_batches, line_batches, merge
 from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY, LineLink, PacketLink, Statistics
 from pmac_comp.machine.client.modes import Modes, establish, restore
 from pmac_comp.machine.client.reads import is_read
-from pmac_comp.machine.client.refusals import accepted, batch_refused, encoded, garbled
+from pmac_comp.machine.client.refusals import (
+    accepted,
+    batch_refused,
+    encoded,
+    encoded_lines,
+    garbled,
+)
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.url import parse_url
@@ -272,7 +278,7 @@ class Commander:
             count leaves two candidates), ``candidates``, ``error`` and ``lines_accepted``, the
             number of lines in requests that were accepted as a whole.
         """
-        packed = [encoded(line) for line in lines]
+        packed = encoded_lines(lines)
         done = 0
         with self._lock:
             for batch in buffer_batches(packed, single=not self.capabilities.packets):

@@ -26,6 +26,15 @@ def encoded(text: str) -> bytes:
     return text.encode("ascii")
 
 
+def encoded_lines(lines: Sequence[str]) -> list[bytes]:
+    """Bytes of lines; as ``encoded``, looking at all of them at once."""
+    text = "".join(lines)
+    fits = max(map(len, lines), default=0) <= ethernet.MAX_COMMAND
+    if fits and text.isascii() and text.isprintable():
+        return [line.encode("ascii") for line in lines]
+    return [encoded(line) for line in lines]  # raises for the line that cannot be sent
+
+
 def accepted(reply: Reply, text: str) -> list[str]:
     """Lines of an answer that is whole and no refusal, else the error it stands for."""
     if reply.faults:

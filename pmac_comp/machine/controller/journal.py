@@ -102,7 +102,9 @@ class Journal:
 
 
 def probe_folder(folder: Path) -> None:
-    """Prove that files can be made and synced in a folder, before a machine is touched.
+    """Prove that files can be made in a folder, before a machine is touched.
+
+    The first entry of the journal is synced before anything is changed, so this need not be.
 
     Raises
     ------
@@ -115,7 +117,6 @@ def probe_folder(folder: Path) -> None:
         fd = os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:
             os.write(fd, b"probe")
-            os.fsync(fd)
         finally:
             os.close(fd)
             probe.unlink()

@@ -5,7 +5,7 @@ other conversation's addressing matters. Source: Software Reference Manual p. 28
 382, 401.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import Final
@@ -143,19 +143,25 @@ def read_motors(link: Link, motors: Sequence[int]) -> dict[int, MotorReading]:
     """Status, position, velocity and following error of motors, one question for eight."""
     readings: dict[int, MotorReading] = {}
     for start in range(0, len(motors), 8):
-        group = list(motors[start : start + 8])
-        lines = link.query("".join(f"#{m}?#{m}P#{m}V#{m}F" for m in group))
-        if len(lines) != 4 * len(group):
-            raise RemoteProtocolError(f"{len(group)} motors answered {len(lines)} lines.")
-        for k, motor in enumerate(group):
-            status, position, velocity, error = lines[4 * k : 4 * k + 4]
-            readings[motor] = MotorReading(
-                motor,
-                MotorStatus.parse(status),
-                float(read_number(position)),
-                float(read_number(velocity)),
-                float(read_number(error)),
-            )
+        group = motors[start : start + 8]
+        readings |= parse_readings(group, link.query(reading_text(group)))
+    return readings
+
+
+def reading_text(motors: Sequence[int]) -> str:
+    """Question for status, position, velocity and following error of motors."""
+    return "".join(f"#{m}?#{m}P#{m}V#{m}F" for m in motors)
+
+
+def parse_readings(motors: Sequence[int], lines: Sequence[str]) -> dict[int, MotorReading]:
+    """Readings from the answer to ``reading_text``; raises RemoteProtocolError."""
+    if len(lines) != 4 * len(motors):
+        raise RemoteProtocolError(f"{len(motors)} motors answered {len(lines)} lines.")
+    readings: dict[int, MotorReading] = {}
+    for k, motor in enumerate(motors):
+        status, *numbers = lines[4 * k : 4 * k + 4]
+        values = [float(read_number(text)) for text in numbers]
+        readings[motor] = MotorReading(motor, MotorStatus.parse(status), *values)
     return readings
 
 
@@ -177,22 +183,30 @@ def begin_standstill(link: Link, motors: Sequence[int]) -> Standstill:
     return Standstill(read_motors(link, motors), link.clock.now_s())
 
 
-def moving_motors(
-    link: Link, motors: Sequence[int], begun: Standstill | None = None
-) -> tuple[str, ...]:
+def moving_motors(link: Link, motors: Sequence[int], *looks: Standstill | None) -> tuple[str, ...]:
     """Why motors are not at rest, one text per reason; empty when all stand.
 
     A motor is at rest if it is killed and its position does not change, or if its trajectory
-    stands. Two readings are compared, at least 20 ms apart; ``begun`` may be the first if it is
-    fresh, otherwise slow drift would count as motion.
+    stands. Two readings are compared, at least 20 ms apart; the first may be the earliest of
+    ``looks`` that is fresh: over a longer time slow drift would count as motion.
     """
-    now_s = link.clock.now_s()
-    if begun is None or set(motors) - set(begun.first) or now_s - begun.at_s > LONGEST_SPACING_s:
-        begun = begin_standstill(link, motors)
+    begun = next((k for k in looks if k is not None and _is_fresh(link, motors, k)), None)
+    begun = begun or begin_standstill(link, motors)
     link.clock.sleep_s(max(0.0, STATIONARY_SPACING_s - (link.clock.now_s() - begun.at_s)))
     second = read_motors(link, motors)
     reasons = [_motion(begun.first[m], second[m]) for m in motors]
     return tuple(reason for reason in reasons if reason)
+
+
+def _is_fresh(link: Link, motors: Sequence[int], look: Standstill) -> bool:
+    age_s = link.clock.now_s() - look.at_s
+    return age_s <= LONGEST_SPACING_s and not set(motors) - set(look.first)
+
+
+def executing_moves(readings: Mapping[int, MotorReading]) -> tuple[str, ...]:
+    """Why motors are not at rest, as far as one reading tells."""
+    found = (_motion(reading, reading) for reading in readings.values())
+    return tuple(reason for reason in found if reason)
 
 
 def _motion(first: MotorReading, second: MotorReading) -> str:

@@ -7,15 +7,27 @@ from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import MotorNotSafe, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import MotorStatus, read_motors
+from pmac_comp.machine.controller.motors import (
+    MotorStatus,
+    Standstill,
+    parse_readings,
+    read_motors,
+    reading_text,
+)
 from pmac_comp.machine.wire.numbers import read_number
 
+FEW: Final = 12  # motors whose readings fit one command line
 WATCH_CYCLES: Final = 100
 WATCH_POLLS: Final = 4
 
 
-def switch_tables(link: Link, value: int, motors: Sequence[int]) -> None:
+def switch_tables(link: Link, value: int, motors: Sequence[int]) -> Standstill | None:
     """Set I51 with the motors' status in the same line, before and after.
+
+    Returns
+    -------
+    Standstill or None
+        Where the motors were afterwards; None for so many that one line cannot ask it.
 
     Raises
     ------
@@ -25,21 +37,27 @@ def switch_tables(link: Link, value: int, motors: Sequence[int]) -> None:
         I51 does not read back.
     """
     status = "".join(f"#{m}?" for m in motors)
-    lines = link.command(f"{status}I51={value}{status}I51")
-    if len(lines) != 2 * len(motors) + 1:
+    few = len(motors) <= FEW
+    n_after = 4 * len(motors) if few else len(motors)
+    lines = link.command(f"{status}I51={value}I51{reading_text(motors) if few else status}")
+    at_s = link.clock.now_s()
+    n = len(motors)
+    if len(lines) != n + 1 + n_after:
         raise VerifyMismatch(
             f"I51={value} was answered with {len(lines)} lines.", code="PC-UPL-003"
         )
-    words = [MotorStatus.parse(text) for text in lines[:-1]]
-    if int(read_number(lines[-1])) != value:
-        raise VerifyMismatch(f"I51 is {lines[-1]} after I51={value}.", code="PC-UPL-003")
+    if int(read_number(lines[n])) != value:
+        raise VerifyMismatch(f"I51 is {lines[n]} after I51={value}.", code="PC-UPL-003")
+    readings = parse_readings(motors, lines[n + 1 :]) if few else {}
+    after = [r.status for r in readings.values()] if few else map(MotorStatus.parse, lines[n + 1 :])
+    words = [*map(MotorStatus.parse, lines[:n]), *after]
     moving = [
         f"motor #{m}"
         for m, w in zip([*motors, *motors], words, strict=True)
         if w.is_activated and w.is_closed_loop and not w.is_commanded_still
     ]
     if not moving:
-        return
+        return Standstill(readings, at_s) if few else None
     if value == 1:
         link.command("I51=0")
     raise MotorNotSafe(

@@ -20,7 +20,6 @@ from pmac_comp.machine.controller.comp_table import (
     parse_header,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.registers import BLCOMP_POINTERS
 
 Key = tuple[TableKind, int]
@@ -150,12 +149,10 @@ def candidates(link: Link) -> list[Key]:
 
 def read_pointers(link: Link) -> tuple[int, ...]:
     """Start addresses of the 96 possible tables: BLCOMP, TCOMP, COMP of motors 1 to 32."""
-    words = [
-        parse_integer(w) for line in link.query(f"RX${BLCOMP_POINTERS:X},96") for w in line.split()
-    ]
+    words = parse_entries(link.query(f"RX${BLCOMP_POINTERS:X},96"))
     if len(words) != 96:
         raise RemoteProtocolError(f"96 table pointers were asked for, {len(words)} came.")
-    return tuple(words)
+    return words
 
 
 def keys_of(pointers: Sequence[int]) -> list[Key]:

@@ -6,6 +6,7 @@ shifts all later entries, so any doubt ends in DISABLED and ``recover`` begins a
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -17,6 +18,7 @@ from pmac_comp.base.errors import (
     LinkError,
     ProtocolError,
     SafetyRefusal,
+    StorageFull,
     UploadIncomplete,
     VerifyMismatch,
 )
@@ -46,6 +48,7 @@ from pmac_comp.machine.controller.table_set import (
 from pmac_comp.machine.controller.table_status import Head, read_head, table_status
 from pmac_comp.machine.controller.transaction import (
     DONE,
+    ROLLED_BACK,
     Change,
     ChangeKind,
     UploadResult,
@@ -134,6 +137,7 @@ class TableUpload:
         self._plan: UploadPlan | None = None
         self._prepared_s = 0.0
         self._i30 = 0
+        self._looks: tuple[Standstill | None, ...] = ()
         self._pointers: tuple[int, ...] = ()
         self._disabled_at_s: float | None = None
         self._disabled_s = 0.0
@@ -153,9 +157,13 @@ class TableUpload:
         UploadPlan
             With all refusals; ``execute`` raises them together.
         """
+        return self._look(to_the_end=True)
+
+    def _look(self, *, to_the_end: bool) -> UploadPlan:
         with self._change.explained():
-            self._plan, head = look(self.link, self.context, self._wish)
-        self._i30 = head.i30
+            found = look(self.link, self.context, self._wish, to_the_end=to_the_end)
+        self._plan, self._i30 = found.plan, found.head.i30
+        self._looks = (found.begun,)
         self._prepared_s = self.link.clock.now_s()
         return self._plan
 
@@ -181,14 +189,15 @@ class TableUpload:
             change.begin()
             backup = self._backup(the_plan)
             manifest = self._intend(the_plan, backup)
+            self._require_standstill(the_plan, "Switching off")
             self._disable(the_plan)
             self._write(the_plan)
-            # The first look that motors stand comes before the reading that takes longest.
-            begun = begin_standstill(self.link, the_plan.motors)
+            # Another first look that motors stand, should the one while disabling be too old.
+            self._looks += (begin_standstill(self.link, the_plan.motors),)
             self._read_back(the_plan, manifest)
             self._seal(manifest)
             if self._wish.enable_after:
-                self._enable(the_plan, begun)
+                self._enable(the_plan)
             if self.persist:
                 self._persist(the_plan)
             change.finish(change.left, self._closing)
@@ -206,7 +215,8 @@ class TableUpload:
         age_s = self.link.clock.now_s() - self._prepared_s
         if self._plan is None or age_s > FRESH_s:
             before = self._plan
-            again = self.prepare()
+            # Drift is judged before the first switch, over all that lies between.
+            again = self._look(to_the_end=False)
             if before is not None and before.old.crc != again.old.crc:
                 raise ForeignChange(
                     "The tables changed since they were looked at.",
@@ -257,6 +267,10 @@ class TableUpload:
             self.link.command("I51=0")
         if status.decision.state is ControllerState.OLD:
             self.link.write_buffer(clear_lines(self.context.block))
+            if self._origin is None and self._closing == DONE:
+                # A full disk leaves it open: `recover` then finds the same.
+                with suppress(StorageFull):
+                    self._change.step(ROLLED_BACK)
         return status.decision.state
 
     def _require_ours(self, head: Head, manifest: Manifest, i51: int) -> None:
@@ -288,8 +302,13 @@ class TableUpload:
         if the_plan.enabled_old:
             self._change.left = ControllerState.DISABLED
         self._disabled_at_s = self.link.clock.now_s()
-        switch_tables(self.link, 0, the_plan.motors)
+        self._looks = (switch_tables(self.link, 0, the_plan.motors),)
         self._change.left = ControllerState.DISABLED
+
+    def _require_standstill(self, the_plan: UploadPlan, what: str) -> None:
+        """Motors stood from an earlier look to now; raises MotorNotSafe."""
+        if the_plan.motors:
+            raise_all(motion_refusals(self.link, the_plan.motors, *self._looks), what)
 
     def _write(self, the_plan: UploadPlan) -> None:
         self._change.step("write", {"n_lines": len(the_plan.lines)})
@@ -339,10 +358,10 @@ class TableUpload:
         if head.manifest is None or head.manifest.state is not ManifestState.VALID:
             raise VerifyMismatch("The manifest could not be sealed.", code="PC-UPL-007")
 
-    def _enable(self, the_plan: UploadPlan, begun: Standstill) -> None:
+    def _enable(self, the_plan: UploadPlan) -> None:
         motors = the_plan.motors
         if motors:
-            refusals = motion_refusals(self.link, motors, begun)
+            refusals = motion_refusals(self.link, motors, *self._looks)
             readings = read_motors(self.link, motors)
             refusals += step_refusals(self.context, readings, TableSet(), the_plan.new)
             raise_all(refusals, "Enabling")
@@ -380,7 +399,6 @@ def upload_tables(
 ) -> UploadResult:
     """Upload tables in one call; see ``TableUpload`` for the options and errors."""
     with TableUpload(link, context, tables, **options) as upload:  # type: ignore[arg-type]
-        upload.prepare()
         return upload.execute()
 
 

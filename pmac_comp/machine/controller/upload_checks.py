@@ -1,6 +1,6 @@
 """What forbids an upload, and what it would change."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -103,10 +103,14 @@ def memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefu
 
 
 def motion_refusals(
-    link: Link, motors: Sequence[int], begun: Standstill | None = None
+    link: Link, motors: Sequence[int], *looks: Standstill | None
 ) -> list[SafetyRefusal]:
-    """One refusal for every motor that moves."""
+    """One refusal for every motor that moves; see ``moving_motors``."""
+    return not_at_rest(moving_motors(link, motors, *looks))
+
+
+def not_at_rest(reasons: Iterable[str]) -> list[SafetyRefusal]:
+    """Refusals of what ``moving_motors`` says."""
     return [
-        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023")
-        for reason in moving_motors(link, motors, begun)
+        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023") for reason in reasons
     ]

@@ -6,7 +6,13 @@ from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.lease import read_clock, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import MotorReading, begin_standstill, read_motors
+from pmac_comp.machine.controller.motors import (
+    MotorReading,
+    Standstill,
+    begin_standstill,
+    executing_moves,
+    read_motors,
+)
 from pmac_comp.machine.controller.safety import check_step, check_table
 from pmac_comp.machine.controller.table_set import Key, TableSet, plan, read_tables, with_lookup
 from pmac_comp.machine.controller.table_status import Head, read_head
@@ -15,6 +21,7 @@ from pmac_comp.machine.controller.upload_checks import (
     largest_change_ct,
     memory_refusals,
     motion_refusals,
+    not_at_rest,
 )
 
 
@@ -78,8 +85,26 @@ class Wish:
         return old.with_tables(self.change, without=self.without)
 
 
-def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
-    """Everything that can be known before anything is changed."""
+@dataclass(frozen=True)
+class Look:
+    """What the pre-flight found: the plan, the head it began with, and where motors were then."""
+
+    plan: UploadPlan
+    head: Head
+    begun: Standstill
+
+
+def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -> Look:
+    """Everything that can be known before anything is changed.
+
+    Parameters
+    ----------
+    link, context, wish
+        Conversation, limits, what shall stand.
+    to_the_end : bool
+        Whether to wait until slow drift of a motor shows. If not, the caller has to prove
+        standstill from ``begun`` before it switches anything.
+    """
     context.progress("pre-flight", 0, 1)
     head = read_head(link, context)
     now = read_clock(link)
@@ -97,9 +122,13 @@ def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
         refusals += [r for table in changed for r in check_table(table, context.limits)]
     refusals += memory_refusals(head, old, new)
     readings: dict[int, MotorReading] = {}
-    if motors:
+    if motors and to_the_end:
         refusals += motion_refusals(link, motors, begun)
+    if motors:
         readings = read_motors(link, motors)
+        refusals += [] if to_the_end else not_at_rest(executing_moves(readings))
+    if set(motors) - set(begun.first):
+        begun = Standstill(readings, link.clock.now_s())
     after = new if wish.enable_after else TableSet()
     refusals += step_refusals(context, readings, old if head.i51 else TableSet(), after)
     steps = plan(old, new)
@@ -113,7 +142,7 @@ def look(link: Link, context: Context, wish: Wish) -> tuple[UploadPlan, Head]:
         motors=motors,
     )
     context.progress("pre-flight", 1, 1)
-    return found, head
+    return Look(found, head, begun)
 
 
 def step_refusals(

@@ -394,7 +394,9 @@ def get_address() -> Request:
 
 def write_buffer(lines: Sequence[bytes]) -> Request:
     """WRITEBUFFER: several lines in one request, each ended by a null byte."""
-    payload = b"".join(_command(line) + b"\x00" for line in lines)
+    if max(map(len, lines), default=0) > MAX_COMMAND:
+        lines = [_command(line) for line in lines]  # raises for the line that is too long
+    payload = b"".join([line + b"\x00" for line in lines])
     if not 0 < len(payload) <= MAX_WRITE_BUFFER:
         raise LocalProtocolError(
             f"WRITEBUFFER takes 1 to {MAX_WRITE_BUFFER} bytes, not {len(payload)}"
