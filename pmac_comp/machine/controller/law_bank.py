@@ -65,7 +65,6 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 RESTART_GAP_SC: Final = 16  # a pause of more cycles than this restarts the differences
 HEARTBEAT_OFF: Final = -1
-TORQUE_STATE_FADE: Final = 0.002  # per pass
 FLANK_FRAC: Final = 0.2  # of S0: over this much of the elastic correction the gap is crossed
 _OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
 
@@ -361,11 +360,13 @@ def evaluate(
     p = parameters
     r = finite_array("position_ct", position_ct)
     v = np.diff(r, prepend=r[0])
-    a, j = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
+    raw = np.diff(v, prepend=0.0)
+    a, j = _jerk_limited(raw, p.JL)
     start = dict(start_state or {})
-    ahead = v + p.L1 * (a + 0.5 * p.L1 * j)
-    s = _friction_state(ahead * p.S_INV, start.get("s", 0.0))
-    t = _friction_state(ahead * p.T_INV, start.get("t", 0.0), fade=TORQUE_STATE_FADE)
+    ahead = r + p.L1 * (v + 0.5 * (p.L1 + 1.0) * raw)
+    way = np.diff(ahead, prepend=ahead[0])
+    s = _friction_state(way * p.S_INV, start.get("s", 0.0))
+    t = _friction_state(way * p.T_INV, start.get("t", 0.0))
     x = r - p.X0
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
     c = p.with_gap(c) + p.J0 * j
@@ -391,10 +392,10 @@ def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, F
     return followed, jerk
 
 
-def _friction_state(u: FloatArray, start: float, *, fade: float = 0.0) -> FloatArray:
+def _friction_state(u: FloatArray, start: float) -> FloatArray:
     state = np.empty_like(u)
     value = start
     for k, step in enumerate(u.tolist()):
-        value = (value + step) / (1.0 + fade + abs(step))
+        value = (value + step) / (1.0 + abs(step))
         state[k] = value
     return state

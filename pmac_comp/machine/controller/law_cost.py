@@ -29,6 +29,7 @@ def ordinary_pass(lines: Sequence[str]) -> list[str]:
         "IF(P7124<0-P7181)",
         "IF(P7005>0)",
         "IF(P7005=0)",
+        "IF(P7003=0)",
         "IF(P7003<P7002)",
         "IF(P7003>P7002)",
         "IF(P7125!=0 OR P7126!=0)",

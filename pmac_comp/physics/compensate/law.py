@@ -7,24 +7,28 @@ coefficients (``design``). Imports ``base`` only.
 With ``r`` the commanded position, ``v a j`` its backward differences at the servo period and ``x``
 the distance from the law's origin::
 
+    p  = r + L v + L (L + T)/2 v'                       place expected L seconds later
+    s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
-    w  = v + L a + L^2/2 j                              speed expected L seconds later
-    s' = (|w| (sgn w - s)) / break-away distance        friction state, follows distance
     e  = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s  elastic, as the force in the nut
     correction = e + G e / (|e| + S0 / 5) + J0 j        added to the command
-    p  = 2 pi (r + LR v) / turn                         angle of the screw, looking ahead
-    torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(n p + PH)
+    q  = 2 pi (r + LR v) / turn                         angle of the screw, looking ahead
+    torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(q + PR)) t + T0 + TH sin(n q + PH)
                                                         added to the output
 
-``t`` is a second friction state with the break-away distance of the motor's friction; it fades at
-rest within 0.2 s. The look-ahead L covers the delay of door, drive and loop: at a reversal the
-friction's step must meet the axis on time, and a lead by derivatives makes a spike of a step that
-rings the first mode instead. The same holds for steps of the acceleration: the law follows them
-no faster than J, which motions with limited jerk never meet.
+``t`` is a second friction state with the break-away distance of the motor's friction. The
+look-ahead L covers the delay of door, drive and loop: at a reversal the friction's step must meet
+the axis on time, and a lead by derivatives makes a spike of a step that rings the first mode
+instead. The extrapolation is Newton's by backward differences, exact for constant jerk: a move that
+ends is not taken for one that turns, and at rest the place expected is the place, so what was
+foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
+which motions with limited jerk never meet.
 
-``s`` holds at rest: friction holds the spring wound up. In closed-loop simulation with Coulomb
-friction, and with presliding at guide, nut or motor, the table's lag stays within some per cent
-over the first half second of a dwell, and fading ``s`` moves nothing but the command.
+Both states hold at rest, as friction does. It holds the spring wound up: in closed-loop simulation
+with Coulomb friction, and with presliding at guide, nut or motor, the table's lag stays within some
+per cent over the first half second of a dwell. A torque that faded instead would let the motor
+creep back by its presliding distance, and the integrator, which then holds the axis, would push the
+wrong way at the next reversal. A card starts ``t`` at zero when the law is armed.
 
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
@@ -166,10 +170,6 @@ class CompensationLaw:
         return replace(self, **zero, torque_limit_Nm=0.0)  # type: ignore[arg-type]
 
 
-# Share of the torque's friction state that is lost per servo period: at rest friction holds the
-# axis, and a torque that stays on would be wound up against by the controller's integrator.
-_FADE = 0.002
-
 TORQUE_NAMES = (
     "torque_inertia_Nm_s2_per_m",
     "torque_jerk_Nm_s3_per_m",
@@ -271,17 +271,20 @@ def _evaluate(
     correction = np.empty(n)
     torque = np.empty(n)
     v = a = s = t = 0.0
+    ahead = r[0]
     for k in range(n):
         v1 = v
         v = (r[k] - r[k - 1]) / period if k > 0 else 0.0
+        place = r[k] + p[8] * (v + 0.5 * (p[8] + period) * (v - v1) / period)
+        step = place - ahead
+        ahead = place
         j = min(max(((v - v1) / period - a) / period, -limit), limit)
         a += j * period
         # Implicit Euler of the friction states: holds at standstill, never overshoots.
-        step = (v + p[8] * a + 0.5 * p[8] * p[8] * j) * period
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
         w = step / p[15]
-        t = (t + w) / (1.0 + _FADE + abs(w))
+        t = (t + w) / (1.0 + abs(w))
         x = r[k] - p[23]
         e = (p[0] + p[1] * x) * a + (p[2] + p[3] * x) * v + (p[4] + p[5] * x) * s
         if p[29] > 0.0:

@@ -73,7 +73,7 @@ def test_amplitude_is_clamped_and_marked() -> None:
     assert 0 < np.count_nonzero(got.clamped) < got.clamped.size
 
 
-def test_offset_state_holds_at_rest_and_torque_state_fades() -> None:
+def test_friction_states_hold_at_rest() -> None:
     move = trapezoid(
         period_s=PERIOD,
         distance_m=0.01,
@@ -85,7 +85,46 @@ def test_offset_state_holds_at_rest_and_torque_state_fades() -> None:
     law = CompensationLaw(coulomb_m=1e-6, torque_coulomb_Nm=0.5, torque_limit_Nm=10.0)
     got = evaluate_law(law, move.position_m, PERIOD)
     assert got.correction_m[-1] == pytest.approx(1e-6, rel=1e-3)
-    assert abs(got.torque_Nm[-1]) < 0.02
+    assert got.torque_Nm[-1] == pytest.approx(0.5, rel=1e-3)
+
+
+def test_move_that_ends_is_not_taken_for_one_that_turns() -> None:
+    move = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.05,
+        speed_m_per_s=0.2,
+        acceleration_m_per_s2=3.0,
+        s_curve_s=0.015,
+        dwell_s=0.2,
+        both_ways=False,
+    )
+    law = CompensationLaw(
+        torque_coulomb_Nm=0.5,
+        torque_limit_Nm=10.0,
+        lookahead_s=2e-3,
+        breakaway_m=1e-6,
+        torque_breakaway_m=1e-6,
+    )
+    got = evaluate_law(law, move.position_m, PERIOD).torque_Nm
+    braking = np.flatnonzero(np.diff(move.position_m, 2) < -1e-8)
+    assert np.min(got[braking[0] :]) > 0.45
+
+
+def test_turn_that_was_foreseen_and_did_not_come_is_taken_back() -> None:
+    # Without S-curve nothing tells a stop from a turn until it comes.
+    move = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.05,
+        speed_m_per_s=0.2,
+        acceleration_m_per_s2=3.0,
+        dwell_s=0.2,
+        both_ways=False,
+    )
+    law = CompensationLaw(coulomb_m=1e-6, lookahead_s=2e-3, breakaway_m=1e-6)
+    got = evaluate_law(law, move.position_m, PERIOD).correction_m
+    stopped = np.flatnonzero(np.diff(move.position_m) > 1e-10)[-1]
+    assert np.min(got[stopped - 10 : stopped + 1]) < 0.0
+    assert np.min(got[stopped + 3 :]) > 0.8e-6
 
 
 def test_gap_is_taken_up_with_the_force_and_not_with_the_velocity() -> None:
