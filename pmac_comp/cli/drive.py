@@ -1,6 +1,7 @@
 """Commands on captures and models: ``identify``, ``predict``, ``diagnose``, ``compare``."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,13 @@ EffectsOption = Annotated[
 ]
 
 
+class FrictionChoice(StrEnum):
+    """How ``identify`` finds the form of friction."""
+
+    auto = "auto"
+    coulomb = "coulomb"
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands of this group."""
     app.command("identify")(identify)
@@ -40,11 +48,23 @@ def identify(
     with_effect: Annotated[
         list[str] | None, typer.Option("--with", help="Add an effect by name (repeatable)")
     ] = None,
+    friction: Annotated[
+        FrictionChoice,
+        typer.Option(
+            "--friction",
+            help="auto: Coulomb and viscous, and presliding or Stribeck friction where the "
+            "captures show them on samples that were not fitted; coulomb: the base model only",
+        ),
+    ] = FrictionChoice.auto,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
     effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
-    """Identify friction and stiffness together from captures, with intervals."""
+    """Identify friction and stiffness together from captures, with intervals.
+
+    With --model or --with, exactly these effects are fitted. Otherwise the form of friction is
+    chosen by the captures (--friction), and the output says which one and why.
+    """
     from pmac_comp.workflow.identification import identify_files
 
     progress = ProgressLines()
@@ -54,6 +74,7 @@ def identify(
         model=model,
         added=tuple(with_effect or ()),
         effects=effects,
+        friction=friction.value,
         progress=progress,
     )
     progress.close()

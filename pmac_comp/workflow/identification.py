@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
+Friction = Literal["auto", "coulomb"]
 _PERIOD_TOLERANCE = 1e-3
 _COARSEST = 12.0  # servo periods per sample of a command that is interpolated
 
@@ -90,12 +91,16 @@ def identify_captures(
     names: Sequence[str] = (),
     digests: Sequence[str] = (),
     model: "DriveModel | None" = None,
+    friction: Friction = "coulomb",
     progress: Progress | None = None,
 ) -> IdentificationOutcome:
     """Identify a drive from captures in memory."""
-    from pmac_comp.physics.identify import identify, to_model_file
+    from pmac_comp.physics.identify import identify, identify_with_friction, to_model_file
 
-    result = identify(captures, bench, model=model, progress=progress)
+    if model is None and friction == "auto":
+        result = identify_with_friction(captures, bench, progress=progress)
+    else:
+        result = identify(captures, bench, model=model, progress=progress)
     given = list(names) or [
         str(c.attributes.get("motion", f"capture {i + 1}")) for i, c in enumerate(captures)
     ]
@@ -112,9 +117,20 @@ def identify_files(
     model: Path | None = None,
     added: tuple[str, ...] = (),
     effects: Path | None = None,
+    friction: Friction = "auto",
     progress: Progress | None = None,
 ) -> IdentificationOutcome:
     """Identify a drive from capture files.
+
+    Parameters
+    ----------
+    captures, bench : sequence of Path, str
+        What was measured, and the bench file or its name.
+    model, added, effects : Path or None, tuple of str, Path or None
+        Model to start from, effects to add, file with effects of the user's own.
+    friction : "auto" or "coulomb"
+        ``auto`` chooses the form of friction by what the captures show, unless a model or effects
+        are given; ``coulomb`` keeps to the base model.
 
     Raises
     ------
@@ -131,6 +147,7 @@ def identify_files(
         names=[path.name for path in captures],
         digests=[file_digest(path) for path in captures],
         model=_start_model(loaded, model, added, effects),
+        friction=friction,
         progress=progress,
     )
 

@@ -6,12 +6,13 @@ assembly of the result. What may not: numerics of either path. Imports this pack
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from scipy.stats import t as student
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -70,6 +71,8 @@ def identify(
     progress: Progress | None = None,
     names: Iterable[str] | None = None,
     static_map: Literal["auto", "free", "none"] = "auto",
+    warm: bool = False,
+    held_out: Sequence[BoolArray] | None = None,
     executor: Executor | None = None,
 ) -> Identification:
     """Friction and stiffness of a drive, identified together, with intervals.
@@ -90,6 +93,10 @@ def identify(
     static_map : "auto", "free" or "none"
         Whether a static lead map is estimated beside the dynamics; ``auto`` does so unless the
         model has lead or sensor errors of its own.
+    warm : bool
+        Start from the friction of ``model`` instead of the linear regressions.
+    held_out : sequence of ndarray of bool, or None
+        Samples of each capture, shape (n,), that are simulated but not fitted; residuals hold them.
     executor : Executor or None
         Where simulations run; None uses threads.
 
@@ -115,7 +122,9 @@ def identify(
     start = DriveModel.base(bench) if model is None else model
     if start.is_rigid and model is None:
         return _identify_rigid(captures, bench, start, progress)
-    return _identify_elastic(captures, bench, start, progress, names, static_map, executor)
+    return _identify_elastic(
+        captures, bench, start, progress, names, static_map, executor, warm=warm, held_out=held_out
+    )
 
 
 def _identify_elastic(
@@ -126,10 +135,13 @@ def _identify_elastic(
     names: Iterable[str] | None,
     static_map: str,
     executor: Executor | None,
+    *,
+    warm: bool,
+    held_out: Sequence[BoolArray] | None,
 ) -> Identification:
     tell = progress or (lambda _text, _fraction: None)
     has_scale = any(c.table_position_m is not None for c in captures) and not start.is_rigid
-    if has_scale:
+    if has_scale and not warm:
         tell("linear start from the two regressions", 0.0)
         start = starting_model(captures, bench, start)
     plain = has_scale and set(start.effects) <= _NO_DETAIL_AT_REST
@@ -137,6 +149,11 @@ def _identify_elastic(
     if has_scale:
         leave_out = "reversals" if plain else "rest"
     records = [rec.prepare(capture, bench, leave_out=leave_out) for capture in captures]
+    if held_out is not None:
+        records = [
+            replace(r, valid=r.valid & ~out[:: r.factor])
+            for r, out in zip(records, held_out, strict=True)
+        ]
     own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
     free_map = static_map == "free" or (static_map == "auto" and not own)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
@@ -147,6 +164,7 @@ def _identify_elastic(
         bench,
         names=names,
         weights="white" if start.is_rigid else "coloured",
+        rounding=held_out is None,
         steady=[rec.steady_rows(r) for r in records] if leave_out == "rest" else None,
         progress=tell,
         executor=executor,
@@ -169,7 +187,7 @@ def _identify_elastic(
         statements=(
             *statements(fit),
             *resonance_statement(fit.model, bench),
-            *(_after_reversals(records, residuals) if plain else ()),
+            *(_after_reversals(records, residuals) if has_scale else ()),
         ),
         method="two linear regressions, then output error through the closed loop",
         figures={"rounds": float(fit.rounds), "last_step_std": fit.step},
@@ -224,30 +242,38 @@ def _residuals_of(record: rec.Record, fit: Fit, nuisance: FloatArray, i: int) ->
     )
 
 
+def share_after_reversals(
+    records: Sequence[rec.Record], residuals: Sequence[CaptureResiduals]
+) -> tuple[float, float] | None:
+    """Rms in m of what is left of table minus motor in steady motion and around reversals.
+
+    None where either is too short to say.
+    """
+    steady, turning = [], []
+    for record, left in zip(records, residuals, strict=True):
+        if left.table_m is None:
+            continue
+        thin = rec.thinned(np.nan_to_num(left.table_m)[:, np.newaxis], record.factor)[:, 0]
+        calm = rec.steady_rows(record)
+        steady.append(thin[calm])
+        turning.append(thin[rec.moving_rows(record) & rec.clean_rows(record) & ~calm])
+    if not steady or min(np.concatenate(steady).size, np.concatenate(turning).size) < _FEW_ROWS:
+        return None
+    return float(np.std(np.concatenate(steady))), float(np.std(np.concatenate(turning)))
+
+
 def _after_reversals(
     records: Sequence[rec.Record], residuals: Sequence[CaptureResiduals]
 ) -> tuple[str, ...]:
     """Says so where friction in detail, which a Coulomb model leaves out, shows in the error."""
-    steady, turning = [], []
-    for record, left in zip(records, residuals, strict=True):
-        if left.table_m is None or not np.isfinite(left.table_m).all():
-            continue
-        thin = rec.thinned(left.table_m[:, np.newaxis], record.factor)[:, 0]
-        calm = rec.steady_rows(record)
-        steady.append(thin[calm])
-        turning.append(thin[rec.moving_rows(record) & ~calm])
-    if not steady or min(np.concatenate(steady).size, np.concatenate(turning).size) < _FEW_ROWS:
+    levels = share_after_reversals(records, residuals)
+    if levels is None or levels[1] < _WORSE * levels[0]:
         return ()
-    calm_um, turning_um = (
-        UM_PER_M * float(np.std(np.concatenate(part))) for part in (steady, turning)
-    )
-    if turning_um < _WORSE * calm_um:
-        return ()
+    calm_um, turning_um = (UM_PER_M * level for level in levels)
     return (
         f"Around reversals the model leaves {turning_um:.2f} um rms of table minus motor, "
-        f"elsewhere {calm_um:.2f} um: friction there is not plain Coulomb friction. "
-        "`pmac-comp diagnose` finds out what is missing; most often it is presliding or Stribeck "
-        "(--with presliding).",
+        f"elsewhere {calm_um:.2f} um: friction there is not what the model holds. "
+        "`pmac-comp diagnose` finds out what is missing.",
     )
 
 

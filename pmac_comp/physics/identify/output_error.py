@@ -35,6 +35,7 @@ _BLOCK_s = 0.4
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 12
 _DONE_STEP = 0.3  # of a standard deviation
+_SAME_SLOPES = 1.0  # a step shorter than this changes the derivatives too little to take them anew
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
 _DAMPING_TRIES = 6
@@ -48,6 +49,7 @@ _BASE = ("chain", "coulomb", "viscous")
 # Each of these rounds sees other chances of rounding: full steps first, then ever smaller shares,
 # so that the last points are averages instead of the last throw.
 _QUANTISED_GAINS = (1.0, 1.0, 0.5, 0.33, 0.25, 0.2)
+_ALL_ROUNDS = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(_QUANTISED_GAINS)
 _QUANTISED_DONE = 1.0  # of a standard deviation, after the second round
 # The mean of four roundings leaves a quarter of their scatter: so much more misfit is normal.
 _CHAOS = 1.5
@@ -75,7 +77,7 @@ class Fit:
     freedom : int
         Blocks of time less parameters: degrees of freedom of the covariance.
     rounds : int
-        Jacobians that were computed.
+        Steps that were tried.
     step : float
         Last step in standard deviations.
     """
@@ -110,17 +112,35 @@ class _Problem:
     def nuisance_information(self) -> FloatArray:
         return nuisance_prior(len(self.records), self.nuisance[0].shape[1])
 
+    @property
+    def _roots(self) -> BoolArray:
+        return np.array([spec.by_root for spec in self.specs], dtype=bool)
+
+    def values_at(self, theta: FloatArray) -> FloatArray:
+        """SI values of scaled parameters, within their bounds to the last digit, shape (p,)."""
+        values = self.scales * np.where(self._roots, theta**2, theta)
+        low, high = ([getattr(spec, end) for spec in self.specs] for end in ("lower", "upper"))
+        return np.clip(values, low, high)
+
+    def theta_of(self, values: Sequence[float]) -> FloatArray:
+        """Scaled parameters of SI values, shape (p,)."""
+        scaled = np.asarray(values) / self.scales
+        return np.where(self._roots, np.sqrt(np.maximum(scaled, 0.0)), scaled)
+
+    def slopes_at(self, theta: FloatArray) -> FloatArray:
+        """SI values per scaled parameter, shape (p,)."""
+        return self.scales * np.where(self._roots, 2.0 * theta, 1.0)
+
     def model_at(self, theta: FloatArray) -> DriveModel:
-        values = theta * self.scales
+        values = self.values_at(theta)
         return self.model.with_parameters(
             {spec.name: float(value) for spec, value in zip(self.specs, values, strict=True)}
         )
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        low = np.array([spec.lower for spec in self.specs]) / self.scales
-        high = np.array([spec.upper for spec in self.specs]) / self.scales
-        return low, high
+        low = self.theta_of([spec.lower for spec in self.specs])
+        return low, self.theta_of([spec.upper for spec in self.specs])
 
     def bounded(self, theta: FloatArray) -> FloatArray:
         return np.clip(theta, *self.bounds)
@@ -149,6 +169,16 @@ class _Problem:
 
 
 @dataclass(frozen=True)
+class _Point:
+    """Where the refinement is: scaled parameters, last step in standard deviations, derivatives."""
+
+    theta: FloatArray
+    step: float
+    slopes: list[list[FloatArray]] | None
+    rounds: int
+
+
+@dataclass(frozen=True)
 class _Normal:
     """Whitened normal equations with the nuisances projected out."""
 
@@ -170,6 +200,7 @@ def refine(
     *,
     names: Iterable[str] | None = None,
     weights: Literal["coloured", "white"] = "coloured",
+    rounding: bool = True,
     steady: Sequence[BoolArray] | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
@@ -190,6 +221,8 @@ def refine(
         Whether residuals are whitened by an autoregressive model. What a rigid model leaves of a
         real drive is mostly its own error, not sensor noise: ``white`` then keeps the simulated
         position near the measured one at all frequencies alike.
+    rounding : bool
+        Whether the last rounds account for what the encoder's rounding does on average.
     steady : sequence of ndarray of bool, or None
         Rows of each record that friction in detail does not touch. Where these alone would put the
         base parameters elsewhere, the intervals are widened by the distance.
@@ -207,10 +240,10 @@ def refine(
     """
     if executor is not None:
         problem = _problem(records, nuisance, model, bench, names, executor, steady)
-        return _refine(problem, weights, progress)
+        return _refine(problem, weights, progress, rounding=rounding)
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
         problem = _problem(records, nuisance, model, bench, names, own, steady)
-        return _refine(problem, weights, progress)
+        return _refine(problem, weights, progress, rounding=rounding)
 
 
 def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:
@@ -270,36 +303,58 @@ def _prior_information(spec: ParameterSpec) -> float:
     return float((_FREE_PRIOR_SCALES * abs(spec.scale)) ** -2)
 
 
-def _refine(problem: _Problem, weights: str, progress: Progress | None) -> Fit:
+def _refine(problem: _Problem, weights: str, progress: Progress | None, *, rounding: bool) -> Fit:
     tell = progress or (lambda _text, _fraction: None)
     theta = problem.bounded(
-        np.array([problem.model.parameters[spec.name] for spec in problem.specs]) / problem.scales
+        problem.theta_of([problem.model.parameters[spec.name] for spec in problem.specs])
     )
     filters = _white_filters(problem, problem.residuals(theta))
-    total = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(_QUANTISED_GAINS)
-    rounds, step = 0, np.inf
-    for phase, limit in (("white", _WHITE_ROUNDS), ("coloured", _COLOURED_ROUNDS)):
-        for _ in range(limit):
-            tell(f"refining friction and stiffness, round {rounds + 1}", rounds / total)
-            at = _normal(problem, theta, filters)
-            theta, step = _damped_step(problem, theta, at, filters)
-            rounds += 1
-            if step < (1.0 if phase == "white" else _DONE_STEP):
-                break
+    at = _Point(theta, np.inf, None, 0)
+    for limit, done in ((_WHITE_ROUNDS, 1.0), (_COLOURED_ROUNDS, _DONE_STEP)):
+        at = _stepped(problem, at, filters, limit, done, tell)
+        theta = at.theta
         residuals = problem.residuals(theta)
         eta = _linear_part(problem, residuals, filters)
         left = _without(problem, residuals, eta)
         reweigh = _coloured_filters if weights == "coloured" else _white_filters
         filters = reweigh(problem, left)
-    last = None
-    if weights == "coloured":
-        tell("accounting for what the encoder rounds", rounds / total)
+    last, rounds, step = None, at.rounds, at.step
+    if weights == "coloured" and rounding:
+        tell("accounting for what the encoder rounds", rounds / _ALL_ROUNDS)
         theta, last, more, step = _with_rounding(problem, theta, filters, step)
         rounds += more
     tell("refined", 1.0)
     if last is None:
-        last = _normal(problem, theta, filters)
+        last = _normal(problem, filters, *_jacobian(problem, theta))
     return _finished(problem, theta, last, rounds, step)
+
+
+def _stepped(
+    problem: _Problem,
+    at: _Point,
+    filters: list[list[Whitener]],
+    limit: int,
+    done: float,
+    tell: Progress,
+) -> _Point:
+    """Steps until one is shorter than ``done``, taken with derivatives of that place."""
+    theta, step, slopes, rounds = at.theta, at.step, at.slopes, at.rounds
+    old = True
+    for _ in range(limit):
+        tell(f"refining friction and stiffness, round {rounds + 1}", rounds / _ALL_ROUNDS)
+        # Settled with old derivatives: once more with new ones.
+        fresh = slopes is None or step > _SAME_SLOPES or (old and step < done)
+        if fresh:
+            residuals, slopes = _jacobian(problem, theta)
+        else:
+            residuals = problem.residuals(theta)
+        old = not fresh
+        normal = _normal(problem, filters, residuals, slopes or [])
+        theta, step = _damped_step(problem, theta, normal, filters)
+        rounds += 1
+        if step < done and fresh:
+            break
+    return _Point(theta, step, slopes, rounds)
 
 
 def _with_rounding(
@@ -317,8 +372,9 @@ def _with_rounding(
     smooth = _cost(problem, theta, filters) - _prior_cost(problem, theta)
     best = None
     tried = theta
+    _, slopes = _jacobian(problem, theta)  # hardly changes over the few deviations moved here
     for i, gain in enumerate(_QUANTISED_GAINS):
-        at = _normal(problem, tried, filters, quantised=True)
+        at = _normal(problem, filters, problem.quantised_residuals(tried), slopes)
         if best is None and at.cost > _CHAOS * smooth:
             return theta, None, i + 1, step
         if best is not None and at.cost > _ROUGH * best.cost:
@@ -351,14 +407,15 @@ def _finished(
     problem: _Problem, theta: FloatArray, final: _Normal, rounds: int, step: float
 ) -> Fit:
     covariance = _covariance(problem, theta, final)
-    outer = np.outer(problem.scales, problem.scales)
+    scales = problem.slopes_at(theta)
+    outer = np.outer(scales, scales)
     return Fit(
         model=problem.model_at(theta),
         names=tuple(spec.name for spec in problem.specs),
         covariance=covariance * outer,
         information=final.hessian,
         prior=problem.weight,
-        scales=problem.scales,
+        scales=scales,
         nuisance=final.nuisance,
         freedom=max(final.scores.shape[0] - theta.size, 1),
         rounds=rounds,
@@ -444,14 +501,10 @@ def _jacobian(
 
 def _normal(
     problem: _Problem,
-    theta: FloatArray,
     filters: list[list[Whitener]],
-    *,
-    quantised: bool = False,
+    residuals: Sequence[FloatArray],
+    slopes: Sequence[Sequence[FloatArray]],
 ) -> _Normal:
-    residuals, slopes = _jacobian(problem, theta)
-    if quantised:
-        residuals = problem.quantised_residuals(theta)
     parts = []
     for i, record in enumerate(problem.records):
         columns = [-slope[i] for slope in slopes]
@@ -462,11 +515,11 @@ def _normal(
             )
             rows = whitener.rows(record.valid)
             parts.append((i, c, np.where(rows[:, None], whitener.apply(stack), 0.0)))
-    whole = _assembled(problem, parts, theta.size)
+    whole = _assembled(problem, parts, len(slopes))
     if problem.steady is None:
         return whole
     kept = [(i, c, part * filters[i][c].rows(problem.steady[i])[:, None]) for i, c, part in parts]
-    some = _assembled(problem, kept, theta.size)
+    some = _assembled(problem, kept, len(slopes))
     return replace(whole, steady=(some.hessian, some.gradient))
 
 

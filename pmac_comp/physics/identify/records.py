@@ -259,7 +259,7 @@ def _stride(capture: Capture, bench: Bench) -> int:
 
 
 def _rows_that_count(capture: Capture, factor: int, leave_out: LeaveOut) -> BoolArray:
-    clean = usable_rows(capture.mask, _HALF_TAPS * factor) if factor > 1 else capture.mask
+    clean = _clean(capture, factor)
     if EXTERNAL_FORCE in capture.extra:
         return clean[::factor]
     if leave_out == "reversals":
@@ -269,11 +269,20 @@ def _rows_that_count(capture: Capture, factor: int, leave_out: LeaveOut) -> Bool
     return clean[::factor]
 
 
+def _clean(capture: Capture, factor: int) -> BoolArray:
+    return usable_rows(capture.mask, _HALF_TAPS * factor) if factor > 1 else capture.mask
+
+
 def steady_rows(record: Record) -> BoolArray:
     """Compared rows away from rest and from the moments after a reversal, shape (m,)."""
     if EXTERNAL_FORCE in record.capture.extra:
         return record.valid
     return record.valid & _steady_direction(record.capture)[:: record.factor]
+
+
+def clean_rows(record: Record) -> BoolArray:
+    """Compared rows that no lost or clipped sample reaches, shape (m,)."""
+    return _clean(record.capture, record.factor)[:: record.factor]
 
 
 def moving_rows(record: Record) -> BoolArray:

@@ -126,11 +126,12 @@ class DriveModel:
                 code="PC-MOD-009",
                 hint="Known: " + ", ".join([*effect_library(), *self.library]),
             )
-        if place and place not in effect.places:
+        known = (*effect.places, *effect.joint_places)
+        if place and place not in known:
             raise ModelError(
                 f"Effect '{bare}' has no place '{place}'.",
                 code="PC-MOD-009",
-                hint="It has " + (", ".join(effect.places) or "none"),
+                hint="It has " + (", ".join(known) or "none"),
             )
         if self.is_rigid and "rigid" in effect.place_parameters:
             return effect, "rigid"
@@ -235,6 +236,8 @@ class Response:
     torque_command_Nm: FloatArray
     motor_torque_Nm: FloatArray
     joint_force_N: FloatArray
+    true_motor_position_m: FloatArray
+    true_table_position_m: FloatArray
 
     @property
     def mechanical_error_m(self) -> FloatArray:
@@ -323,6 +326,8 @@ def simulate(
         torque_command_Nm=out[2],
         motor_torque_Nm=out[3],
         joint_force_N=out[4],
+        true_motor_position_m=out[5],
+        true_table_position_m=out[6],
     )
 
 
@@ -346,7 +351,7 @@ def _run(
         )
     first, n_nodes = _nodes(vector, float(desired.min()), float(desired.max()))
     bank = kernel.step_bank(vector, first, NODE_SPACING_m, n_nodes, period / n_sub)
-    out = np.zeros((5, desired.size))
+    out = np.zeros((7, desired.size))
     done = kernel.run(
         vector, bank, first, NODE_SPACING_m, n_sub, desired, torque, force, rows, values, origin_s,
         out,

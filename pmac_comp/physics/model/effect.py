@@ -46,6 +46,9 @@ class Effect:
         Effects that can leave the same trace.
     places : tuple of str
         Variants, the first is the default; a model names another one as ``effect@place``.
+    joint_places : tuple of str
+        Variants that join several places: a model may name them, a search for a single cause does
+        not try them.
     starts : tuple of mappings
         Starting values for a search, SI; empty means the nominal ones.
     hides_behind : tuple of str
@@ -74,6 +77,7 @@ class Effect:
     rigid: bool = True
     needs_scale: bool = False
     place_parameters: Mapping[str, tuple[ParameterSpec, ...]] = field(default_factory=dict)
+    joint_places: tuple[str, ...] = ()
 
     def specs(self, place: str) -> tuple[ParameterSpec, ...]:
         """Parameters of a variant."""

@@ -22,6 +22,8 @@ N_STATES = 8
 N_COLUMNS = 13
 _TAYLOR = 9
 _HISTORY = 256
+_NEAR_LEVEL = 0.01  # share of the level that may be missing while a bristle slips on
+_SETTLED = 1e-4  # share of the level by which a sweep may still move a friction force
 _COMMAND_RESOLUTION_m = 1e-11  # a thirtieth of the finest unit of a Turbo PMAC register
 # Gauss-Legendre, 8 points: distances from the middle and weights.
 _GAUSS_X = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
@@ -256,8 +258,17 @@ def _dahl(
     # Slipping on: nothing to solve.
     sign = 1.0 if step >= 0.0 else -1.0
     slipping = abs(force - sign * level) < 1e-9 * level
-    if slipping and shift * sign > 0.0 and (2.0 * shift - step) * sign > 0.0:
+    onward = shift * sign > 0.0 and (2.0 * shift - step) * sign > 0.0
+    if slipping and onward:
         return sign * level, sign * level
+    gap = level - sign * force
+    if onward and abs(gap) < _NEAR_LEVEL * level:
+        # Almost slipping: what is missing bends the path by its square only.
+        y = abs(shift) / distance
+        decay = math.exp(-min(y, 700.0))
+        end = sign * (level - gap * decay)
+        mean = sign * (level - gap * ((1.0 - decay) / y if y > 1e-6 else 1.0))
+        return mean + damping * (end - force), end
     mean = force
     end = force
     for _ in range(5):
@@ -652,6 +663,9 @@ def run(
                     motor_read += value
                 else:
                     table_read += value
+        if out.shape[0] > 5:
+            out[5, k] = motor_read
+            out[6, k] = table_read
         if par[s.MOTOR_STEP] > 0.0:
             motor_read = math.floor(motor_read / par[s.MOTOR_STEP] + 0.5) * par[s.MOTOR_STEP]
         if par[s.TABLE_STEP] > 0.0:
@@ -969,7 +983,7 @@ def run(
                         step = new - old
                         if step != 0.0:
                             mean[i] = new
-                            largest = max(largest, abs(step) - 1e-6 * level)
+                            largest = max(largest, abs(step) - _SETTLED * level)
                             for j in range(3):
                                 moved[j] -= moves[j, i] * step
                                 gained[j] -= speeds[j, i] * step

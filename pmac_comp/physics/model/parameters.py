@@ -39,6 +39,8 @@ class ParameterSpec:
         Period of an angle (2 pi), 0 for all others.
     discrete : bool
         Held fixed in a fit and chosen from a list instead (orders per revolution).
+    by_root : bool
+        Fitted through its square root, because what it does begins like one (a stick zone).
     """
 
     name: str
@@ -55,6 +57,7 @@ class ParameterSpec:
     description: str = ""
     period: float = 0.0
     discrete: bool = False
+    by_root: bool = False
 
     def to_file(self, value: float) -> float:
         """Value in the unit of files."""
@@ -96,6 +99,7 @@ def parameter(
     file: tuple[str, str, float] | None = None,
     description: str = "",
     discrete: bool = False,
+    by_root: bool = False,
 ) -> ParameterSpec:
     """Free parameter of an effect; ``file`` is (name, unit, factor) where files differ from SI."""
     file_name, file_unit, factor = file or (name, unit, 1.0)
@@ -111,6 +115,7 @@ def parameter(
         file_factor=factor,
         description=description,
         discrete=discrete,
+        by_root=by_root,
     )
 
 

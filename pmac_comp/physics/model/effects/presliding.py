@@ -11,30 +11,42 @@ from pmac_comp.physics.model.parameters import parameter
 BRISTLE_RATIO = 0.1  # of critical damping: leaves the loop passive
 
 
+_DISTANCE = parameter(
+    "distance_m",
+    "m",
+    10e-6,
+    (1e-8, 2e-3),
+    file=("distance_um", "um", UM_PER_M),
+    description="travel from rest to 63 % of the level",
+    by_root=True,
+)
+_ROTARY = parameter(
+    "rotary_m",
+    "m",
+    5e-6,
+    (1e-8, 2e-3),
+    file=("rotary_um", "um", UM_PER_M),
+    description="the same for nut and motor, expressed at the table",
+    by_root=True,
+)
+
+
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
     lead = bench.lead_m_per_rad
-    if place == "guide":
+    turning_m = values.get("rotary_m", values["distance_m"])
+    if place in {"guide", "all"}:
         apply_bristle(vector, s.GUIDE, values["distance_m"], BRISTLE_RATIO)
-    if place in {"nut", "rotary"}:
-        apply_bristle(vector, s.NUT, values["distance_m"] / lead, BRISTLE_RATIO)
-    if place in {"motor", "rotary"}:
-        apply_bristle(vector, s.MOTOR, values["distance_m"] / lead, BRISTLE_RATIO)
+    if place in {"nut", "rotary", "all"}:
+        apply_bristle(vector, s.NUT, turning_m / lead, BRISTLE_RATIO)
+    if place in {"motor", "rotary", "all"}:
+        apply_bristle(vector, s.MOTOR, turning_m / lead, BRISTLE_RATIO)
 
 
 EFFECT = Effect(
     name="presliding",
-    parameters=(
-        parameter(
-            "distance_m",
-            "m",
-            10e-6,
-            (1e-8, 2e-3),
-            file=("distance_um", "um", UM_PER_M),
-            description="travel from rest to 63 % of the level",
-        ),
-    ),
+    parameters=(_DISTANCE,),
     apply=_apply,
-    where="guide, nut, motor, or nut and motor (rotary)",
+    where="guide, nut, motor, nut and motor (rotary), or all of them with a distance of each kind",
     source=(
         "Ball-screw facts 2.3 and 3: LuGre with z/g in place of the level; with constant "
         "level it is Dahl's"
@@ -49,6 +61,8 @@ EFFECT = Effect(
     ),
     look_alikes=("backlash", "stribeck", "post_reversal_dip"),
     places=("guide", "nut", "motor", "rotary"),
+    joint_places=("all",),
+    place_parameters={"all": (_DISTANCE, _ROTARY)},
     starts=({"distance_m": 3e-6}, {"distance_m": 10e-6}, {"distance_m": 40e-6}),
     hides_behind=("coulomb.guide_N", "coulomb.nut_Nm", "coulomb.motor_Nm"),
 )

@@ -29,6 +29,7 @@ EFFECT = Effect(
             (1e-8, 2e-3),
             file=("distance_um", "um", UM_PER_M),
             description="travel from rest to 63 % of the level",
+            by_root=True,
         ),
     ),
     apply=_apply,

@@ -1,0 +1,277 @@
+"""Which form of friction the captures themselves ask for.
+
+What lives here: Coulomb friction first, forms with presliding and Stribeck where the moments after
+reversals contradict it, and the choice between them on samples that were not fitted. What may not:
+causes other than friction (``diagnose`` names those). Imports this package.
+
+Coulomb and viscous friction stay the base. A form is added only if it predicts the held-out samples
+of the same captures clearly better, and the result says so.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import records as rec
+from pmac_comp.physics.identify.joint import identify, share_after_reversals
+from pmac_comp.physics.identify.result import Identification
+from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
+
+Progress = Callable[[str, float], None]
+
+
+_WORDS = {
+    "presliding": "presliding at the guide (presliding)",
+    "presliding@rotary": "presliding at nut and motor (presliding@rotary)",
+    "presliding@all": "presliding at guide, nut and motor (presliding@all)",
+    "presliding_gms": "presliding at the guide with memory of earlier reversals (presliding_gms)",
+    "stribeck": "Stribeck friction at the guide (stribeck)",
+}
+_CARRIES = ("chain.table_mass_kg", "chain.axial_stiffness_N_per_m")
+_STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for any sensor here
+_NO_ZONE_m = 0.0
+_SIGNIFICANT = 3.0  # standard deviations
+_SUSPECT = 1.9  # misfit after reversals over elsewhere; Coulomb friction alone gives 1.5 to 1.8
+_SEGMENT_s = 0.8  # held out and fitted by turns
+_BLOCK_s = 0.4
+_CLEARLY, _RATHER = 3.0, 1.0  # standard errors of the mean over blocks
+_GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
+_FEW_BLOCKS = 8
+
+
+@dataclass(frozen=True)
+class _Form:
+    """Friction beside Coulomb and viscous: a distance each for guide and screw side, Stribeck."""
+
+    guide_m: float
+    rotary_m: float
+    excess_N: float
+    stribeck_m_per_s: float
+    memory: bool = False
+    has_stribeck: bool = True
+
+    @property
+    def is_coulomb(self) -> bool:
+        """Whether nothing of it is left."""
+        return max(self.guide_m, self.rotary_m) <= _STICK_ZONE_m and not self.has_stribeck
+
+    @property
+    def with_memory(self) -> "_Form":
+        """The same with memory at the guide: from end to end that form takes twice its distance."""
+        return replace(self, guide_m=0.5 * self.guide_m, memory=True)
+
+    def effects(self, least_m: float) -> list[tuple[str, dict[str, float]]]:
+        """Effects with their values, distances up to ``least_m`` left out."""
+        guide, rotary = self.guide_m > least_m, self.rotary_m > least_m
+        found: list[tuple[str, dict[str, float]]] = []
+        if self.memory and guide:
+            found.append(("presliding_gms", {"distance_m": self.guide_m}))
+            guide = False
+        if guide and rotary:
+            both = {"distance_m": self.guide_m, "rotary_m": self.rotary_m}
+            found.append(("presliding@all", both))
+        elif guide:
+            found.append(("presliding", {"distance_m": self.guide_m}))
+        elif rotary:
+            found.append(("presliding@rotary", {"distance_m": self.rotary_m}))
+        if self.has_stribeck or least_m == _NO_ZONE_m:
+            values = {"excess_N": self.excess_N, "speed_m_per_s": self.stribeck_m_per_s}
+            found.append(("stribeck", values))
+        return found
+
+
+_FIRST_GUESS = _Form(guide_m=10e-6, rotary_m=5e-6, excess_N=10.0, stribeck_m_per_s=0.005)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Fits to one half of the captures, judged on the other."""
+
+    captures: Sequence[Capture]
+    bench: Bench
+    held_out: Sequence[BoolArray]
+    progress: Progress | None
+    executor: Executor | None
+
+    def fitted(self, start: DriveModel, *, everything: bool = False) -> Identification | None:
+        """Identification from a start; None where the captures do not carry it."""
+        try:
+            return identify(
+                self.captures,
+                self.bench,
+                model=start,
+                names=None if everything else _asked(start),
+                warm=True,
+                held_out=None if everything else self.held_out,
+                progress=self.progress,
+                executor=self.executor,
+            )
+        except ModelError:
+            return None
+
+    def suspects(self, found: Identification) -> bool:
+        """Whether the misfit of table minus motor grows around reversals."""
+        records = [rec.prepare(capture, self.bench) for capture in self.captures]
+        levels = share_after_reversals(records, found.residuals)
+        return levels is not None and levels[1] > _SUSPECT * levels[0]
+
+    def errors(self, found: Identification) -> FloatArray:
+        """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""
+        blocks = []
+        for capture, out, left in zip(self.captures, self.held_out, found.residuals, strict=True):
+            if left.table_m is None:
+                continue
+            torque = np.zeros(capture.n) if left.torque_Nm is None else left.torque_Nm
+            record = rec.prepare(capture, self.bench)
+            both = np.nan_to_num(np.column_stack([left.table_m, torque]))
+            smooth = rec.thinned(both, record.factor)
+            counts = rec.clean_rows(record) & out[:: record.factor] & rec.moving_rows(record)
+            size = max(round(_BLOCK_s / record.period_s), 1)
+            for low in range(0, counts.size, size):
+                rows = counts[low : low + size]
+                if rows.any():
+                    blocks.append(np.mean(smooth[low : low + size][rows] ** 2, axis=0))
+        return np.array(blocks).reshape(-1, 2)
+
+
+def identify_with_friction(
+    captures: Sequence[Capture],
+    bench: Bench,
+    *,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Identification:
+    """``identify``, with the form of friction chosen by what the captures show.
+
+    The base model is fitted first. Where it leaves clearly more around reversals than elsewhere,
+    presliding at guide, nut and motor with Stribeck friction is fitted to alternate stretches of
+    the captures and judged, like the base model, by table minus motor on the other stretches; then
+    the same with memory at the guide. What is clearly better, without the parts that came out as
+    nothing, is fitted to everything.
+
+    Parameters
+    ----------
+    captures, bench, progress, executor
+        As in ``identify``.
+
+    Returns
+    -------
+    Identification
+        Of the chosen form; its statements say which and why, ``figures`` hold the held-out rms of
+        every form that was tried (``held_out_*_um``).
+
+    Raises
+    ------
+    NotIdentifiable, DidNotConverge, CaptureError
+        As ``identify`` raises them for the base model.
+    """
+    base = identify(captures, bench, progress=progress, executor=executor)
+    trial = _Trial(captures, bench, [_alternate(c) for c in captures], progress, executor)
+    if base.model is None or not trial.suspects(base):
+        return base
+    errors = trial.errors(base)
+    figures = {"held_out_coulomb_um": _rms_um(errors)}
+    best = None
+    found = trial.fitted(_start(base.model, _FIRST_GUESS))
+    if found is not None:
+        left = trial.errors(found)
+        figures["held_out_lugre_um"] = _rms_um(left)
+        if _better(left, errors, _CLEARLY):
+            best, errors = found, left
+    # Memory of the guide's friction can only show where there is presliding at the guide.
+    if best is not None and best.model is not None and _form_of(best).guide_m > _STICK_ZONE_m:
+        found = trial.fitted(_start(best.model, _form_of(best).with_memory))
+        left = errors if found is None else trial.errors(found)
+        figures["held_out_gms_um"] = _rms_um(left)
+        if _better(left, errors, _RATHER):
+            best, errors = found, left
+    final = None
+    if best is not None and best.model is not None and not _form_of(best).is_coulomb:
+        final = trial.fitted(_last_start(base.model, best), everything=True)
+    if final is None:
+        return replace(base, figures={**base.figures, **figures})
+    said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(errors))
+    return replace(
+        final, statements=(said, *final.statements), figures={**final.figures, **figures}
+    )
+
+
+def _asked(model: DriveModel) -> list[str]:
+    """Parameters that a trial moves: friction, and what carries its force to the table."""
+    names = [spec.name for spec in model.specs]
+    return [n for n in names if not n.startswith("chain.") or n in _CARRIES]
+
+
+def _start(model: DriveModel, form: _Form) -> DriveModel:
+    """Base parameters of a model with a form of friction, all of its parts present."""
+    names = [spec.name for spec in DriveModel.base(model.bench).specs]
+    start = DriveModel.base(model.bench, {name: model.parameters[name] for name in names})
+    for name, values in form.effects(_NO_ZONE_m):
+        start = start.with_effect(name, values)
+    return start
+
+
+def _last_start(base: DriveModel, best: Identification) -> DriveModel:
+    """Start of the last fit: what the trial found, without what it found to be nothing."""
+    form = _form_of(best)
+    if min(form.guide_m, form.rotary_m) > _STICK_ZONE_m and best.model is not None:
+        base = best.model
+    names = [spec.name for spec in DriveModel.base(base.bench).specs]
+    start = DriveModel.base(base.bench, {name: base.parameters[name] for name in names})
+    for name, values in form.effects(_STICK_ZONE_m):
+        start = start.with_effect(name, values)
+    return start
+
+
+def _form_of(found: Identification) -> _Form:
+    """Form of friction of a trial."""
+    size = {name: estimate.value for name, estimate in found.parameters.items()}
+    memory = "presliding_gms.distance_m" in size
+    distance = size["presliding.distance_m"]
+    excess = found.parameters["stribeck.excess_N"]
+    return _Form(
+        guide_m=size["presliding_gms.distance_m"] if memory else distance,
+        rotary_m=distance if memory else size["presliding.rotary_m"],
+        excess_N=excess.value,
+        stribeck_m_per_s=size["stribeck.speed_m_per_s"],
+        memory=memory,
+        has_stribeck=excess.value > _SIGNIFICANT * excess.std,
+    )
+
+
+def _alternate(capture: Capture) -> BoolArray:
+    """Every second stretch of a capture, shape (n,)."""
+    return np.asarray((capture.time_s - capture.time_s[0]) // _SEGMENT_s % 2 == 1)
+
+
+def _in_words(found: Identification, before_um: float, after_um: float) -> str:
+    model = found.model
+    effects = () if model is None else tuple(n for n in model.effects if n not in BASE_EFFECTS)
+    words = ", ".join(_WORDS[name] for name in effects)
+    return (
+        f"Friction beside Coulomb and viscous: {words}. On stretches of the captures that were not "
+        f"fitted it leaves {after_um:.2f} um rms of table minus motor, Coulomb and viscous "
+        f"friction alone {before_um:.2f} um. --friction coulomb keeps to the base model."
+    )
+
+
+def _better(new: FloatArray, old: FloatArray, errors: float) -> bool:
+    """Whether blocks are better by so many standard errors of the mean, and by a useful amount."""
+    if new.shape[0] < _FEW_BLOCKS:
+        return False
+    size = np.mean(old, axis=0)
+    size[size == 0.0] = 1.0
+    gain = ((old - new) / size).sum(axis=1)
+    error = float(np.std(gain)) / np.sqrt(gain.size)
+    return bool(np.mean(gain) > errors * error and np.mean(gain) > _GAIN)
+
+
+def _rms_um(mean_squares: FloatArray) -> float:
+    return UM_PER_M * float(np.sqrt(np.mean(mean_squares[:, 0]))) if mean_squares.size else 0.0
