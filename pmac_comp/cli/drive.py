@@ -30,6 +30,13 @@ class FrictionChoice(StrEnum):
     coulomb = "coulomb"
 
 
+class RoundingChoice(StrEnum):
+    """How ``predict`` treats the rounding of encoder and scale."""
+
+    expected = "expected"
+    none = "none"
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands of this group."""
     app.command("identify")(identify)
@@ -108,17 +115,33 @@ def predict(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write")],
     effects: EffectsOption = None,
+    rounding: Annotated[
+        RoundingChoice,
+        typer.Option(
+            "--rounding",
+            help="expected: the loop runs on rounded readings, the mean of what can be foreseen is "
+            "given; none: the loop runs on exact readings",
+        ),
+    ] = RoundingChoice.expected,
     json_target: JsonOption = "",
 ) -> None:
     """Predict motor and table position and torque for a command from rest.
 
     The command is a CSV file with time_s,commanded_position_mm or any capture, whose corrected
     command and load are used where it holds them. The answer has the columns of a capture at the
-    times of the command; a command on another grid than the servo's is interpolated.
+    times of the command; a command on another grid than the servo's is interpolated. Positions are
+    those of motor and table before encoder and scale round them; zero is the middle of a count.
     """
     from pmac_comp.workflow.identification import predict_files
 
-    result = predict_files(bench, model, command, output.checked_target(out), effects=effects)
+    result = predict_files(
+        bench,
+        model,
+        command,
+        output.checked_target(out),
+        effects=effects,
+        rounding=rounding.value,
+    )
 
     def show() -> None:
         if result["resampled"]:

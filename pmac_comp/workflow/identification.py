@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
+Rounding = Literal["expected", "none"]
 _PERIOD_TOLERANCE = 1e-3
 _COARSEST = 12.0  # servo periods per sample of a command that is interpolated
 
@@ -179,21 +180,31 @@ def check_period(capture: Capture, bench: Bench, name: str) -> None:
 
 
 def predict_files(
-    bench: str, model: Path, command: Path, out: Path, *, effects: Path | None = None
+    bench: str,
+    model: Path,
+    command: Path,
+    out: Path,
+    *,
+    effects: Path | None = None,
+    rounding: Rounding = "expected",
 ) -> dict[str, Any]:
     """Predict a command from rest and write the capture; the contract's ``predict``.
 
     ``command`` is a command file or a capture; of a capture the corrected command and the load are
     used too where it holds them. A command on another grid than the servo's is brought onto that,
-    and the answer is given at the times of the command.
+    and the answer is given at the times of the command. Positions are those before the sensors
+    round them; with ``rounding`` "expected" the loop runs on rounded readings and the mean of what
+    can be foreseen of it is given, with "none" the loop runs on exact ones.
     """
     from pmac_comp.physics.model.drive import simulate
+    from pmac_comp.physics.model.expected import expected_response
 
     loaded = load_bench(bench)
     drive = load_model(model, loaded, effects=effects)
     given = _inputs(command)
     grid = _ServoGrid(given.time_s, loaded.servo_period_s)
-    response = simulate(
+    run = simulate if rounding == "none" else expected_response
+    response = run(
         drive,
         grid.onto(given.commanded_m),
         desired_position_m=grid.onto_optional(given.desired_m),

@@ -1,13 +1,17 @@
 """Unseen motions: the small form of ``tools/acceptance/prediction_table.py``."""
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.identify import identify
-from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.physics.identify import identify, identify_with_friction
+from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.model.expected import expected_response
+from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.campaigns import calibration_motions
 from tools.acceptance import prediction_table as tool
+from tools.acceptance.identify_coverage import truth_si
 
 BENCH = load_bench("paper_x4")
 MOTIONS = {
@@ -30,9 +34,10 @@ def test_the_default_campaign_predicts_motions_it_does_not_hold() -> None:
 
 def test_cases_and_table_fit_together() -> None:
     cases = list(tool.plan(["paper"], ["base", "lugre"], 2))
-    assert [case[3] for case in cases[:3]] == [(), (), ("presliding", "stribeck")]
+    assert [case[3] for case in cases[:2]] == [("auto",), ("auto",)]
+    assert list(tool.plan(["paper"], ["default"], 1))[1][3][0] == "presliding"
     figures = {"error_um": 3.0, "left_um": 0.1, "measured_um": 0.3, "floor_um": 0.29}
-    row = {"bench": "paper", "kind": "base", "seed": 1, "effects": []}
+    row = {"bench": "paper", "kind": "base", "seed": 1, "effects": ["auto"]}
     text = tool.table(
         [{**row, "motions": {"multisine: a": figures}}, {**row, "seed": 2, "refused": "no"}]
     )
@@ -49,3 +54,47 @@ def test_unseen_motions_stay_within_the_limits(bench: str) -> None:
             assert low <= motion.position_m.min(), name
             assert motion.position_m.max() <= high, name
             assert abs(motion.velocity_m_per_s).max() <= 0.51, name
+
+
+def test_friction_of_guide_and_screw_is_found_from_the_captures_alone() -> None:
+    # The paper's own drive: presliding at guide and screw at once, Stribeck friction at the guide.
+    plant = tool.plant_of(BENCH, "paper", 4)
+    names = {"sine_low_end", "sine_small", "sine_long", "move_long"}
+    motions = [m for m in calibration_motions(BENCH) if m.name in names]
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
+    found = identify_with_friction(runs, BENCH)
+    assert found.model is not None
+    assert found.model.effects == ("coulomb", "viscous", "presliding@all", "stribeck")
+    distance = found.parameters["presliding.rotary_m"]
+    assert distance.value == pytest.approx(5e-3 * BENCH.lead_m_per_rad, rel=0.1)
+    assert "presliding@all" in found.statements[0]
+    assert "--friction coulomb" in found.statements[0]
+    assert found.figures["held_out_lugre_um"] < 0.5 * found.figures["held_out_coulomb_um"]
+    some = {name: MOTIONS[name] for name in list(MOTIONS)[::3]}
+    for name, row in tool.judged(plant, BENCH, found, some).items():
+        assert row["left_um"] < 0.2, name
+
+
+def test_plain_friction_keeps_the_base_model() -> None:
+    plant = make_plant(BENCH, effects={}, seed=6)
+    motions = [m for m in calibration_motions(BENCH) if m.name in {"sine_low_end", "sine_long",
+               "move_slow", "sine_small"}]  # fmt: skip
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
+    found = identify_with_friction(runs, BENCH)
+    assert found.model is not None
+    assert found.model.effects == ("coulomb", "viscous")
+
+
+def test_what_rounding_does_is_foreseen_on_average() -> None:
+    bench = load_bench("paper")
+    plant = make_plant(bench, effects={}, seed=3, spread=0.0)
+    model = DriveModel.base(bench, truth_si(plant.truth))
+    exact, expected = [], []
+    for motion in list(tool.unseen(bench, 3).values())[6:10]:
+        run = run_closed_loop(bench, plant, motion.position_m)
+        true_m = run["true_table_position_m"] - run["true_motor_position_m"]
+        exact.append(np.std(true_m - simulate(model, motion).mechanical_error_m))
+        mean = expected_response(model, motion.position_m)
+        expected.append(np.std(true_m - mean.mechanical_error_m))
+        assert np.array_equal(mean.motor_position_m, mean.true_motor_position_m)
+    assert np.mean(expected) < 0.9 * np.mean(exact)

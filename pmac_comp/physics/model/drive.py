@@ -226,6 +226,8 @@ class Response:
         Controller output.
     motor_torque_Nm, joint_force_N : ndarray
         Torque at the shaft and elastic force in the nut.
+    true_motor_position_m, true_table_position_m : ndarray
+        The readings before the sensors round them; the same without ``quantise``.
     """
 
     time_s: FloatArray
