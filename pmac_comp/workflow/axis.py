@@ -30,6 +30,7 @@ from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherRe
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.supervision import SensorWatch
 from pmac_comp.machine.controller.variables import read_many, write_many
+from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
 from pmac_comp.workflow.scales import Scales
@@ -62,12 +63,15 @@ class Axis:
         Controller identity for captures.
     simulated : bool
         Whether the controller says that it is a simulated one; captures then say so.
+    setup : AxisSetup
+        Axis definitions that were put aside, shared by all axes of a session.
     """
 
     link: Commander
     bench: Bench
     identity: str = ""
     simulated: bool = False
+    setup: AxisSetup = field(default_factory=AxisSetup)
     scales: Scales = field(init=False)
     program_number: int = field(init=False, default=PROGRAM_NUMBER)
 
@@ -209,10 +213,12 @@ class Axis:
         )
 
     def define_axis(self) -> None:
-        """Make the motor axis X in counts, with PVT times in ms and velocities per second."""
-        self.link.write_buffer(
-            ["UNDEFINE ALL", f"&1#{self.motor}->X", "I5190=1000", "I5113=0", "I42=0"]
-        )
+        """Make the motor axis X in counts; what is lost by that comes back at the session's end."""
+        self.setup.put_on(self.link, self.bench, self.identity)
+
+    def release_axis(self) -> None:
+        """Bring axis definitions back that measurements put aside."""
+        self.setup.take_off(self.link)
 
     def _go_to_start(self, motion: Motion) -> None:
         start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct

@@ -43,6 +43,7 @@ from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.variables import read_many, same_value
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
+from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion
 from pmac_comp.workflow.pvt import PvtProgram, pvt_program
@@ -175,13 +176,8 @@ def _back_ct_per_ms(bench: Bench) -> float:
 
 def axis_settings(bench: Bench, present: AxisDefinitions) -> Settings:
     """Both axes in coordinate system 1; definitions of other motors and systems stay."""
-    ours = {bench.encoder.motor_number, bench.controller.cam_motor_number}
-    kept = tuple(a for a in present if a[0] != 1 and a[1] not in ours)
-    both = (
-        (1, bench.encoder.motor_number, "X"),
-        (1, bench.controller.cam_motor_number, "Y"),
-    )
-    return Settings({"I5190": "1000", "I5113": "0", "I42": "0"}, axes=(*both, *kept))
+    ours = {bench.encoder.motor_number: "X", bench.controller.cam_motor_number: "Y"}
+    return Settings(UNITS, axes=axis_goal(present, ours))
 
 
 def cam_settings(bench: Bench, program: Program, present: AxisDefinitions) -> Settings:
@@ -338,6 +334,7 @@ class CamAxis(Axis):
                 hint="Compute one for this motion: `pmac-comp compensate --route cam --command`.",
             )
         gather.stop(self.link)
+        self.release_axis()
         _define_axes(self)
         programs.verify(self.link, self.cam.program)
         meant = self.cam.table.table
@@ -377,4 +374,5 @@ class CamAxis(Axis):
 def cam_axis(axis: Axis, compensation: Compensation) -> tuple[CamAxis, Sequence[Motion]]:
     """The axis that runs a cam, and its one motion."""
     cam = render_cam(compensation, axis.bench)
-    return CamAxis(axis.link, axis.bench, axis.identity, axis.simulated, cam=cam), (cam.motion,)
+    found = CamAxis(axis.link, axis.bench, axis.identity, axis.simulated, axis.setup, cam=cam)
+    return found, (cam.motion,)

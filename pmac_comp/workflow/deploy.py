@@ -26,6 +26,7 @@ from pmac_comp.machine.controller import (
     law_upload,
     motors,
     programs,
+    temporary,
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import Context
@@ -40,6 +41,7 @@ from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.axis_setup import DEFAULT_JOURNAL
 from pmac_comp.workflow.backlash import take_up_variables
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
@@ -56,13 +58,13 @@ from pmac_comp.workflow.sign_test import check_law_sign, check_table_sign
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
-DEFAULT_JOURNAL = "pmac-comp-journal"
 
 
 def context_of(axis: Axis, store: Path | None = None, progress: Progress | None = None) -> Context:
     """Limits, folder and names for changes of an axis; without a folder only for looking."""
     if store is not None:
         store.mkdir(parents=True, exist_ok=True)
+        axis.setup.store = store
 
     def told(step: str, done: int, total: int) -> None:
         if progress is not None:
@@ -102,6 +104,7 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
     The lead table goes first, then the law into the idle bank; the gain ramps up at the end.
     """
+    temporary.take_off(axis.link, context)
     with grouped(axis.link, context, compensation.route) as parts_context:
         return _deploy_parts(axis, compensation, parts_context)
 

@@ -127,6 +127,7 @@ class ProgramAxis(Axis):
 def program_axis(axis: Axis, compensation: Compensation) -> tuple[ProgramAxis, tuple[Motion, ...]]:
     """The axis that runs the uploaded program of a compensation, and its one motion."""
     drawn = draw_motion(compensation, axis.bench)
-    return ProgramAxis(axis.link, axis.bench, axis.identity, axis.simulated, drawn=drawn), (
-        drawn.motion,
+    found = ProgramAxis(
+        axis.link, axis.bench, axis.identity, axis.simulated, axis.setup, drawn=drawn
     )
+    return found, (drawn.motion,)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from pmac_comp.base.clock import Clock
+from pmac_comp.base.errors import PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller.identity import is_simulated, read_identity
@@ -30,4 +31,21 @@ def open_axis(url: str, bench: str | Bench, *, clock: Clock | None = None) -> It
     loaded = bench if isinstance(bench, Bench) else load_bench(bench)
     with open_link(url, loaded, clock=clock) as link:
         identity = read_identity(link)
-        yield Axis(link, loaded, identity.fingerprint, is_simulated(link))
+        axis = Axis(link, loaded, identity.fingerprint, is_simulated(link))
+        try:
+            yield axis
+        except (PmacCompError, KeyboardInterrupt) as error:
+            _release_after(axis, error)
+            raise
+        axis.release_axis()
+
+
+def _release_after(axis: Axis, error: BaseException) -> None:
+    """Bring axis definitions back though something failed; if that fails too, say so."""
+    try:
+        axis.release_axis()
+    except PmacCompError as second:
+        error.add_note(
+            f"Axis definitions from before the measurement are not back: {second.message} "
+            "`pmac-comp recover` brings them back."
+        )

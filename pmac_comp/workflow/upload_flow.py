@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import motors, recovery
+from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.axis_setup import DEFAULT_JOURNAL
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
 from pmac_comp.workflow.compensation_file import (
     read_compensation,
 )
-from pmac_comp.workflow.deploy import DEFAULT_JOURNAL, Progress, context_of, deploy, stand_at_zero
+from pmac_comp.workflow.deploy import Progress, context_of, deploy, stand_at_zero
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
 
@@ -106,6 +107,7 @@ def rollback_upload(
 ) -> dict[str, Any]:
     """Bring back what the last upload replaced, all parts of it, the last one first."""
     with _ready(url, bench, journal, progress) as (axis, context):
+        temporary.take_off(axis.link, context)
         rest_time_motor(axis)
         stand_at_zero(axis)
         result = recovery.rollback_last(axis.link, context)

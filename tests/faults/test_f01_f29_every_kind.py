@@ -11,7 +11,7 @@ import pytest
 from pmac_comp.base.errors import ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import law_arming, law_install, law_upload, motors
+from pmac_comp.machine.controller import law_arming, law_install, law_upload, motors, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.link import Link
@@ -23,6 +23,7 @@ from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import Way
+from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.killed_child import serve_child
@@ -115,6 +116,13 @@ def with_axes(link: Link, context: Context) -> None:
     link.write_buffer(["UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "&1#8->4W", "I5190=500"])
 
 
+def borrowed_axis(link: Link, context: Context) -> None:
+    """What a measurement puts on for a while."""
+    with untouched():
+        goal = Settings(UNITS, axes=axis_goal(read_axes(link), {1: "X"}))
+    temporary.put_on(link, context, goal, motors=(1,))
+
+
 SCENARIOS = [
     Scenario("first law", installed, lambda k, c: law_upload.upload_law(k, c, NEW)),
     Scenario("law", armed, lambda k, c: law_upload.upload_law(k, c, NEW)),
@@ -136,6 +144,7 @@ SCENARIOS = [
     Scenario("cam route", with_program, cam_route),
     Scenario("guarded table", with_table, guarded_table),
     Scenario("time motor", with_axes, time_motor),
+    Scenario("measurement", with_axes, borrowed_axis),
 ]
 
 

@@ -5,6 +5,7 @@ may take in total, and how refusals become errors. Imports the link, not the phy
 simulator.
 """
 
+import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -45,6 +46,9 @@ _T = TypeVar("_T")
 DEFAULT_TIMEOUT_S = 3.0
 SSH_CONNECT_S = 15.0
 """Least time for a login: keys are agreed on and checked before the first byte."""
+LISTING_S = 600.0
+"""Longest time of a listing: a megabyte takes five minutes at 38400 baud."""
+_LISTING = re.compile("LIST", re.IGNORECASE)
 _FIRST_TRY = 0.5
 _PERHAPS_NOISE = (3, 4)
 """Errors with which an ASCII port refuses a question that noise has changed."""
@@ -163,7 +167,9 @@ class Commander:
     def query(self, text: str, *, timeout_s: float | None = None) -> list[str]:
         """Lines that answer a question; asked again once if the answer is late or garbled.
 
-        A line that is not certain to be a question (:func:`is_read`) is sent once only.
+        A line that is not certain to be a question (:func:`is_read`) is sent once only. A listing
+        may take ten minutes, since nobody knows how long it is, but may not pause for longer than
+        other answers take.
 
         Parameters
         ----------
@@ -179,6 +185,12 @@ class Commander:
         ReplyTimeout
             If there was no whole answer in time.
         """
+        if timeout_s is None and _LISTING.search(text):
+            with self._lock, self._link.longest_pause(self.timeout_s):
+                return self._query(text, LISTING_S)
+        return self._query(text, timeout_s)
+
+    def _query(self, text: str, timeout_s: float | None) -> list[str]:
         command = encoded(text)
         deadline = self._deadline(timeout_s)
         with self._lock:

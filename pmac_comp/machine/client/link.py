@@ -11,6 +11,8 @@ values (2 and 1) were set when the session began. The question only reads.
 """
 
 import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -107,6 +109,7 @@ class BaseLink:
         self._clock = clock
         self.i4 = i4
         self._limit = limit
+        self._pause_s: float | None = None
 
     def _send(self, data: bytes, deadline: Deadline) -> None:
         self.statistics.requests += 1
@@ -116,9 +119,21 @@ class BaseLink:
     def _receive(self, deadline: Deadline) -> bytes:
         if deadline.expired():
             raise ReplyTimeout(f"{self.transport.name} did not answer in time")
+        if self._pause_s is not None:
+            at_s = min(self._clock.now_s() + self._pause_s, deadline.at_s)
+            deadline = Deadline(self._clock, at_s)
         data = self.transport.receive(deadline)
         self.statistics.bytes_received += len(data)
         return data
+
+    @contextmanager
+    def longest_pause(self, pause_s: float) -> Iterator[None]:
+        """Within the deadline no pause may be longer than this: for answers of unknown length."""
+        self._pause_s = pause_s
+        try:
+            yield
+        finally:
+            self._pause_s = None
 
     def _receive_within(self, wait_s: float, deadline: Deadline) -> bytes:
         """Bytes, or none if none came within ``wait_s``; the deadline still raises."""

@@ -77,7 +77,7 @@ def take_lease(link: Link, context: Context, now: int) -> None:
         )
 
 
-def renew_lease(link: Link, context: Context) -> None:
+def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> None:
     """Move the end of our own lease; raises ForeignChange if it is not ours any more."""
     first = context.block.p(Index.LEASE)
     found = parse_lease([float(v) for v in link.query(f"P{first}..{first + 1}")])
@@ -87,7 +87,7 @@ def renew_lease(link: Link, context: Context) -> None:
             code="PC-TXN-007",
             hint="Find out who writes to this controller, then run `pmac-comp recover`.",
         )
-    expires = read_clock(link) + int(LEASE_s * CLOCK_PER_s)
+    expires = read_clock(link) + int(duration_s * CLOCK_PER_s)
     link.command(f"P{first + 1}={expires}")
 
 

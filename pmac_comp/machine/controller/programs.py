@@ -18,6 +18,7 @@ from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, DEFAULT_FIRST
 from pmac_comp.machine.controller.link import Link
 
 PROTECTED: Final = 2  # ERR002
+SLOWEST_CHARACTERS_PER_s: Final = 800.0  # 9600 baud with an answer to every line
 _OPEN: Final = re.compile(r"^OPEN\s*(PLC|PROG(?:RAM)?)\s*(\d+)\s*(CLEAR)?$", re.I)
 _P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b")
 _MOTOR_I: Final = re.compile(r"\bI1(\d\d)\b")
@@ -224,6 +225,11 @@ def _spell(line: str) -> str:
 def _plain(text: str) -> str:
     value = float(text)
     return str(int(value)) if value == int(value) else f"{value:.10g}"
+
+
+def download_s(lines: Sequence[str]) -> float:
+    """Longest time in s that a download and its reading back may take, on a slow serial line."""
+    return 2.0 * sum(len(line) + 1 for line in lines) / SLOWEST_CHARACTERS_PER_s
 
 
 def download(link: Link, program: Program) -> None:

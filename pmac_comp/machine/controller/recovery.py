@@ -27,6 +27,7 @@ from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import (
+    TEMPORARY,
     finish_settings,
     lease_refusals,
     put_back,
@@ -35,6 +36,7 @@ from pmac_comp.machine.controller.settings_upload import (
     settings_state,
 )
 from pmac_comp.machine.controller.table_recovery import recover_tables, rollback_tables
+from pmac_comp.machine.controller.temporary import take_off
 from pmac_comp.machine.controller.transaction import (
     DONE,
     ROLLED_BACK,
@@ -158,13 +160,14 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
+    notes = take_off(link, context, whatever_stands=True)
     torn = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
     if torn:
         result = _recover_group(link, context, torn)
     else:
         result = _recover_changes(link, context, resume=resume)
     release_lease(link, context)
-    return result
+    return replace(result, notes=(*result.notes, *notes))
 
 
 def _recover_group(link: Link, context: Context, torn: Sequence[Journal]) -> UploadResult:
@@ -206,7 +209,8 @@ def _parts(context: Context) -> list[Part]:
     found = []
     for journal in journals(context):
         intent = journal.last("intent")
-        if intent is not None and journal.kind != ChangeKind.GROUP.value:
+        lasting = intent is not None and not intent.data.get(TEMPORARY)
+        if intent is not None and lasting and journal.kind != ChangeKind.GROUP.value:
             found.append(Part(journal, ChangeKind(journal.kind), intent))
     return found
 

@@ -128,10 +128,10 @@ def read_body(link: Link, kind: ProgramKind, number: int) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def read_axes(link: Link) -> AxisDefinitions:
-    """Axis definitions of all motors in all coordinate systems, active or not."""
+def read_axes(link: Link, systems: Sequence[int] = range(1, SYSTEMS + 1)) -> AxisDefinitions:
+    """Axis definitions of all motors in coordinate systems, active or not."""
     found: list[tuple[int, int, str]] = []
-    for system in range(1, SYSTEMS + 1):
+    for system in systems:
         lines = link.query(f"&{system}" + "".join(f"#{m}->" for m in range(1, MOTORS + 1)))
         if len(lines) != MOTORS:
             raise RemoteProtocolError(
@@ -173,17 +173,17 @@ def differences(meant: Settings, found: Settings) -> list[str]:
         if "".join(there) != "".join(programs.canonical(body)):
             place = programs.first_difference(programs.canonical(body), there)
             out.append(f"{kind.value} {number}: {place}")
-    if meant.axes is not None and _plain_axes(meant) != _plain_axes(found):
+    if meant.axes is not None and plain_axes(meant.axes) != plain_axes(found.axes or ()):
         out.append("the axis definitions differ")
     out += [f"PLC {n} is not enabled" for n in sorted(meant.running - found.running)]
     return out
 
 
-def _plain_axes(settings: Settings) -> set[tuple[int, int, str]]:
+def plain_axes(axes: AxisDefinitions) -> set[tuple[int, int, str]]:
     """Axis definitions in one spelling: ``1X`` and ``X`` are the same."""
     return {
         (system, motor, re.sub(r"(?<![\d.])1(?=[A-Z])", "", text.upper().replace(" ", "")))
-        for system, motor, text in settings.axes or ()
+        for system, motor, text in axes
     }
 
 
@@ -254,7 +254,7 @@ def write_settings(
     lines = setting_lines(present, goal)
     refused = _send(link, lines, between, skip_refused=skip_refused)
     for (kind, number), body in changed.items():
-        between()
+        between(programs.download_s(body))
         if body:
             programs.download(link, Program(kind, number, body))
         else:
@@ -289,7 +289,7 @@ def _send(
     rest, refused = list(lines), []
     while rest:
         try:
-            link.write_buffer(rest, progress=lambda _done, _total: between())
+            link.write_buffer(rest, progress=lambda _done, _total: between(0.0))
         except CommandRefused as error:
             if not skip_refused:
                 raise

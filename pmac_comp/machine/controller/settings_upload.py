@@ -44,6 +44,7 @@ from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 RUNNING_PROGRAM: Final = 1 << 0  # first word of ??, bit 0 (p. 287)
 SYSTEMS: Final = 16
+TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
 
 
 class SettingsUpload:
@@ -63,6 +64,8 @@ class SettingsUpload:
         What the caller found that forbids it, reported with the rest.
     skip_refused : bool
         Leave out what the card refuses, and do not insist on reading it back.
+    temporary : bool
+        The journal stays open until ``temporary.take_off``; ends with ``leave_open``.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class SettingsUpload:
         motors: Sequence[int] = (),
         refusals: Sequence[SafetyRefusal] = (),
         skip_refused: bool = False,
+        temporary: bool = False,
     ) -> None:
         self.link = link
         self.context = context
@@ -85,6 +89,7 @@ class SettingsUpload:
         self._motors = tuple(motors)
         self._refusals = tuple(refusals)
         self._skip_refused = skip_refused
+        self._temporary = temporary
         self._change = Change(link, context, ChangeKind.SETTINGS)
         self._backup: Path | None = None
 
@@ -123,6 +128,7 @@ class SettingsUpload:
                     "backup": self._backup.name,
                     "new": self.goal.as_dict(),
                     "skip_refused": int(self._skip_refused),
+                    TEMPORARY: int(self._temporary),
                 },
             )
             change.settle = self._take_back
@@ -170,6 +176,12 @@ class SettingsUpload:
             self._backup,
             self._change.journal.path,
         )
+
+    def leave_open(self) -> None:
+        """Give the lease back and leave the journal open, for settings that stand for a while."""
+        with self._change.explained():
+            self._change.left = ControllerState.NEW
+            self._change.release()
 
     def _take_back(self) -> ControllerState:
         state = put_back(self.link, self.old, skip_refused=self._skip_refused)

@@ -159,8 +159,13 @@ class Change:
         """Where the backup of this change belongs."""
         return self.context.store / f"{self.journal.path.stem}.{suffix}.json"
 
-    def keep_lease(self) -> None:
+    def keep_lease(self, ahead_s: float = 0.0) -> None:
         """Renew the lease of a change that takes long; called between packets.
+
+        Parameters
+        ----------
+        ahead_s : float
+            Time in s during which it cannot be renewed: an open buffer would take the command.
 
         Raises
         ------
@@ -170,9 +175,9 @@ class Change:
         if self._leased_at_s is None:
             return
         now_s = self.link.clock.now_s()
-        if now_s - self._leased_at_s > RENEW_SHARE * LEASE_s:
-            renew_lease(self.link, self.context)
-            self._leased_at_s = now_s
+        if now_s - self._leased_at_s + ahead_s > RENEW_SHARE * LEASE_s:
+            renew_lease(self.link, self.context, LEASE_s + ahead_s)
+            self._leased_at_s = now_s + ahead_s
 
     def finish(self, verdict: ControllerState, closing: str = DONE) -> None:
         """Close the journal and give the lease back."""

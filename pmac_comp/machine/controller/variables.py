@@ -157,12 +157,13 @@ def check_value(name: str, value: float) -> None:
         )
 
 
-Between = Callable[[], None]
-"""Called before each request of many, e.g. to renew a lease."""
+Between = Callable[[float], None]
+"""Called before each request of many with the seconds until it can be called again."""
 
 
-def quiet() -> None:
+def quiet(ahead_s: float) -> None:
     """Nothing to be done between two requests."""
+    del ahead_s
 
 
 def ask(
@@ -193,7 +194,7 @@ def ask(
     """
     answers: list[str] = []
     for group in batches(names):
-        between()
+        between(0.0)
         lines = link.query(" ".join(group))
         if len(lines) != len(group):
             raise RemoteProtocolError(

@@ -165,7 +165,7 @@ def test_what_stood_before_a_cam_comes_back(
         def torn(*_ignored: object) -> None:
             raise LinkLost("cut between the parts")
 
-        monkeypatch.setattr(TableUpload, "prepare", torn)
+        monkeypatch.setattr(TableUpload, "execute", torn)
     with suppress(LinkLost):
         deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
     assert ("W" in str(read_axes(link)), (2, 3, "7Z") in read_axes(link)) == (False, True)

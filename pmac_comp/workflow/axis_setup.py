@@ -1,0 +1,94 @@
+"""What a measurement needs of axes and units: put on before its programs, taken off at the end.
+
+Other people's axis definitions must not be lost to a measurement: they go into a journalled
+backup, and come back when the session ends or with ``recover``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.machine.controller import temporary
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.settings import (
+    AxisDefinitions,
+    Settings,
+    plain_axes,
+    read_axes,
+)
+from pmac_comp.machine.controller.transaction import untouched
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.workflow.scales import Scales
+
+DEFAULT_JOURNAL: Final = "pmac-comp-journal"
+UNITS: Final = {"I5190": "1000", "I5113": "0", "I42": "0"}
+"""Times of PVT programs in ms, velocities per second (Software Reference Manual, I5x13, I5x90)."""
+
+
+@dataclass
+class AxisSetup:
+    """Axis X of coordinate system 1 for one motor, in counts.
+
+    Parameters
+    ----------
+    store : Path
+        Folder of the journal, used only where definitions stand that would be lost.
+    """
+
+    store: Path = Path(DEFAULT_JOURNAL)
+    _context: Context | None = None
+
+    def put_on(self, link: Link, bench: Bench, controller: str) -> None:
+        """Make the motor axis X in counts, with PVT times in ms and velocities per second.
+
+        Raises
+        ------
+        SafetyRefusal
+            Definitions would have to be put aside while a motor moves.
+        """
+        motor = bench.encoder.motor_number
+        with untouched():
+            if _stands(link, motor):
+                return
+            present = read_axes(link)
+            is_free = all(a[0] != 1 and a[1] != motor for a in present) and _units_stand(link)
+        if is_free:
+            link.write_buffer([f"&1#{motor}->X"])
+            return
+        goal = Settings(UNITS, axes=axis_goal(present, {motor: "X"}))
+        self._context = self._context_of(bench, controller)
+        temporary.put_on(link, self._context, goal, motors=(motor,))
+
+    def take_off(self, link: Link) -> tuple[str, ...]:
+        """Bring back what was put aside, if anything was; what was done, in words."""
+        context, self._context = self._context, None
+        return () if context is None else temporary.take_off(link, context)
+
+    def _context_of(self, bench: Bench, controller: str) -> Context:
+        scales = Scales.of(bench)
+        self.store.mkdir(parents=True, exist_ok=True)
+        return Context(
+            block=LawBlock.from_p_block(bench.controller.p_block),
+            limits=scales.limits(bench),
+            store=self.store,
+            servo_period_s=scales.period_s,
+            controller=controller or "controller",
+        )
+
+
+def axis_goal(present: AxisDefinitions, ours: dict[int, str]) -> AxisDefinitions:
+    """Ours alone in coordinate system 1; definitions of other motors and systems stay."""
+    kept = tuple(a for a in present if a[0] != 1 and a[1] not in ours)
+    return (*((1, motor, letter) for motor, letter in ours.items()), *kept)
+
+
+def _stands(link: Link, motor: int) -> bool:
+    return plain_axes(read_axes(link, systems=(1,))) == {(1, motor, "X")} and _units_stand(link)
+
+
+def _units_stand(link: Link) -> bool:
+    found = read_many(link, list(UNITS))
+    return all(found[name] == float(value) for name, value in UNITS.items())
