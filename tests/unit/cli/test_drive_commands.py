@@ -118,7 +118,8 @@ def test_any_command_is_predicted_on_its_own_times(
         savemat(command, {"time_s": time_s, **moved})
     else:
         write_capture(command, Capture(time_s, position, position, None, position, 0 * position))
-    assert called("predict", "-b", "paper_x4", "-m", stored_model, "-c", command, "-o", out) == 0
+    words = ("predict", "-b", "paper_x4", "-m", stored_model, "-c", command, "-o", out)
+    assert called(*words, "--rounding", "none") == 0
     assert ("note:" in capsys.readouterr().out) == (grid != "servo period")
     lines = [line for line in out.read_text().splitlines() if not line.startswith("#")]
     header = lines[0].split(",")
@@ -132,6 +133,11 @@ def test_any_command_is_predicted_on_its_own_times(
     best = simulate(model_from_file(read_model(stored_model), PAPER), MOVE).mechanical_error_m
     error = found.table_position_m - found.motor_position_m
     assert np.std(error - np.interp(time_s, MOVE.time_s, best)) < 0.02e-6
+    assert called(*words) == 0  # with what rounding in the loop does on average
+    rounded = read_capture(out)
+    assert rounded.table_position_m is not None
+    other = rounded.table_position_m - rounded.motor_position_m
+    assert 0.0 < np.std(other - error) < 0.06e-6
 
 
 def test_a_command_too_coarse_to_be_one_is_refused(
