@@ -12,6 +12,7 @@ import numpy as np
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.claims import Claims, claims_of
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import estimates_of
 from pmac_comp.physics.diagnose.growth import Grown, grow
@@ -125,14 +126,13 @@ def _assembled(
     judging = grown.bench.judging_records
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
-    # Small change next to something large and unknown is no finding.
-    believed = left.explained or not left.unexplained
-    tied = _tied_groups(grown) if believed else ()
-    named = _named(grown, tied) if believed else ()
-    verdict = _verdict(named, tied, left)
-    where = _where(grown, bench)
     estimates, findings = estimates_of(grown, rules.material)
-    estimates = estimates if believed else ()
+    claims = claims_of(grown, left, estimates, rules)
+    tied = _tied_groups(claims)
+    named = _named(claims, tied)
+    verdict = _verdict(named, tied, unknown=left.unexplained or claims.imitated)
+    where = _where(grown, bench)
+    estimates = tuple(e for e in estimates if e.name.partition(".")[0] in claims.effects)
     experiment = _experiment(tied, left, grown, library)
     return Diagnosis(
         verdict=verdict,
@@ -146,7 +146,7 @@ def _assembled(
         torque_gap_after_Nm=after.torque_Nm,
         noise_floor_um=left.noise_floor_um,
         gap_channel="table" if grown.bench.channels > 1 else "motor",
-        residual=left.regions if left.visible else (),
+        residual=_residual(left, where, verdict),
         separating_experiment=experiment,
         findings=findings,
         statements=statements_of(
@@ -161,6 +161,7 @@ def _assembled(
                 left,
                 ruled_out(grown, library) if named else (),
                 library,
+                claims.withheld,
             )
         ),
         model=grown.final.model,
@@ -170,21 +171,30 @@ def _assembled(
     )
 
 
-def _tied_groups(grown: Grown) -> tuple[tuple[str, ...], ...]:
+def _residual(left: Remainder, where: tuple[Region, ...], verdict: Verdict) -> tuple[Region, ...]:
+    """What has no name: the remainder, or all of it where an imitation fills the model."""
+    if left.visible:
+        return left.regions
+    return where if verdict == "unknown" else ()
+
+
+def _tied_groups(claims: Claims) -> tuple[tuple[str, ...], ...]:
     return tuple(
-        (r.accepted.effect, *r.tied) for r in grown.rounds if r.accepted is not None and r.tied
+        (r.accepted.effect, *r.tied) for r in claims.rounds if r.accepted is not None and r.tied
     )
 
 
-def _named(grown: Grown, tied: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+def _named(claims: Claims, tied: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """Tied groups first, then the settled effects in the order added."""
     grouped = [name for group in tied for name in group]
-    settled = [c.effect for c in grown.accepted if c.effect not in grouped]
+    settled = [name for name in claims.effects if name not in grouped]
     return tuple(dict.fromkeys([*grouped, *settled]))
 
 
-def _verdict(named: tuple[str, ...], tied: tuple[tuple[str, ...], ...], left: Remainder) -> Verdict:
-    if left.unexplained:
+def _verdict(
+    named: tuple[str, ...], tied: tuple[tuple[str, ...], ...], *, unknown: bool
+) -> Verdict:
+    if unknown:
         return "unknown"
     if tied:
         return "tie"

@@ -42,6 +42,7 @@ Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
+_FAR_MORE = 4.0
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,8 @@ def _without(
         return None
     gap_um = gap(bench.judging_records, less.model, bench.executor).position_um
     back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
-    return None if _earned(back, replace(done, gap_um=gap_um), rules) else less
+    needed = gap_um > rules.widened * back.gap_um
+    return None if needed or _earned(back, replace(done, gap_um=gap_um), rules) else less
 
 
 def _look_around(
@@ -279,16 +281,35 @@ def _round(
         progress(f"refitting with {item.start.key}")
         tried += [*contend(ground, item, screening.frozen), *afresh(ground, screening, item)]
     contenders = polished(ground, tried)
-    winner = contenders[0] if contenders else None
     gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
     floor_um = noise_floor_um(bench, before.model)
     bare = Round(
         before, screening, tuple(contenders), None, (), rows_fit, rows_judge, gap_um, floor_um
     )
-    if winner is None or not _earned(winner, bare, rules):
+    winner = _winner([c for c in contenders if _earned(c, bare, rules)], contenders, gap_um)
+    if winner is None:
         return bare
     tied = _tied(winner, contenders, library, rows, rules)
     return replace(bare, accepted=winner, tied=tied)
+
+
+def _winner(
+    earned: Sequence[Contender], contenders: Sequence[Contender], gap_um: float
+) -> Contender | None:
+    """The best candidate, if it earned its place, or one that closes far more of the gap.
+
+    Slow effects are small to a whitener that expects slow noise; what they close in um is not.
+    """
+    if not earned:
+        return None
+
+    def closed_um2(contender: Contender) -> float:
+        return gap_um**2 - contender.gap_um**2
+
+    widest = max(earned, key=closed_um2)
+    if closed_um2(widest) > _FAR_MORE * max(closed_um2(contenders[0]), 0.0):
+        return widest
+    return contenders[0] if contenders[0] in earned else None
 
 
 def _earned(winner: Contender, done: Round, rules: Rules) -> bool:

@@ -21,7 +21,7 @@ from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
 
 _UNEXPLAINED = 0.10  # of the noise variance per sample, earned by flexible rivals on both parts
-_TOLD = 0.05  # of the variance that the grown model removed: the form is right to this
+_TOLD = 0.02  # of the variance that the grown model removed: the form is right to this
 # What two careful integrations of the same drive differ by around reversals, at least; and how
 # many deviations of what the onset of friction leaves open.
 _MODEL_um = 0.08
@@ -84,7 +84,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     material = max(_UNEXPLAINED, _TOLD * removed)
     open_um = max(_MODEL_um, _ONSETS * _onset_um(grown))
     noticeable = excess_um > max(0.3 * floor_um, open_um)
-    by_rivals = fit_share > material and p_value < 0.01 and noticeable
+    by_rivals = fit_share > material and p_value < 0.01 and (noticeable or fit_share > 2 * material)
     base_um = _rms_um(grown, grown.base.model)
     worth = max(
         _EXCESS * floor_um, open_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2)))

@@ -61,6 +61,8 @@ class Story:
         Look-alikes that are ruled out.
     library : Mapping of str to Effect
         Effects with their own words.
+    withheld : Mapping of str to str
+        Effects that close some of the gap and are not claimed, and why.
     """
 
     verdict: str
@@ -73,6 +75,7 @@ class Story:
     left: Remainder
     rivals: Sequence[Rival]
     library: Mapping[str, Effect]
+    withheld: Mapping[str, str]
 
 
 def statements_of(story: Story) -> tuple[str, ...]:
@@ -80,6 +83,10 @@ def statements_of(story: Story) -> tuple[str, ...]:
     said = [f"Seen: {region.describe()}." for region in story.where[:2] if story.verdict != "none"]
     said.append(_headline(story))
     said += [_cause(name, story) for name in story.named]
+    said += [
+        f"{name} closes some of it and is not claimed: {why}."
+        for name, why in story.withheld.items()
+    ]
     said.append(_worth(story))
     before, after = story.before.torque_Nm, story.after.torque_Nm
     if before is not None and after is not None and story.named:

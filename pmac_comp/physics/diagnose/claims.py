@@ -1,0 +1,157 @@
+"""Which of the effects in a grown model may be claimed by name.
+
+What lives here: the last doubts about effects that earned their place by the numbers. An effect
+that closes the gap only as the imitation of another is part of the model and no finding. May import
+``growth`` and ``remainder``.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.physics.diagnose.candidates import amplitude_of
+from pmac_comp.physics.diagnose.contenders import Contender, Rules
+from pmac_comp.physics.diagnose.growth import Grown, Round
+from pmac_comp.physics.diagnose.remainder import Remainder
+from pmac_comp.physics.diagnose.result import Estimate
+from pmac_comp.physics.model.drive import DriveModel
+
+_LEAST_SIGMAS = 3.0
+_WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
+# Beside a remainder without a name, share of the flexible rivals' gain that a name must reach.
+_RIVALS_SHARE = 1.0
+_TOO_SMALL = "its size cannot be told from nothing"
+
+
+def _far_cable(model: DriveModel) -> str:
+    travel = model.bench.travel
+    reach_m = (travel.max_mm - travel.min_mm) / MM_PER_M
+    middle_m = 0.5 * (travel.max_mm + travel.min_mm) / MM_PER_M
+    if abs(model.parameters["cable_drag.centre_m"] - middle_m) < 1.5 * reach_m:
+        return ""
+    return "its centre lies so far outside the travel that its force is constant: a bias"
+
+
+def _no_ratio(model: DriveModel) -> str:
+    if model.parameters["preload_loss.stiffness_ratio"] > 0.02:
+        return ""
+    return "its soft zone has no stiffness left: a backlash"
+
+
+def _no_mode(model: DriveModel) -> str:
+    if model.parameters["base_mode.damping_ratio"] < 0.7:
+        return ""
+    return "its damping leaves no resonance"
+
+
+def _no_curve(model: DriveModel) -> str:
+    if 0.05 < model.parameters["viscous_nonlinear.exponent"] < 0.95:
+        return ""
+    return "its exponent makes it Coulomb or viscous friction"
+
+
+# Corners of an effect's range where it is another effect.
+_IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
+    "cable_drag": _far_cable,
+    "preload_loss": _no_ratio,
+    "base_mode": _no_mode,
+    "viscous_nonlinear": _no_curve,
+}
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What is claimed, and what is not although it is in the model.
+
+    Parameters
+    ----------
+    rounds : tuple of Round
+        Rounds whose effect is claimed.
+    withheld : Mapping of str to str
+        Effects that are not claimed, and why.
+    imitated : bool
+        Whether one of those stands for something that the library cannot name; others are merely
+        too small to tell from nothing.
+    """
+
+    rounds: tuple[Round, ...]
+    withheld: Mapping[str, str]
+    imitated: bool
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Claimed effects in the order added."""
+        return tuple(r.accepted.effect for r in self.rounds if r.accepted is not None)
+
+
+def claims_of(grown: Grown, left: Remainder, estimates: Sequence[Estimate], rules: Rules) -> Claims:
+    """Effects that may be claimed by name.
+
+    Parameters
+    ----------
+    grown : Grown
+        Result of the growth loop.
+    left : Remainder
+        What it leaves.
+    estimates : sequence of Estimate
+        Parameters of the accepted effects.
+    rules : Rules
+        Figures of the decisions.
+
+    Returns
+    -------
+    Claims
+    """
+    claimed: list[Round] = []
+    withheld: dict[str, str] = {}
+    for done in grown.rounds:
+        if done.accepted is None:
+            continue
+        why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
+        if why:
+            withheld[done.accepted.effect] = why
+        else:
+            claimed.append(done)
+    imitated = any(why != _TOO_SMALL for why in withheld.values())
+    return Claims(tuple(claimed), withheld, imitated)
+
+
+def _doubt(
+    done: Round,
+    accepted: Contender,
+    model: DriveModel,
+    left: Remainder,
+    estimates: Sequence[Estimate],
+    rules: Rules,
+) -> str:
+    """Why an effect may not be claimed, or nothing."""
+    imitates = _IMITATIONS.get(accepted.effect)
+    if imitates is not None and (why := imitates(model)):
+        return why
+    if _weak(done, accepted, rules) and _nothing(accepted, model, estimates):
+        return _TOO_SMALL
+    # Small change next to something large and unknown is no finding.
+    if left.unexplained and not left.explained:
+        return "most of the gap stays open with it"
+    if left.unexplained and accepted.fit_gain < _RIVALS_SHARE * done.screening.rival_gain:
+        return "smooth functions without a name explain more than it does"
+    return ""
+
+
+def _weak(done: Round, accepted: Contender, rules: Rules) -> bool:
+    """Whether neither the weighted samples nor the gap in um show an effect beyond doubt."""
+    closed_um2 = done.gap_um**2 - accepted.gap_um**2
+    return (
+        accepted.fit_gain < rules.overwhelming * rules.material * done.rows_fit
+        and closed_um2 < (_WIDE * done.floor_um) ** 2
+    )
+
+
+def _nothing(accepted: Contender, model: DriveModel, estimates: Sequence[Estimate]) -> bool:
+    """Whether the size of an effect that vanishes at zero may be zero."""
+    if not accepted.screened.start.linear:
+        return False
+    effect, place = model.effect(accepted.key)
+    size = amplitude_of(effect.name, effect.specs(place))
+    name = f"{effect.name}.{size.file_name or size.name}"
+    return any(e.name == name and abs(e.value) < _LEAST_SIGMAS * e.std for e in estimates)
