@@ -10,6 +10,7 @@
       SafetyRefusal     exit 6   AmplitudeExceeded, SlopeExceeded, MotorNotSafe,
                                  ForeignChange, LeaseHeld
       TableStateError   exit 7   UploadIncomplete, VerifyMismatch, FlashSuspect
+                        exit 130 ChangeInterrupted (Ctrl-C)
       CaptureError      exit 8   GatherOverflow, SampleGap, StorageFull
       ModelError        exit 9   NotIdentifiable, DidNotConverge, NonFinite
       InternalError     exit 70  a bug; asks for the journal
@@ -178,6 +179,12 @@ class TableStateError(PmacCompError):
 
 class UploadIncomplete(TableStateError):
     """An upload ended before its last step."""
+
+
+class ChangeInterrupted(UploadIncomplete):
+    """Somebody asked for an end while a controller was changed; it came at the next safe place."""
+
+    exit_code = 130
 
 
 class VerifyMismatch(TableStateError):

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
     words = output.spell_out_lists(words)
     wants_json = output.JSON_STDOUT in words
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends in order, as by Ctrl-C
+    _end_in_order()
     try:
         app(args=words, prog_name="pmac-comp")
     except PmacCompError as error:
@@ -67,6 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as error:
         output.show_error(_as_bug(error), wants_json)
         sys.exit(InternalError.exit_code)
+
+
+def _end_in_order() -> None:
+    """SIGTERM and a closed terminal end as by Ctrl-C; ``nohup`` keeps its meaning."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
 
 
 def _as_refusal(error: OSError) -> ConfigError:

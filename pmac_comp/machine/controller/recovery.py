@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pmac_comp.base.errors import (
+    ChangeInterrupted,
     ConfigError,
     ControllerState,
     LinkError,
     PmacCompError,
     ProtocolError,
 )
-from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Entry, Journal
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
@@ -107,6 +108,12 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
     journal, inner = open_group(context, name)
     try:
         yield inner
+    except KeyboardInterrupt as stop:
+        error = ChangeInterrupted(
+            "Stopped on request between the parts of the upload.", code="PC-REC-002"
+        )
+        _take_back_after(link, context, journal, error)
+        raise error from stop
     except PmacCompError as error:
         if not isinstance(error, LinkError | ProtocolError):
             _take_back_after(link, context, journal, error)
@@ -316,7 +323,7 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
 def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take back every part, the last one first; may be repeated after an interruption."""
     number = group.group
-    alone = replace(context, group=0)
+    alone = replace(context, group=0, stop_requested=never)
     notes: list[str] = []
     for part in reversed([p for p in _parts(context) if p.journal.group == number]):
         if part.closing == ROLLED_BACK:

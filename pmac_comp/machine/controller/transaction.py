@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import Final, Self
 
 from pmac_comp.base.errors import (
+    ChangeInterrupted,
     ControllerState,
     LinkError,
     PmacCompError,
     ProtocolError,
 )
+from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journal import CLOSING, Journal
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
@@ -124,9 +126,12 @@ class Change:
         self._journal = journal
         self._stack = ExitStack()
         self._leased_at_s: float | None = None
+        self._interrupt = DeferredInterrupt()
+        self._ended: ControllerState | None = None
 
     def __enter__(self) -> Self:
         self._stack.enter_context(host_lock(self.context))
+        self._stack.enter_context(self._interrupt)
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -135,6 +140,24 @@ class Change:
                 self.release()
         finally:
             self._stack.close()
+        if failure[0] is None and self._interrupt.pending:
+            raise self._interrupted("when the change was complete")
+
+    def _interrupted(self, when: str) -> ChangeInterrupted:
+        return ChangeInterrupted(
+            f"Stopped on request {when}.",
+            code="PC-UPL-005",
+            hint="`pmac-comp status` shows what stands; `pmac-comp recover` settles what is open.",
+            left=self._ended or self.left,
+            context={"confirmed": True},
+        )
+
+    def may_go_on(self) -> None:
+        """Asked at every safe place; raises ChangeInterrupted if somebody asked for an end."""
+        if self._interrupt.pending or self.context.stop_requested():
+            error = self._interrupted("before the change was complete")
+            error.left = None  # looked at before it leaves
+            raise error
 
     @property
     def journal(self) -> Journal:
@@ -145,6 +168,7 @@ class Change:
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
         """First entry of a new journal, then the lease; nothing is changed yet."""
+        self.may_go_on()
         if self._is_new:
             head = {"kind": self.kind.value, "group": self.context.group}
             self.journal.write("begin", {**head, **(data or {})})
@@ -152,7 +176,9 @@ class Change:
         self._leased_at_s = self.link.clock.now_s()
 
     def step(self, name: str, data: Mapping[str, object] | None = None) -> None:
-        """Put a step on the disk before it is done."""
+        """Put a step on the disk before it is done, unless somebody asked for an end."""
+        if name not in CLOSING:
+            self.may_go_on()
         self.journal.write(name, data)
 
     def backup_path(self, suffix: str) -> Path:
@@ -171,7 +197,10 @@ class Change:
         ------
         ForeignChange
             Somebody else holds it.
+        ChangeInterrupted
+            Somebody asked for an end.
         """
+        self.may_go_on()
         if self._leased_at_s is None:
             return
         now_s = self.link.clock.now_s()
@@ -182,6 +211,7 @@ class Change:
     def finish(self, verdict: ControllerState, closing: str = DONE) -> None:
         """Close the journal and give the lease back."""
         self.left = verdict
+        self._ended = ControllerState.OLD if closing == ROLLED_BACK else verdict
         self.journal.write(closing, {"verdict": verdict.value})
         self.release()
 

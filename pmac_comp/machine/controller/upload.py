@@ -19,7 +19,6 @@ from pmac_comp.base.errors import (
     ProtocolError,
     SafetyRefusal,
     StorageFull,
-    UploadIncomplete,
     VerifyMismatch,
 )
 from pmac_comp.machine.controller.comp_table import Table
@@ -315,12 +314,6 @@ class TableUpload:
         lines = ["DELETE GATHER", *the_plan.lines, f"I30={self._i30}"]
         parts = list(batches(lines, PACKET_BYTES))
         for k, packet in enumerate(parts):
-            if self.context.stop_requested():
-                raise UploadIncomplete(
-                    "Stopped on request while tables were being written.",
-                    code="PC-UPL-005",
-                    hint="`pmac-comp recover` writes the old tables back.",
-                )
             self._change.keep_lease()
             try:
                 self.link.write_buffer(packet)
