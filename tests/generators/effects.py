@@ -165,7 +165,7 @@ EFFECTS: Mapping[str, Draw] = {
 
 MOST: Mapping[str, float] = {
     "actuator_delay": 3.0,
-    "axial_stiffness_nonlinear": 3.5,  # contact parts beyond 2.4 preloads: no spring any more
+    "axial_stiffness_nonlinear": 2.8,  # contact parts beyond 2.4 preloads: no spring any more
     "axial_stiffness_position": 6.0,
     "base_mode": 5.0,
     "chain_damping": 8.0,

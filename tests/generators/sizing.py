@@ -39,6 +39,7 @@ _OWN: Sequence[tuple[tuple[int, ...], str | None]] = (
     ((k.P_EA,), "screw_rigidity_N"),
     ((k.P_BANDWIDTH,), "current_bandwidth_Hz"),
     ((k.P_DELAY,), "actuator_delay_us"),
+    ((k.P_NUT_LOAD,), "efficiency"),
     ((k.P_MOTOR_LEVEL,), None),
     ((k.P_NUT_LEVEL,), None),
     ((k.P_GUIDE_LEVEL,), None),
@@ -164,8 +165,10 @@ class Sizing:
         columns, widths = [], []
         for indices, key in _OWN:
             plant = drive(self._bench, self._around, {})
+            # The torque lost in the nut goes with one less the efficiency.
+            lever = 1.0 / (1.0 - plant.truth.efficiency) if key == "efficiency" else 1.0
             for index in indices:
-                plant.par[index] *= 1.0 + _STEP
+                plant.par[index] *= 1.0 + lever * _STEP
             moved = self._tables(plant)
             columns.append(
                 [_level((m - c) / _STEP) for m, c in zip(moved, self._clean, strict=True)]
