@@ -4,10 +4,12 @@ After a kill the journal and the state of the controller decide together what ha
 JSON with a checksum; a torn last line is ignored. Imports ``base`` only.
 """
 
+import errno
 import json
 import os
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -50,8 +52,7 @@ class Journal:
         try:
             fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
             try:
-                os.write(fd, line)
-                os.fsync(fd)
+                _append(fd, line)
             finally:
                 os.close(fd)
         except OSError as error:
@@ -99,6 +100,23 @@ class Journal:
         """Whether a transaction was begun and neither finished nor rolled back."""
         steps = [entry.step for entry in self.entries()]
         return bool(steps) and steps[-1] not in CLOSING
+
+
+def _append(fd: int, line: bytes) -> None:
+    """Write a line and sync it, or leave the file as it was: what follows a torn line is lost."""
+    before = os.fstat(fd).st_size
+    try:
+        _write_whole(fd, line)
+        os.fsync(fd)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(fd, before)
+        raise
+
+
+def _write_whole(fd: int, line: bytes) -> None:
+    if os.write(fd, line) < len(line):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def probe_folder(folder: Path) -> None:

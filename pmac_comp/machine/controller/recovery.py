@@ -16,6 +16,7 @@ from pmac_comp.base.errors import (
     LinkError,
     PmacCompError,
     ProtocolError,
+    StorageFull,
 )
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Entry, Journal
@@ -46,6 +47,7 @@ from pmac_comp.machine.controller.transaction import (
     journals,
     mark_left,
     open_group,
+    untouched,
 )
 
 
@@ -105,7 +107,8 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
     Context
         To be used for the parts.
     """
-    journal, inner = open_group(context, name)
+    with untouched():
+        journal, inner = open_group(context, name)
     try:
         yield inner
     except KeyboardInterrupt as stop:
@@ -120,7 +123,14 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
         elif error.left is None:
             mark_left(error, ControllerState.DISABLED, confirmed=False)
         raise
-    journal.write(DONE)
+    try:
+        journal.write(DONE)
+    except StorageFull as error:
+        mark_left(error, ControllerState.NEW, confirmed=True)
+        error.hint = (
+            "All of the upload stands, but is not noted: `pmac-comp recover` takes it back."
+        )
+        raise
 
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:

@@ -6,7 +6,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from pmac_comp.base.atomic import atomic_write_text
-from pmac_comp.base.errors import ConfigError, ControllerState, TableStateError
+from pmac_comp.base.errors import ConfigError, ControllerState, StorageFull, TableStateError
 
 
 def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
@@ -14,12 +14,21 @@ def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
 
     Raises
     ------
+    StorageFull
+        The file could not be stored; nothing was changed on the controller.
     TableStateError
         What was read is not what was written; nothing was changed on the controller.
     """
     body = json.dumps(dict(data), sort_keys=True)
     digest = sha256(body.encode()).hexdigest()
-    atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
+    try:
+        atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
+    except OSError as error:
+        raise StorageFull(
+            f"The backup {path} cannot be written: {error.strerror}.",
+            code="PC-TXN-008",
+            hint="Nothing is changed without a backup; free the disk or choose a folder.",
+        ) from error
     if read_sealed_json(path) != json.loads(body):
         raise TableStateError(
             f"The file {path} does not read back as written.",

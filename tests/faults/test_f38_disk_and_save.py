@@ -1,0 +1,139 @@
+"""F38: the host's disk fills up, or SAVE fails, at any point of a change; verdicts stay true."""
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import (
+    CommandRefused,
+    ControllerState,
+    PmacCompError,
+    ReplyTimeout,
+    StorageFull,
+)
+from pmac_comp.machine.controller import upload
+from pmac_comp.machine.controller.journal import Journal
+from tests.faults.change_bench import ChangeBench, Scenario
+from tests.faults.test_f01_f29_every_kind import SCENARIOS
+from tests.faults.upload_bench import UploadBench
+
+pytestmark = pytest.mark.faults
+Count = Callable[[int], None]
+
+
+class FullDisk:
+    """The disk has room for so many syncs; then every one of them fails, or only the next."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.left = 1 << 30
+        self.for_good = True
+        self.count = 0
+        self._fsync = os.fsync
+        monkeypatch.setattr(os, "fsync", self.fsync)
+
+    def fsync(self, fd: int) -> None:
+        self.count += 1
+        self.left -= 1
+        if self.left == -1 or (self.left < 0 and self.for_good):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self._fsync(fd)
+
+
+@pytest.mark.parametrize("for_good", [True, False])
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name)
+def test_f38_full_disk_at_every_sync(
+    *,
+    scenario: Scenario,
+    for_good: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    exhaustive: bool,
+    count_runs: Count,
+) -> None:
+    rig = ChangeBench(tmp_path, scenario)
+    disk = FullDisk(monkeypatch)
+    disk.for_good = for_good
+    assert rig.run() is None
+    total = disk.count
+    for n in range(0, total, 1 if exhaustive else max(1, total // 5)):
+        rig.restart()
+        disk.left = n
+        error = rig.attempt()
+        disk.left = 1 << 30
+        assert isinstance(error, PmacCompError), n
+        assert error.left is not None, (n, error)
+        rig.fresh()
+        if error.context.get("confirmed"):
+            rig.judge(error.left)
+        rig.recover(resume=bool(n % 2))
+        count_runs(1)
+
+
+@pytest.mark.parametrize("for_good", [True, False])
+def test_f38_full_disk_at_every_sync_of_an_upload_of_tables(
+    *, for_good: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    rig = UploadBench(tmp_path, n=40)
+    disk = FullDisk(monkeypatch)
+    disk.for_good = for_good
+    assert rig.upload_with(lambda _b: None) is None
+    total = disk.count
+
+    def fill(n: int) -> None:
+        disk.left = n
+
+    for n in range(total):
+        error = rig.upload_with(lambda _b, n=n: fill(n))
+        fill(1 << 30)
+        assert isinstance(error, StorageFull), (n, error)
+        if error.context["confirmed"]:
+            assert error.left is rig.state, n
+        assert rig.recover(resume=bool(n % 2)) in {ControllerState.OLD, ControllerState.NEW}
+        count_runs(1)
+
+
+@pytest.mark.parametrize("how", ["refused", "silent"])
+def test_f21_save_that_fails_leaves_the_upload_and_says_so(
+    *, tmp_path: Path, how: str, count_runs: Count
+) -> None:
+    rig = UploadBench(tmp_path, n=40)
+    bench = rig.restart()
+    bench.link.command("#1K")
+    bench.clock.sleep_s(0.5)
+    do = bench.link.command
+
+    def command(text: str, **options: float) -> list[str]:
+        if text != "SAVE":
+            return do(text, **options)
+        if how == "refused":
+            raise CommandRefused("ERR001", context={"error": 1})
+        raise ReplyTimeout("silence")
+
+    bench.link.command = command  # type: ignore[method-assign]
+    change = upload.TableUpload(bench.link, bench.context, [rig.new], persist=True)
+    with pytest.raises(PmacCompError) as failed, change:
+        change.execute()
+    assert failed.value.left is ControllerState.NEW
+    assert failed.value.context["confirmed"] is (how == "refused")
+    assert rig.recover() is ControllerState.NEW
+    count_runs(1)
+
+
+def test_f38_a_line_of_the_journal_that_did_not_fit_is_taken_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """A write may end short without an error; what is appended later must stay readable."""
+    journal = Journal(tmp_path / "a.journal")
+    journal.write("begin")
+    whole = os.write
+    for room in range(0, 40, 3):
+        monkeypatch.setattr(os, "write", lambda fd, data, n=room: whole(fd, data[:n]))
+        with pytest.raises(StorageFull):
+            journal.write("intent", {"backup": "x" * 40})
+        monkeypatch.setattr(os, "write", whole)
+        count_runs(1)
+    journal.write("rolled back")
+    assert [entry.step for entry in journal.entries()] == ["begin", "rolled back"]
