@@ -3,7 +3,13 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, UploadIncomplete
+from pmac_comp.base.errors import (
+    ConfigError,
+    ControllerState,
+    ForeignChange,
+    SafetyRefusal,
+    UploadIncomplete,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import (
@@ -14,6 +20,8 @@ from pmac_comp.machine.controller.lease import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, clear_lines
+from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
 from pmac_comp.machine.controller.table_set import TableSet
 from pmac_comp.machine.controller.table_status import TableStatus, read_head, table_status
@@ -25,6 +33,8 @@ from pmac_comp.machine.controller.transaction import (
     journals,
 )
 from pmac_comp.machine.controller.upload import Origin, TableUpload
+from pmac_comp.machine.controller.upload_checks import motion_refusals
+from pmac_comp.machine.controller.upload_plan import step_refusals
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,11 @@ class Unfinished:
     enable_after: bool
     old: TableSet
     is_rollback: bool
+
+    @property
+    def is_undoing(self) -> bool:
+        """Whether it only brings back what stood before itself."""
+        return self.manifest.crc_old == self.manifest.crc_new
 
     @property
     def expected(self) -> Manifest:
@@ -97,6 +112,7 @@ def recover_tables(link: Link, context: Context, *, resume: bool = True) -> Uplo
         status = table_status(link, context, journal_manifest=manifest)
         _settle_lease(link, context)
         if status.decision.action is Action.DISABLE:
+            _require_bumpless(link, context, status.tables)
             link.command("I51=0")
             raise ForeignChange(
                 f"{status.decision.reason.capitalize()}; compensation was switched off.",
@@ -113,11 +129,29 @@ def recover_tables(link: Link, context: Context, *, resume: bool = True) -> Uplo
             hint="Run recover where the upload was started, or restore a backup.",
             left=ControllerState.DISABLED,
         )
+    if last.is_rollback and not last.is_undoing:
+        return _finish(link, context, last, last.new, enable=last.enable_after)
     # A finished upload that is gone was lost in a reset without SAVE: it is written again.
     whole = status.decision.action is Action.RESUME or not last.journal.is_open
     if resume and whole and last.enable_after:
         return _finish(link, context, last, last.new, enable=True)
     return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
+
+
+def _require_bumpless(link: Link, context: Context, tables: TableSet) -> None:
+    """Foreign tables are not switched off under a moving axis, nor where it would jump."""
+    refusals = motion_refusals(link, tables.motors)
+    refusals += step_refusals(context, read_motors(link, tables.motors), tables, TableSet())
+    try:
+        raise_all(refusals, "Switching off tables that nobody announced")
+    except SafetyRefusal as error:
+        error.left = ControllerState.DISABLED
+        error.context["confirmed"] = False
+        error.hint = (
+            f"{error.hint} They still act, though neither the old nor the new ones: "
+            "then run `pmac-comp recover` again."
+        ).strip()
+        raise
 
 
 def _is_removed(last: Unfinished | None, status: TableStatus) -> bool:
@@ -142,16 +176,27 @@ def _settled(
     crc, reason = status.tables.crc, status.decision.reason
     journal = latest_journal(context)
     if last is None:
+        was_rollback = False
         if journal is not None and journal.is_open:
+            begin = journal.first()
+            was_rollback = begin is not None and begin.data.get("closing") == ROLLED_BACK
             journal.write(ROLLED_BACK)
+        if was_rollback and status.decision.state is ControllerState.NEW:
+            note = (f"the rollback was not begun: {reason}",)
+            return UploadResult(ControllerState.NEW, "table", crc, crc, notes=note)
         return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
     state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
+    untouched = state is ControllerState.OLD
     if last.is_rollback:
-        state = ControllerState.OLD
-        if not last.journal.is_open:
+        untouched = state is ControllerState.OLD and not last.is_undoing
+        state = ControllerState.NEW if untouched else ControllerState.OLD
+        if untouched:
+            reason = "the rollback was not begun: the uploaded tables act"
+        elif not last.journal.is_open:
             reason = "nothing was left open: the last upload was taken back"
     if last.journal.is_open:
-        if state is ControllerState.OLD:
+        if untouched or state is ControllerState.OLD:
+            # The guard would switch tables off that stand beside a manifest of a beginning.
             link.write_buffer(clear_lines(context.block))
         last.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
     return UploadResult(

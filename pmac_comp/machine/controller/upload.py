@@ -185,7 +185,7 @@ class TableUpload:
             raise
         change = self._change
         with change.explained():
-            change.begin()
+            change.begin({"closing": self._closing})
             backup = self._backup(the_plan)
             manifest = self._intend(the_plan, backup)
             self._require_standstill(the_plan, "Switching off")
