@@ -353,7 +353,7 @@ def _tied(
         and alike(other.effect, winner.effect, library)
         and _inseparable(winner, other, rows, rules)
     ]
-    tied += [name for name in exact_twins(winner.effect, library) if name not in tied]
+    tied += [name for name in exact_twins(winner.effect) if name not in tied]
     return tuple(tied)
 
 

@@ -188,11 +188,9 @@ def alike(one: str, other: str, library: Mapping[str, Effect]) -> bool:
     )
 
 
-def exact_twins(name: str, library: Mapping[str, Effect]) -> tuple[str, ...]:
-    """Effects of the library that no data separates from this one."""
-    return tuple(
-        sorted(t for group in _TWINS if name in group for t in group - {name} if t in library)
-    )
+def exact_twins(name: str) -> tuple[str, ...]:
+    """Effects that no data separates from this one, whether they were offered or not."""
+    return tuple(sorted(t for group in _TWINS if name in group for t in group - {name}))
 
 
 def separating_experiment(

@@ -6,12 +6,16 @@ May import ``records`` and ``workbench``.
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.diagnose.records import Record
 from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
 
 _LARGEST_PERIOD_FRAC = 0.5
+# Where the axis travels less than this in a block it is still; so many blocks tell its noise.
+_STILL_m = 1e-6
+_LEAST_STILL = 20
+_FAR_MORE = 9.0
 
 
 def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
@@ -23,7 +27,8 @@ def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
     leaves, which contains it.
     """
     judging = bench.judging_records
-    parts = list(bench.executor.map(lambda r: _noise_parts_m(r, model), judging))
+    still_m2 = _still_power_m2(bench, model)
+    parts = list(bench.executor.map(lambda r: _noise_parts_m(r, model, still_m2), judging))
     whole = [r for r, m in zip(bench.records, bench.fitting, strict=True) if not m.all()]
     total, count = 0.0, 0
     for record, complete, (steps, left) in zip(judging, whole, parts, strict=True):
@@ -33,24 +38,52 @@ def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
     return 1e6 * float(np.sqrt(total / max(count, 1)))
 
 
-def _noise_parts_m(record: Record, model: DriveModel) -> tuple[float, float]:
-    """Noise by sensors, and rms of all that the model leaves."""
+def _noise_parts_m(
+    record: Record, model: DriveModel, still_m2: float | None
+) -> tuple[float, float]:
+    """Noise by sensors, and rms of all that the model leaves.
+
+    Noise of a sensor is there at rest too; a pattern of the scale finer than what the axis travels
+    in a block is not, and must not pass for noise because it is fast.
+    """
     smooth = record.channels_of(record.response(model))[:, -1]
     stepped = record.channels_of(record.response(model, quantise=True))[:, -1]
     left = record.measured_m[:, -1] - smooth
     steps = float(np.std((stepped - smooth)[record.valid]))
-    extra = _white_power(record, left) - _white_power(record, stepped - smooth)
+    seen = _white_power(record, left, record.usable)
+    if still_m2 is not None and seen > _FAR_MORE * still_m2:
+        seen = still_m2
+    extra = seen - _white_power(record, stepped - smooth, record.usable)
     return float(np.sqrt(steps**2 + max(0.0, extra))), float(np.std(left[record.valid]))
 
 
-def _white_power(record: Record, values: FloatArray) -> float:
-    """Power in m2 of white noise that has the same power within blocks."""
-    if record.factor < 2:
+def _still_power_m2(bench: Workbench, model: DriveModel) -> float | None:
+    """White power where the axis hardly moves, at least that of the scale's step; None if never."""
+    powers, count = 0.0, 0
+    for record in bench.records:
+        blocks = record.usable.size
+        shape = (blocks, record.factor)
+        travel = np.ptp(record.desired_m[: blocks * record.factor].reshape(shape), axis=1)
+        still = record.usable & (travel < _STILL_m)
+        if record.factor < 2 or not still.any():
+            continue
+        smooth = record.channels_of(record.response(model))[:, -1]
+        here = int(np.count_nonzero(still))
+        powers += here * _white_power(record, record.measured_m[:, -1] - smooth, still)
+        count += here
+    if count < _LEAST_STILL:
+        return None
+    description = model.bench
+    step_m = description.scale_resolution_m if bench.channels > 1 else None
+    return powers / count + (step_m or description.motor_resolution_m) ** 2 / 12.0
+
+
+def _white_power(record: Record, values: FloatArray, chosen: BoolArray) -> float:
+    """Power in m2 of white noise that has the same power within the chosen blocks."""
+    if record.factor < 2 or not chosen.any():
         return 0.0
-    count = values.size // record.factor
-    good = record.usable
-    blocks = values[: count * record.factor].reshape(count, record.factor)[good]
-    return float(blocks.var(axis=1, ddof=1).mean()) if blocks.size else 0.0
+    blocks = values[: chosen.size * record.factor].reshape(chosen.size, record.factor)
+    return float(blocks[chosen].var(axis=1, ddof=1).mean())
 
 
 def repeatability_m(record: Record) -> float:
