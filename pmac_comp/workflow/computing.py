@@ -262,6 +262,7 @@ def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
         out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
     if compensation.route in TORQUE_ROUTES:
         out["friction torque Nm"] = law.torque_coulomb_Nm
+        out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
         out["look-ahead ms"] = law.lookahead_s * 1e3
     if compensation.motion_position_m is not None:
         out = _describe_motion(bench, compensation)

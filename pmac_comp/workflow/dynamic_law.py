@@ -13,6 +13,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
+from pmac_comp.physics.compensate.grip import gripping_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
@@ -47,8 +48,8 @@ def dynamic_law(
     route : str
         One of ``ROUTES``; only ``law`` and ``servo`` carry torque.
     captures : sequence of Capture
-        Runs without compensation, slow ones included: cogging and friction per turn are read from
-        them, which the model need not hold.
+        Runs without compensation, slow ones included: cogging, friction per turn and the distance
+        over which friction grips are read from them, which the model need not hold.
     every_cycles : int
         Servo cycles between two passes of the law.
     provenance : dict, optional
@@ -69,12 +70,14 @@ def dynamic_law(
     )
     if route not in TORQUE_ROUTES or not captures:
         return law
+    law, grip = gripping_law(law, loop, captures)
     delay_s = drive_delay_s(model)
     found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
     # A value that is held for some cycles is half of that late on average.
     latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
-    return replace(law, provenance={**law.provenance, "turn_explained": found.explained})
+    said = {"turn_explained": found.explained, "grip_explained": grip}
+    return replace(law, provenance={**law.provenance, **said})
 
 
 def nut_gap(model: "DriveModel") -> tuple[float, LoopRunner] | None:

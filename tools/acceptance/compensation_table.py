@@ -4,7 +4,7 @@
     python tools/acceptance/compensation_table.py --benches paper_x4 --routes law --plants default
 
 The whole job runs on the simulated card in this process: calibration captures, identification of
-the base model, law and tables, upload, fresh runs before and after on motions drawn by a seed. The
+the base model (``--friction auto``: of the form of friction that the captures show), law and tables, upload, fresh runs before and after on motions drawn by a seed. The
 errors are those of the plant's unquantised positions, in the terms of the contract. One line per
 motion is appended, so that an interrupted run goes on where it stopped; the table is printed at
 the end (``--report`` prints it alone).
@@ -35,7 +35,7 @@ from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy
-from pmac_comp.workflow.identification import identify_captures
+from pmac_comp.workflow.identification import Friction, identify_captures
 from pmac_comp.workflow.simulated import TruthRecorder, default_servo, embedded
 from pmac_comp.workflow.verify import verify_axis
 
@@ -86,12 +86,18 @@ def axis_on(bench: Bench, plant: Any, *, servo: bool) -> Iterator[tuple[Axis, Tr
         yield axis, recorder
 
 
-def calibrated(bench: Bench, plant: str, seed: int) -> tuple[list[Any], list[Any], Any]:
-    """Captures, slow runs and the identified base model of a plant."""
+def calibrated(
+    bench: Bench, plant: str, seed: int, friction: Friction = "coulomb"
+) -> tuple[list[Any], list[Any], Any]:
+    """Captures, slow runs and the identified model of a plant."""
     with axis_on(bench, plant_of(plant, bench, seed), servo=False) as (axis, _):
         captures = run_all(axis, calibration_motions(bench))
         slow = run_all(axis, lead_motions(bench))
-    return captures, slow, identify_captures(captures, bench).identification.model
+    return (
+        captures,
+        slow,
+        identify_captures(captures, bench, friction=friction).identification.model,
+    )
 
 
 def rows_of(
@@ -178,6 +184,8 @@ def main() -> None:
     parser.add_argument("--plants", nargs="+", default=list(PLANTS), help="names or FILE[:FACTORY]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--routes", nargs="+", default=list(ROUTES), choices=ROUTES)
+    parser.add_argument("--friction", default="coulomb", choices=("auto", "coulomb"),
+                        help="form of friction of the model, as `identify --friction`")  # fmt: skip
     parser.add_argument("--every", type=int, default=1, help="servo cycles between two passes")
     parser.add_argument("--n", type=int, default=6, help="sinusoids, and as many moves")
     parser.add_argument("--motions-seed", type=int, default=0)
@@ -202,7 +210,7 @@ def fill(args: Any) -> None:
                 if not wanted:
                     continue
                 bench = load_bench(name)
-                found = calibrated(bench, plant, seed)
+                found = calibrated(bench, plant, seed, args.friction)
                 for key in wanted:
                     start = time.process_time()
                     made = rows_of(bench, plant, seed, key[3], found, args)

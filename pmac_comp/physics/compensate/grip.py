@@ -1,0 +1,80 @@
+"""How far a drive moves after a reversal until its friction grips, found in captures.
+
+What lives here: the break-away distance of the law's friction torque. What may not: the model's
+fit, controllers.
+
+A model with Coulomb friction turns its friction over at once. A drive whose bearings and nut slide
+into it over some micrometres is pushed too hard at each reversal by a torque that does the same.
+What friction of another break-away distance would have done to the motor in the captures is
+simulated: the difference to the model's own is put on the model as a torque along the way that the
+motor went.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+
+_DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
+_LEAST_GAIN_FRAC = 0.1  # of the unexplained rms: less than this is not worth a change
+_PATH_CUTOFF_Hz = 150.0  # a count that flickers at rest is no way
+
+
+def gripping_law(
+    law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture]
+) -> tuple[CompensationLaw, float]:
+    """Law whose torque grips as the drive's friction does, and the share of the rest it explains.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        Law of a model, with torque.
+    loop : LoopRunner
+        Closed loop of that model.
+    captures : sequence of Capture
+        Runs without compensation that start relaxed.
+
+    Returns
+    -------
+    CompensationLaw, float
+        The law itself and 0 where nothing is gained.
+    """
+    if not captures or law.torque_coulomb_Nm <= 0.0:
+        return law, 0.0
+    longer = [b for b in _DISTANCES_m if b > law.torque_breakaway_m]
+    left_m = {b: _left_m(law, loop, captures, b) for b in (law.torque_breakaway_m, *longer)}
+    best = min(left_m, key=lambda b: left_m[b])
+    explained = 1.0 - left_m[best] / max(left_m[law.torque_breakaway_m], 1e-30)
+    if explained < _LEAST_GAIN_FRAC:
+        return law, 0.0
+    return law.with_values(torque_breakaway_m=best), explained
+
+
+def _left_m(
+    law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture], breakaway_m: float
+) -> float:
+    """Rms of what of the motor's position friction with a break-away distance does not explain."""
+    squares, n = 0.0, 0
+    for capture in captures:
+        period = capture.sample_period_s
+        way = _speed(capture.motor_position_m, period)
+        missing = law.torque_coulomb_Nm * (
+            friction_state(way, law.torque_breakaway_m, period)
+            - friction_state(way, breakaway_m, period)
+        )
+        signals = loop(capture.commanded_position_m, None, missing)
+        rest = (capture.motor_position_m - signals.motor_position_m)[capture.mask]
+        squares += float(np.sum((rest - rest.mean()) ** 2))
+        n += rest.size
+    return float(np.sqrt(squares / n))
+
+
+def _speed(position_m: FloatArray, period_s: float) -> FloatArray:
+    """Speed in m/s of a position that flickers between counts, without shift in time."""
+    sos = butter(2, min(_PATH_CUTOFF_Hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
+    return np.gradient(sosfiltfilt(sos, position_m), period_s)
