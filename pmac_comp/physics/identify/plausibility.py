@@ -12,7 +12,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, SampleGap
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, motion_of
@@ -23,6 +23,12 @@ _SCALE = 0.01  # table over motor less one: lead error and growth are below 1e-4
 _REPEATED = 0.02  # share of moving samples
 _FLAT = 0.02  # share of samples at the very top of the torque
 _INERTIA = (0.7, 1.6)  # torque per acceleration over what the bench file says
+_FINER = (1.02, 16.0)  # count of the bench file over that of the readings
+_ROUND_OFF_m = 2e-10
+_FEW_STEPS = 200
+_FAR_COUNTS = 50  # steps longer than this say little about the count
+_OFF_LATTICE = 0.05
+_DIFFERENT, _OFTEN = 5, 10  # so many multiples, each so often
 _NO_LAG_m_per_m_per_s2 = 0.2e-6
 
 
@@ -52,6 +58,7 @@ def require_plausible(captures: Sequence[Capture], bench: Bench) -> None:
         _require_table_follows(capture, name)
         _require_whole_torque(capture, bench, name)
         _require_signs(capture, bench, name)
+        _require_counts(capture, bench, name)
 
 
 def _require_fresh_samples(capture: Capture, name: str) -> None:
@@ -75,6 +82,44 @@ def _require_fresh_samples(capture: Capture, name: str) -> None:
             code="PC-IDN-041",
             hint="Gather fewer channels or at a lower rate, and state the true sample period.",
         )
+
+
+def _require_counts(capture: Capture, bench: Bench, name: str) -> None:
+    """No reading between two counts: pitch, counts per revolution or resolution are others."""
+    readings = [("motor", capture.motor_position_m, bench.motor_resolution_m, "counts_per_rev")]
+    if capture.table_position_m is not None and bench.scale_resolution_m is not None:
+        scale = capture.table_position_m
+        readings.append(("table", scale, bench.scale_resolution_m, "resolution_um of the scale"))
+    for which, values, stated, key in readings:
+        found = _count_m(values[capture.mask])
+        # Finer still is an interpolation that the bench file need not state.
+        if found is not None and _FINER[0] < stated / found < _FINER[1]:
+            raise CaptureError(
+                f"{name}: the {which} readings are whole multiples of {found * UM_PER_M:.4g} um; "
+                f"by the bench file a count is {stated * UM_PER_M:.4g} um.",
+                code="PC-IDN-047",
+                hint=f"Check pitch_mm and {key}." if which == "motor" else f"Check {key}.",
+            )
+
+
+def _count_m(values: FloatArray) -> float | None:
+    """Step that all readings are whole multiples of; None where they are not on such a lattice."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > _ROUND_OFF_m]
+    if steps.size < _FEW_STEPS or not bool(np.all(np.isfinite(steps))):
+        return None
+    count = float(np.quantile(steps, 0.01))
+    for _ in range(3):
+        whole = np.round(steps / count)
+        near = (whole > 0) & (whole <= _FAR_COUNTS)
+        if near.sum() < _FEW_STEPS:
+            return None
+        count = float(steps[near] @ whole[near] / (whole[near] @ whole[near]))
+    _, times = np.unique(whole[near], return_counts=True)
+    if np.sum(times >= _OFTEN) < _DIFFERENT:
+        return None  # one constant speed is no lattice
+    off = np.abs(steps[near] / count - np.round(steps[near] / count))
+    return count if float(np.quantile(off, 0.99)) < _OFF_LATTICE else None
 
 
 def _smooth_command(capture: Capture) -> FloatArray:

@@ -75,6 +75,32 @@ def test_f40_half_the_pitch_is_told() -> None:
         require_plausible([RUN], BENCH.model_copy(update={"screw": screw}))
 
 
+@pytest.mark.faults
+@pytest.mark.parametrize(("pitch_mm", "counts"), [(20.0, 10_000.0), (10.0, 5_000.0)])
+def test_f40_readings_between_two_counts_are_told(pitch_mm: float, counts: float) -> None:
+    # Twice the pitch changes the inertia at the motor by 8 % only; the counts give it away.
+    screw = BENCH.screw.model_copy(update={"pitch_mm": pitch_mm})
+    encoder = BENCH.encoder.model_copy(update={"counts_per_rev": counts})
+    bench = BENCH.model_copy(update={"screw": screw, "encoder": encoder})
+    with pytest.raises(CaptureError, match=r"multiples of 1 um; by the bench file a count is 2 um"):
+        require_plausible([RUN], bench)
+
+
+def test_readings_without_counts_pass() -> None:
+    exact = replace(
+        RUN,
+        motor_position_m=RUN.extra["true_motor_position_m"],
+        table_position_m=RUN.extra["true_table_position_m"],
+    )
+    require_plausible([exact], BENCH)
+    ramp = np.linspace(0.0, 0.6e-6 * RUN.n, RUN.n)
+    steady = replace(
+        RUN, commanded_position_m=ramp, desired_position_m=None, motor_position_m=ramp,
+        table_position_m=ramp, torque_command_Nm=None, extra={},
+    )  # fmt: skip
+    require_plausible([steady], BENCH)
+
+
 def weaker(bench: Bench) -> Bench:
     drive = bench.drive.model_copy(update={"torque_limit_Nm": 2.0})
     return bench.model_copy(update={"drive": drive})
