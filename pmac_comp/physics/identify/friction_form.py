@@ -63,6 +63,11 @@ class _Form:
         return max(self.guide_m, self.rotary_m) <= _STICK_ZONE_m and not self.has_stribeck
 
     @property
+    def is_whole(self) -> bool:
+        """Whether every part of it is there."""
+        return min(self.guide_m, self.rotary_m) > _STICK_ZONE_m and self.has_stribeck
+
+    @property
     def with_memory(self) -> "_Form":
         """The same with memory at the guide: from end to end that form takes twice its distance."""
         return replace(self, guide_m=0.5 * self.guide_m, memory=True)
@@ -178,29 +183,42 @@ def identify_with_friction(
         return base
     errors = trial.errors(base)
     figures = {"held_out_coulomb_um": _rms_um(errors)}
-    best = None
-    found = trial.fitted(_start(base.model, _FIRST_GUESS))
-    if found is not None:
-        left = trial.errors(found)
-        figures["held_out_lugre_um"] = _rms_um(left)
-        if _better(left, errors, _CLEARLY):
-            best, errors = found, left
-    # Memory of the guide's friction can only show where there is presliding at the guide.
-    if best is not None and best.model is not None and _form_of(best).guide_m > _STICK_ZONE_m:
-        found = trial.fitted(_start(best.model, _form_of(best).with_memory))
-        left = errors if found is None else trial.errors(found)
-        figures["held_out_gms_um"] = _rms_um(left)
-        if _better(left, errors, _RATHER):
-            best, errors = found, left
+    best = _chosen(trial, base.model, errors, figures)
     final = None
-    if best is not None and best.model is not None and not _form_of(best).is_coulomb:
-        final = trial.fitted(_last_start(base.model, best), everything=True)
-    if final is None:
+    if best is not None and best.model is not None:
+        final = trial.fitted(best.model, everything=True)
+    if final is None or best is None:
         return replace(base, figures={**base.figures, **figures})
-    said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(errors))
+    said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(trial.errors(best)))
     return replace(
         final, statements=(said, *final.statements), figures={**final.figures, **figures}
     )
+
+
+def _chosen(
+    trial: _Trial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
+) -> Identification | None:
+    """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
+    found = trial.fitted(_start(base, _FIRST_GUESS, _NO_ZONE_m))
+    if found is None or not _better(trial.errors(found), plain, _CLEARLY):
+        return None
+    form = _form_of(found)
+    if form.is_coulomb:
+        return None
+    if not form.is_whole:
+        # What came out as nothing is left out, from the start: it can hold the rest in a corner.
+        found = trial.fitted(_start(base, form, _STICK_ZONE_m)) or found
+    errors = trial.errors(found)
+    figures["held_out_lugre_um"] = _rms_um(errors)
+    if form.guide_m <= _STICK_ZONE_m:
+        return found
+    # Memory of the guide's friction can only show where there is presliding at the guide.
+    other = trial.fitted(_start(base, form.with_memory, _STICK_ZONE_m))
+    if other is None:
+        return found
+    left = trial.errors(other)
+    figures["held_out_gms_um"] = _rms_um(left)
+    return other if _better(left, errors, _RATHER) else found
 
 
 def _asked(model: DriveModel) -> list[str]:
@@ -209,39 +227,24 @@ def _asked(model: DriveModel) -> list[str]:
     return [n for n in names if not n.startswith("chain.") or n in _CARRIES]
 
 
-def _start(model: DriveModel, form: _Form) -> DriveModel:
-    """Base parameters of a model with a form of friction, all of its parts present."""
+def _start(model: DriveModel, form: _Form, least_m: float) -> DriveModel:
+    """Base parameters of a model with a form of friction, parts up to ``least_m`` left out."""
     names = [spec.name for spec in DriveModel.base(model.bench).specs]
     start = DriveModel.base(model.bench, {name: model.parameters[name] for name in names})
-    for name, values in form.effects(_NO_ZONE_m):
-        start = start.with_effect(name, values)
-    return start
-
-
-def _last_start(base: DriveModel, best: Identification) -> DriveModel:
-    """Start of the last fit: what the trial found, without what it found to be nothing."""
-    form = _form_of(best)
-    if min(form.guide_m, form.rotary_m) > _STICK_ZONE_m and best.model is not None:
-        base = best.model
-    names = [spec.name for spec in DriveModel.base(base.bench).specs]
-    start = DriveModel.base(base.bench, {name: base.parameters[name] for name in names})
-    for name, values in form.effects(_STICK_ZONE_m):
+    for name, values in form.effects(least_m):
         start = start.with_effect(name, values)
     return start
 
 
 def _form_of(found: Identification) -> _Form:
-    """Form of friction of a trial."""
+    """Form of friction of the first trial, which holds every part."""
     size = {name: estimate.value for name, estimate in found.parameters.items()}
-    memory = "presliding_gms.distance_m" in size
-    distance = size["presliding.distance_m"]
     excess = found.parameters["stribeck.excess_N"]
     return _Form(
-        guide_m=size["presliding_gms.distance_m"] if memory else distance,
-        rotary_m=distance if memory else size["presliding.rotary_m"],
+        guide_m=size["presliding.distance_m"],
+        rotary_m=size["presliding.rotary_m"],
         excess_N=excess.value,
         stribeck_m_per_s=size["stribeck.speed_m_per_s"],
-        memory=memory,
         has_stribeck=excess.value > _SIGNIFICANT * excess.std,
     )
 
