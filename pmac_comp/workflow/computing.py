@@ -116,6 +116,7 @@ def compute_compensation(
             for name in coefficient_names()
             if getattr(trimmed, name) != getattr(law, name)
         }
+        trim |= law.provenance.get("trim", {})
         provenance = {**law.provenance, "trim": trim, "trim_explained": explained}
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.

@@ -4,10 +4,11 @@
     python tools/acceptance/compensation_table.py --benches paper_x4 --routes law --plants default
 
 The whole job runs on the simulated card in this process: calibration captures, identification of
-the base model (``--friction auto``: of the form of friction that the captures show), law and tables, upload, fresh runs before and after on motions drawn by a seed. The
-errors are those of the plant's unquantised positions, in the terms of the contract. One line per
-motion is appended, so that an interrupted run goes on where it stopped; the table is printed at
-the end (``--report`` prints it alone).
+the base model (``--friction auto``: of the form of friction that the captures show), law and
+tables, upload, fresh runs before and after on motions drawn by a seed. The errors are those of the
+plant's unquantised positions, in the terms of the contract. One line per motion is appended, so
+that an interrupted run goes on where it stopped; the table is printed at the end (``--report``
+prints it alone).
 
 Aims: e_r at most a tenth of e, or 0.15 um where that is more (0.30 um with 10 000 counts per turn
 or fewer); total error at most a fifth of the baseline's on ``law`` and ``servo``. The other routes

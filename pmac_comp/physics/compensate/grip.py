@@ -11,6 +11,7 @@ motor went.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -21,6 +22,7 @@ from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 
 _DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
+_NAME = "torque_breakaway_m"
 _LEAST_GAIN_FRAC = 0.1  # of the unexplained rms: less than this is not worth a change
 _PATH_CUTOFF_Hz = 150.0  # a count that flickers at rest is no way
 
@@ -42,7 +44,7 @@ def gripping_law(
     Returns
     -------
     CompensationLaw, float
-        The law itself and 0 where nothing is gained.
+        The law itself and 0 where nothing is gained; the change is kept as ``trim``.
     """
     if not captures or law.torque_coulomb_Nm <= 0.0:
         return law, 0.0
@@ -52,7 +54,16 @@ def gripping_law(
     explained = 1.0 - left_m[best] / max(left_m[law.torque_breakaway_m], 1e-30)
     if explained < _LEAST_GAIN_FRAC:
         return law, 0.0
-    return law.with_values(torque_breakaway_m=best), explained
+    change = {_NAME: best - law.torque_breakaway_m}
+    trim = {**law.provenance.get("trim", {}), **change}
+    provenance = {**law.provenance, "trim": trim}
+    return replace(law, torque_breakaway_m=best, provenance=provenance), explained
+
+
+def gripping_torque(law: CompensationLaw, capture: Capture) -> FloatArray:
+    """Torque in N m, shape (n,), that gives the law's model the drive's friction in one run."""
+    own_m = law.torque_breakaway_m - law.provenance.get("trim", {}).get(_NAME, 0.0)
+    return _missing_Nm(law, capture, own_m, law.torque_breakaway_m)
 
 
 def _left_m(
@@ -61,17 +72,24 @@ def _left_m(
     """Rms of what of the motor's position friction with a break-away distance does not explain."""
     squares, n = 0.0, 0
     for capture in captures:
-        period = capture.sample_period_s
-        way = _speed(capture.motor_position_m, period)
-        missing = law.torque_coulomb_Nm * (
-            friction_state(way, law.torque_breakaway_m, period)
-            - friction_state(way, breakaway_m, period)
-        )
+        missing = _missing_Nm(law, capture, law.torque_breakaway_m, breakaway_m)
         signals = loop(capture.commanded_position_m, None, missing)
         rest = (capture.motor_position_m - signals.motor_position_m)[capture.mask]
         squares += float(np.sum((rest - rest.mean()) ** 2))
         n += rest.size
     return float(np.sqrt(squares / n))
+
+
+def _missing_Nm(
+    law: CompensationLaw, capture: Capture, model_m: float, drive_m: float
+) -> FloatArray:
+    """Friction of the model less that of the drive along the way of the motor, as a torque."""
+    if model_m == drive_m:
+        return np.zeros(capture.n)
+    period = capture.sample_period_s
+    way = _speed(capture.motor_position_m, period)
+    states = [friction_state(way, distance, period) for distance in (model_m, drive_m)]
+    return np.asarray(law.torque_coulomb_Nm * (states[0] - states[1]))
 
 
 def _speed(position_m: FloatArray, period_s: float) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 
 _HIGHEST_ORDER = 60
@@ -74,7 +75,7 @@ def turn_torque(
     drive_delay_s : float
         From the torque command to the torque at the shaft.
     """
-    rests = [_rest(loop, capture) for capture in captures]
+    rests = [_rest(law, loop, capture) for capture in captures]
     order = cogging_order(captures, rests, law.turn_m)
     parts = [_responses(law, loop, c, order, drive_delay_s)[::_DECIMATION] for c in captures]
     matrix = np.concatenate(parts)
@@ -155,9 +156,10 @@ def _order_scores(
     return scores
 
 
-def _rest(loop: LoopRunner, capture: Capture) -> FloatArray:
+def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:
     """Motor position that the model does not explain, m."""
-    simulated = loop(capture.commanded_position_m, None, None).motor_position_m
+    missing = gripping_torque(law, capture)
+    simulated = loop(capture.commanded_position_m, None, missing).motor_position_m
     return np.asarray(capture.motor_position_m - simulated)
 
 

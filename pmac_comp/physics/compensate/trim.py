@@ -16,6 +16,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
+from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 
@@ -80,7 +81,7 @@ def _rest(
 ) -> tuple[FloatArray, FloatArray]:
     """Terms and unexplained mechanical error of one run, both without their means."""
     r, table = capture.commanded_position_m, capture.table_position_m
-    signals = loop(r, None, None)
+    signals = loop(r, None, gripping_torque(law, capture))
     simulated = signals.table_position_m - signals.motor_position_m
     measured = (table if table is not None else r) - capture.motor_position_m
     rest = measured - simulated - (0.0 if lead is None else lead.at(r))

@@ -17,6 +17,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, MotionPromise
+from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 
@@ -97,7 +98,7 @@ def _rests(
     """Standard deviations in um of what is left of the mechanical and the total error."""
     r, period = capture.commanded_position_m, capture.sample_period_s
     per_turn = evaluate_law(_only_turn(law), r, period).torque_Nm
-    signals = loop(r, None, -per_turn)
+    signals = loop(r, None, gripping_torque(law, capture) - per_turn)
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)
     mechanical = table - capture.motor_position_m - static

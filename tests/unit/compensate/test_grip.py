@@ -1,12 +1,14 @@
 """Break-away distance of the friction torque: a plant that slides into its friction shows it."""
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import model_loop
-from pmac_comp.physics.compensate.grip import gripping_law
+from pmac_comp.physics.compensate.grip import gripping_law, gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -39,7 +41,14 @@ def test_torque_grips_over_the_distance_of_the_drives_friction() -> None:
     # Half of the friction slides into it, the other half turns over at once.
     assert 2e-6 <= law.torque_breakaway_m <= 16e-6
     assert explained > 0.1
-    assert law.with_values(torque_breakaway_m=LAW.torque_breakaway_m) == LAW
+    # With that friction the model explains the run, and its own word stays its own.
+    rest = [
+        float(np.std(runs[0].motor_position_m - LOOP(command, None, torque).motor_position_m))
+        for command in [runs[0].commanded_position_m]
+        for torque in (None, gripping_torque(law, runs[0]))
+    ]
+    assert rest[1] < 0.9 * rest[0]
+    assert model_law(law).torque_breakaway_m == pytest.approx(LAW.torque_breakaway_m)
 
 
 @pytest.mark.parametrize("law", [LAW, LAW.without_torque()])
