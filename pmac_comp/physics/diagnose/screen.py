@@ -153,7 +153,7 @@ def look(
     """
     own = tuple(own_directions(point.model))
     responses = list(bench.executor.map(lambda r: r.response(point.model), bench.records))
-    peaks = peaks_of(bench.records, responses, description.pitch_m)
+    peaks = peaks_of(bench.records, responses, point.model)
     starts = tuple(
         start
         for effect in library.values()

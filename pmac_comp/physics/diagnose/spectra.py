@@ -14,7 +14,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.diagnose.records import Record
-from pmac_comp.physics.model.drive import Response
+from pmac_comp.physics.model import slots
+from pmac_comp.physics.model.drive import DriveModel, Response
 
 _BLOCK_s = 0.01
 _FASTEST_Hz = 14.0
@@ -47,9 +48,7 @@ class Peaks:
     largest_torque_Nm: float = 0.0
 
 
-def peaks_of(
-    records: Sequence[Record], responses: Sequence[Response], lead_m_per_rev: float
-) -> Peaks:
+def peaks_of(records: Sequence[Record], responses: Sequence[Response], model: DriveModel) -> Peaks:
     """Orders per revolution and frequencies at which the residuals peak.
 
     Parameters
@@ -58,15 +57,16 @@ def peaks_of(
         Measured.
     responses : sequence of Response
         Simulated on the same grids.
-    lead_m_per_rev : float
-        Travel per revolution.
+    model : DriveModel
+        Gives the control law, which is the torque of captures that hold none, and the lead.
 
     Returns
     -------
     Peaks
     """
     pairs = list(zip(records, responses, strict=True))
-    torque = [_torque_residual(r, p) for r, p in pairs]
+    lead_m_per_rev, law = model.bench.pitch_m, model.kernel_vector()
+    torque = [_torque_residual(r, p, law) for r, p in pairs]
     stretch = [_mechanical_residual(r, p) for r, p in pairs]
 
     def orders(residuals: Sequence[FloatArray | None], kind: str) -> tuple[float, ...]:
@@ -85,18 +85,15 @@ def peaks_of(
         orders(torque, "direction"),
         orders(torque, "load"),
         orders(stretch, "one"),
-        tuple(frequency_peaks(records, responses)),
+        tuple(frequency_peaks(records, torque)),
         max(float(np.max(np.abs(p.torque_command_Nm))) for p in responses),
     )
 
 
-def frequency_peaks(records: Sequence[Record], responses: Sequence[Response]) -> list[float]:
+def frequency_peaks(records: Sequence[Record], torque_Nm: Sequence[FloatArray]) -> list[float]:
     """Frequencies in Hz at which the torque residual peaks, phases counted from time zero."""
     power = np.zeros(_FREQUENCIES_Hz.size)
-    for record, response in zip(records, responses, strict=True):
-        residual = _torque_residual(record, response)
-        if residual is None:
-            return []
+    for record, residual in zip(records, torque_Nm, strict=True):
         time, values = _blocks(record, residual)
         centred = values - values.mean()
         # Zeros behind the record put the grid's frequencies on the transform's.
@@ -108,10 +105,16 @@ def frequency_peaks(records: Sequence[Record], responses: Sequence[Response]) ->
     return _peaks(_FREQUENCIES_Hz, power, width=0.4)
 
 
-def _torque_residual(record: Record, response: Response) -> FloatArray | None:
-    if record.torque_Nm is None:
-        return None
-    return np.where(record.valid, record.torque_Nm - response.torque_command_Nm, 0.0)
+def _torque_residual(record: Record, response: Response, law: FloatArray) -> FloatArray:
+    """Measured less simulated torque command, or what the law makes of the motor's residual."""
+    if record.torque_Nm is not None:
+        return np.where(record.valid, record.torque_Nm - response.torque_command_Nm, 0.0)
+    ahead = np.where(record.valid, record.measured_m[:, 0] - response.motor_position_m, 0.0)
+    rate = np.gradient(ahead, record.period_s)
+    if law[slots.LAW] > 0.5:
+        return np.asarray(-law[slots.CASCADE_GAIN] * (law[slots.CASCADE_KP] * ahead + rate))
+    held = np.cumsum(ahead - ahead.mean()) * record.period_s
+    return np.asarray(-(law[slots.KP] * ahead + law[slots.KI] * held + law[slots.KD] * rate))
 
 
 def _mechanical_residual(record: Record, response: Response) -> FloatArray | None:
