@@ -59,6 +59,7 @@ _KINDS = {"pmac": _PMAC, "si": _SI, "cascade": _CASCADE}
 ) = range(law.N_LAW, law.N_LAW + 7)
 
 (R_MOTOR, R_TABLE, R_TORQUE, R_TRUE_MOTOR, R_TRUE_TABLE, N_RESULTS) = range(6)
+_FULL_SCALE_DAC = 32768.0
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 
 
@@ -338,6 +339,8 @@ def _settings(bench: Bench) -> FloatArray:
     setting[C_TABLE_STEP] = bench.scale_resolution_m or 0.0
     setting[C_TORQUE] = bench.drive.torque_per_dac_Nm
     setting[C_LIMIT] = bench.drive.torque_limit_Nm
+    if setting[C_KIND] == _PMAC:  # Ixx69 limits what a card sends; the drive's limit is the plant's
+        setting[C_LIMIT] = _FULL_SCALE_DAC * bench.drive.torque_per_dac_Nm
     if bench.controller.si is not None:
         _si_settings(bench, setting)
     if bench.controller.cascade is not None and setting[C_KIND] == _CASCADE:

@@ -13,7 +13,7 @@ from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.joint import identify
+from pmac_comp.physics.identify.friction_form import identify_with_friction
 from pmac_comp.physics.identify.records import prepare, simulated_full
 from pmac_comp.physics.identify.result import Identification, StaticMap
 from pmac_comp.physics.identify.rivals import fit_rival, rivals
@@ -84,7 +84,7 @@ def compare_models(
     tell = progress or (lambda _text, _fraction: None)
     fit, judge = parted(captures, validate)
     tell("full model", 0.0)
-    found = identify(fit, bench, progress=lambda text, part: tell(text, 0.6 * part))
+    found = identify_with_friction(fit, bench, progress=lambda text, part: tell(text, 0.6 * part))
     measured = tuple(_error_m(capture, found.static_map) for capture in judge)
     predicted: dict[str, tuple[FloatArray, ...]] = {}
     rows = []

@@ -216,7 +216,8 @@ def _apply_pmac(vector: FloatArray, bench: Bench) -> None:
     dac = bench.drive.torque_per_dac_Nm
     clamp = abs(ivar(63, 4194304.0))
     vector[s.INTEGRATOR_LIMIT] = clamp * gain * scale / 2.0**23 * dac
-    vector[s.LIMIT] = min(ivar(69, 20480.0) * dac, bench.drive.torque_limit_Nm)
+    # The integrator of the card knows its own limit only, not that of the drive behind it.
+    vector[s.LIMIT] = ivar(69, 20480.0) * dac
     vector[s.FRICTION_FF] = ivar(68, 0.0) * dac
     vector[s.OFFSET] = ivar(29, 0.0) * dac
     for i in range(4):
