@@ -67,6 +67,18 @@ def test_words_say_what_cannot_be_told_apart(found: Identification) -> None:
     assert "chain." not in text
 
 
+def test_words_say_which_stated_value_cannot_be_true(
+    found: Identification, captures: tuple[list[Capture], dict[str, float]]
+) -> None:
+    assert "outside the tolerances" not in " ".join(found.statements)
+    assert BENCH.nominal.motor_inertia_kgm2 is not None
+    heavy = {"motor_inertia_kgm2": 1.25 * BENCH.nominal.motor_inertia_kgm2}
+    wrong = BENCH.model_copy(update={"nominal": BENCH.nominal.model_copy(update=heavy)})
+    said = [s for s in identify(captures[0], wrong).statements if "outside the tolerances" in s]
+    assert len(said) == 1
+    assert "motor_inertia_kgm2 (-" in said[0]
+
+
 def test_words_say_where_friction_is_not_plain(found: Identification) -> None:
     assert "Around reversals" not in " ".join(found.statements)
     plant = make_plant(BENCH, effects={"presliding": {"distance_um": 20.0}}, seed=11)
@@ -238,7 +250,7 @@ def test_rivals_are_judged_on_the_same_unseen_motions(
     captures: tuple[list[Capture], dict[str, float]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compare, "identify", lambda *_args, **_kwargs: found)
+    monkeypatch.setattr(compare, "identify_with_friction", lambda *_args, **_kwargs: found)
     plant = make_plant(BENCH, effects={}, seed=11)
     unseen = [
         sinusoid(

@@ -53,6 +53,7 @@ _SEPARATORS = {
 _UNDETERMINED = 0.5  # std over size: worse than this and the sign is all that is known
 _TIED = 0.95
 _RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
+_SURELY = 2.0  # standard deviations beyond the end of the tolerance
 _FROM_BENCH = 0.5  # share of the prior's variance that remains
 
 
@@ -82,7 +83,7 @@ def informed_frac(fit: Fit) -> FloatArray:
 
 def statements(fit: Fit) -> tuple[str, ...]:
     """Identifiability in words."""
-    return (*_tied_pairs(fit), *_from_bench(fit))
+    return (*_tied_pairs(fit), *_from_bench(fit), *_outside_tolerance(fit))
 
 
 def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
@@ -126,6 +127,28 @@ def _from_bench(fit: Fit) -> list[str]:
         return []
     return [
         "These values rest mainly on the bench file, not on the captures: " + ", ".join(names) + "."
+    ]
+
+
+def _outside_tolerance(fit: Fit) -> list[str]:
+    """Known values that the captures put clearly outside what the bench file allows."""
+    found = []
+    for i, name in enumerate(fit.names):
+        spec = fit.model.spec(name)
+        if spec.kind != "known" or spec.tolerance_frac is None:
+            continue
+        off = fit.model.parameters[name] - spec.nominal
+        beyond = abs(off) - spec.tolerance_frac * abs(spec.nominal)
+        if beyond > _SURELY * float(np.sqrt(fit.covariance[i, i])):
+            percent = 100.0 * off / spec.nominal
+            found.append(f"{_in_files(fit, name)} ({percent:+.0f} %)")
+    if not found:
+        return []
+    return [
+        "The captures put these values outside the tolerances of the bench file: "
+        + ", ".join(found)
+        + ". Check them there, and pitch_mm, counts_per_rev and torque_per_dac_Nm, which scale "
+        "them all; or something is missing in the model (`pmac-comp diagnose`)."
     ]
 
 
