@@ -123,6 +123,13 @@ def upload_law(
         change.left = ControllerState.NEW  # if the answer is lost; sent once, unconfirmed
         _require_ours(link, context, head)
         change_over(link, context, idle)
+        law = read_bank(link, context.block, idle)
+        if law is None or law.digest != parameters.digest:
+            raise VerifyMismatch(
+                "The bank in use holds something else: the controller was reset meanwhile, or "
+                "somebody wrote to it.",
+                code="PC-LAW-036",
+            )
         context.progress("write", 3, 3)
         change.finish(ControllerState.NEW)
     return UploadResult(

@@ -63,32 +63,36 @@ def refuse_foreign_lease(lease: Lease, owner: int, now: int) -> LeaseHeld | None
     )
 
 
-def take_lease(link: Link, context: Context, now: int) -> None:
+def read_lease(link: Link, context: Context) -> Lease:
+    """The lease as it stands."""
+    first = context.block.p(Index.LEASE)
+    return parse_lease([float(v) for v in link.query(f"P{first}..{first + 1}")])
+
+
+def take_lease(link: Link, context: Context, now: int) -> Lease:
     """Write the lease and read it back; raises ForeignChange if another writer was quicker."""
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
     link.write_buffer(lease.lines(context.block))
-    first = context.block.p(Index.LEASE)
-    found = [float(v) for v in link.query(f"P{first}..{first + 1}")]
-    if parse_lease(found) != lease:
+    if read_lease(link, context) != lease:
         raise ForeignChange(
             "Somebody else took the lease at the same moment.",
             code="PC-TXN-003",
             left=ControllerState.OLD,
         )
+    return lease
 
 
-def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> None:
+def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Lease:
     """Move the end of our own lease; raises ForeignChange if it is not ours any more."""
-    first = context.block.p(Index.LEASE)
-    found = parse_lease([float(v) for v in link.query(f"P{first}..{first + 1}")])
-    if found.owner != context.owner:
+    if read_lease(link, context).owner != context.owner:
         raise ForeignChange(
             "Somebody else took the lease during the change.",
             code="PC-TXN-007",
             hint="Find out who writes to this controller, then run `pmac-comp recover`.",
         )
     expires = read_clock(link) + int(duration_s * CLOCK_PER_s)
-    link.command(f"P{first + 1}={expires}")
+    link.command(f"P{context.block.p(Index.LEASE) + 1}={expires}")
+    return Lease(context.owner, expires)
 
 
 def release_lease(link: Link, context: Context) -> None:

@@ -17,17 +17,18 @@ from pmac_comp.base.errors import (
     PmacCompError,
     ProtocolError,
     StorageFull,
+    VerifyMismatch,
 )
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Entry, Journal
-from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, LawParameters
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import host_lock, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import (
     TEMPORARY,
     finish_settings,
@@ -37,7 +38,11 @@ from pmac_comp.machine.controller.settings_upload import (
     running_refusals,
     settings_state,
 )
-from pmac_comp.machine.controller.table_recovery import recover_tables, rollback_tables
+from pmac_comp.machine.controller.table_recovery import (
+    recover_tables,
+    rollback_tables,
+    tables_state,
+)
 from pmac_comp.machine.controller.temporary import take_off
 from pmac_comp.machine.controller.transaction import (
     DONE,
@@ -109,20 +114,9 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
     """
     with untouched():
         journal, inner = open_group(context, name)
-    try:
+    with _whole_or_taken_back(link, context, journal):
         yield inner
-    except KeyboardInterrupt as stop:
-        error = ChangeInterrupted(
-            "Stopped on request between the parts of the upload.", code="PC-REC-002"
-        )
-        _take_back_after(link, context, journal, error)
-        raise error from stop
-    except PmacCompError as error:
-        if not isinstance(error, LinkError | ProtocolError):
-            _take_back_after(link, context, journal, error)
-        elif error.left is None:
-            mark_left(error, ControllerState.DISABLED, confirmed=False)
-        raise
+        _require_whole(link, context, journal.group)
     try:
         journal.write(DONE)
     except StorageFull as error:
@@ -131,6 +125,61 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
             "All of the upload stands, but is not noted: `pmac-comp recover` takes it back."
         )
         raise
+
+
+@contextmanager
+def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        error = ChangeInterrupted(
+            "Stopped on request between the parts of the upload.", code="PC-REC-002"
+        )
+        _take_back_after(link, context, group, error)
+        raise error from stop
+    except PmacCompError as error:
+        if not isinstance(error, LinkError | ProtocolError):
+            _take_back_after(link, context, group, error)
+        elif error.left is None:
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
+        raise
+
+
+def _require_whole(link: Link, context: Context, group: int) -> None:
+    """Every part still stands at the end: a reset in between takes the first ones away."""
+    touched: set[object] = set()
+    for part in reversed([p for p in _parts(context) if p.journal.group == group]):
+        # Some parts an upload can do without; such a one was taken back.
+        if part.closing == DONE and not part.items & touched:
+            wrong = _missing(link, context, part)
+            if wrong:
+                raise VerifyMismatch(
+                    f"A part of the upload does not stand at its end: {wrong}.",
+                    code="PC-REC-003",
+                    hint="Was the controller reset, or does somebody else write to it?",
+                )
+        touched |= part.items
+
+
+def _missing(link: Link, context: Context, part: Part) -> str:
+    """What of a part does not stand, in words; empty if all of it does."""
+    if part.kind is ChangeKind.TABLES:
+        state, reason = tables_state(link, context, part.journal)
+        return "" if state is ControllerState.NEW else reason
+    if part.kind is ChangeKind.LAW:
+        law = read_bank(link, context.block, read_law_head(link, context.block).bank)
+        same = (0 if law is None else law.digest) == part.crc_of_law
+        return "" if same else "the bank in use holds another law"
+    new = part.new_settings
+    if part.intent.data["skip_refused"]:
+        # Of a backup of another firmware not everything can stand.
+        new = replace(new, variables={}, definitions={}, axes=None)
+    # Our own block is state: parts that follow change it, and so does the law itself.
+    first = context.block.first
+    ours = {f"P{n}" for n in range(first, first + BLOCK_SIZE)}
+    kept = {name: text for name, text in new.variables.items() if name not in ours}
+    new = replace(new, variables=kept)
+    return "; ".join(differences(new, read_settings(link, new))[:3])
 
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
@@ -202,8 +251,11 @@ def _recover_changes(link: Link, context: Context, *, resume: bool) -> UploadRes
     """Settle what is open of every kind; with nothing open say how the last change stands."""
     parts = [p for p in _unsettled(context) if p.kind is not ChangeKind.TABLES]
     settled = [_settle_part(link, context, part, resume=resume) for part in parts]
-    tables = recover_tables(link, context, resume=resume)
-    last = next(iter(reversed(_parts(context))), None)
+    known = _parts(context)
+    last = next(iter(reversed(known)), None)
+    together = [p for p in known if last is not None and p.journal.group == last.journal.group]
+    alone = last is None or not last.journal.group or len(together) == 1
+    tables = recover_tables(link, context, resume=resume, alone=alone)
     if settled and tables.verdict is not ControllerState.DISABLED:
         return replace(settled[0], notes=tuple(n for part in settled for n in part.notes))
     if last is not None and last.kind is not ChangeKind.TABLES and last.closing == DONE:

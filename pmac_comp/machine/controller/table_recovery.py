@@ -104,8 +104,30 @@ def _unfinished(context: Context, journal: Journal) -> Unfinished:
     )
 
 
-def recover_tables(link: Link, context: Context, *, resume: bool = True) -> UploadResult:
-    """Bring an interrupted upload of tables to OLD or NEW; see ``recovery.recover``."""
+def tables_state(link: Link, context: Context, journal: Journal) -> tuple[ControllerState, str]:
+    """How the tables of one upload stand."""
+    last = _unfinished(context, journal)
+    status = table_status(link, context, journal_manifest=last.expected)
+    if _is_removed(last, status):
+        return ControllerState.NEW, "the tables are removed"
+    return status.decision.state, status.decision.reason
+
+
+def recover_tables(
+    link: Link, context: Context, *, resume: bool = True, alone: bool = True
+) -> UploadResult:
+    """Bring an interrupted upload of tables to OLD or NEW; see ``recovery.recover``.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and limits.
+    resume : bool
+        Finish what stands whole.
+    alone : bool
+        Whether the tables of a finished upload make sense without its other parts, so that they
+        may be written again after a reset without SAVE.
+    """
     with host_lock(context):
         last = last_upload(context)
         manifest = None if last is None else last.expected
@@ -131,6 +153,15 @@ def recover_tables(link: Link, context: Context, *, resume: bool = True) -> Uplo
         )
     if last.is_rollback and not last.is_undoing:
         return _finish(link, context, last, last.new, enable=last.enable_after)
+    if not (alone or last.journal.is_open or status.decision.action is Action.RESUME):
+        release_lease(link, context)
+        note = (
+            "the upload is not on the controller any more (a reset without SAVE): upload it again"
+        )
+        crc = status.tables.crc
+        return UploadResult(
+            ControllerState.DISABLED, "table", last.manifest.crc_old, crc, notes=(note,)
+        )
     # A finished upload that is gone was lost in a reset without SAVE: it is written again.
     whole = status.decision.action is Action.RESUME or not last.journal.is_open
     if resume and whole and last.enable_after:

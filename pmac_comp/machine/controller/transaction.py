@@ -19,6 +19,7 @@ from typing import Final, Self
 from pmac_comp.base.errors import (
     ChangeInterrupted,
     ControllerState,
+    ForeignChange,
     LinkError,
     PmacCompError,
     ProtocolError,
@@ -30,11 +31,13 @@ from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
     read_clock,
+    read_lease,
     release_lease,
     renew_lease,
     take_lease,
 )
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import Lease
 
 DONE: Final = "done"
 ROLLED_BACK: Final = "rolled back"
@@ -128,6 +131,7 @@ class Change:
         self._leased_at_s: float | None = None
         self._interrupt = DeferredInterrupt()
         self._ended: ControllerState | None = None
+        self._lease: Lease | None = None
 
     def __enter__(self) -> Self:
         self._stack.enter_context(host_lock(self.context))
@@ -172,7 +176,7 @@ class Change:
         if self._is_new:
             head = {"kind": self.kind.value, "group": self.context.group}
             self.journal.write("begin", {**head, **(data or {})})
-        take_lease(self.link, self.context, read_clock(self.link))
+        self._lease = take_lease(self.link, self.context, read_clock(self.link))
         self._leased_at_s = self.link.clock.now_s()
 
     def step(self, name: str, data: Mapping[str, object] | None = None) -> None:
@@ -205,15 +209,30 @@ class Change:
             return
         now_s = self.link.clock.now_s()
         if now_s - self._leased_at_s + ahead_s > RENEW_SHARE * LEASE_s:
-            renew_lease(self.link, self.context, LEASE_s + ahead_s)
+            self._lease = renew_lease(self.link, self.context, LEASE_s + ahead_s)
             self._leased_at_s = now_s + ahead_s
 
     def finish(self, verdict: ControllerState, closing: str = DONE) -> None:
-        """Close the journal and give the lease back."""
+        """Close the journal and give the lease back.
+
+        Raises
+        ------
+        ForeignChange
+            The lease is gone: what was written may be gone with it.
+        """
+        if self._lease is not None and read_lease(self.link, self.context) != self._lease:
+            raise ForeignChange(
+                "The lease is gone: the controller was reset meanwhile, or somebody took it.",
+                code="PC-TXN-009",
+                hint="Run `pmac-comp recover`; it looks at what stands.",
+            )
         self.left = verdict
         self._ended = ControllerState.OLD if closing == ROLLED_BACK else verdict
         self.journal.write(closing, {"verdict": verdict.value})
         self.release()
+
+    def _is_leased(self) -> bool:
+        return read_lease(self.link, self.context).owner == self.context.owner
 
     def release(self) -> None:
         """Give the lease back if it is held."""
@@ -247,6 +266,8 @@ class Change:
 
     def _release_after(self, error: PmacCompError) -> None:
         try:
+            if self._leased_at_s is not None and not self._is_leased():
+                self._leased_at_s = None
             self.release()
         except PmacCompError as second:
             error.add_note(f"The lease could not be given back: {second.message}")
