@@ -139,8 +139,9 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
     remarks: list[str] = []
     if not has_captures:
         remarks.append(
-            "no calibration runs were given (--captures): cogging, friction per turn and how friction "
-            "grips are not in the law, nothing trims it, and the promise is the model's alone"
+            "no calibration runs were given (--captures): cogging, friction per turn and how "
+            "friction grips are not in the law, nothing trims it, and the promise is the "
+            "model's alone"
         )
     if any(split_name(name)[0] == "backlash" for name in model.effects):
         gap_um = model.parameters["backlash.gap_m"] * UM_PER_M
