@@ -93,3 +93,19 @@ def test_a_bench_ten_per_cent_off_in_several_values_still_gets_a_verdict():
     assert np.isfinite([found.gap_before_um, found.gap_after_um, found.noise_floor_um]).all()
     # Ten per cent more mass than the file says is a finding or an effect, not swallowed.
     assert "payload" in found.named or found.findings or found.verdict == "unknown"
+
+
+def test_cogging_is_found_without_a_torque_channel():
+    values = {"amplitude_Nm": 0.06, "order_per_rev": 4.0, "phase_rad": 0.5}
+    captures = [replace(c, torque_command_Nm=None) for c in runs(BENCH, {"cogging": values})]
+    library = {n: effect_library()[n] for n in ("cogging", "friction_per_rev", "backlash")}
+    found = diagnose(captures, BENCH, effects=library)
+    assert found.named == ("cogging",)
+    assert found.estimates[0].value == pytest.approx(0.06, rel=0.05)
+
+
+def test_a_bias_out_of_the_library_is_not_called_a_cable():
+    library = {n: effect_library()[n] for n in ("cable_drag", "backlash")}
+    found = diagnose(runs(BENCH, {"bias_force": {"force_N": 80.0}}), BENCH, effects=library)
+    assert found.verdict == "unknown"
+    assert found.named == ()

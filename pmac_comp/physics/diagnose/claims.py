@@ -20,6 +20,7 @@ _LEAST_SIGMAS = 3.0
 _WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
 # Beside a remainder without a name, share of the flexible rivals' gain that a name must reach.
 _RIVALS_SHARE = 1.0
+_SHORTEST_DIP_m = 0.15e-3  # dips are half to five millimetres long, presliding 5 to 50 um
 _TOO_SMALL = "its size cannot be told from nothing"
 
 
@@ -50,13 +51,26 @@ def _no_curve(model: DriveModel) -> str:
     return "its exponent makes it Coulomb or viscous friction"
 
 
+def _short_dip(model: DriveModel) -> str:
+    if model.parameters["post_reversal_dip.length_m"] > _SHORTEST_DIP_m:
+        return ""
+    return "its length is that of presliding"
+
+
 # Corners of an effect's range where it is another effect.
 _IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
     "cable_drag": _far_cable,
     "preload_loss": _no_ratio,
     "base_mode": _no_mode,
     "viscous_nonlinear": _no_curve,
+    "post_reversal_dip": _short_dip,
 }
+
+
+def imitation(effect: str, model: DriveModel) -> str:
+    """What an effect of a model is in truth, in words; nothing where it is itself."""
+    told = _IMITATIONS.get(effect)
+    return "" if told is None else told(model)
 
 
 @dataclass(frozen=True)
@@ -125,8 +139,7 @@ def _doubt(
     rules: Rules,
 ) -> str:
     """Why an effect may not be claimed, or nothing."""
-    imitates = _IMITATIONS.get(accepted.effect)
-    if imitates is not None and (why := imitates(model)):
+    if why := imitation(accepted.effect, model):
         return why
     if _weak(done, accepted, rules) and _nothing(accepted, model, estimates):
         return _TOO_SMALL

@@ -31,8 +31,9 @@ _ELEMENTARY = frozenset({"coulomb", "viscous"})
 _CLOSE = 0.9
 # Share of the best gain from which on the second is worth a refit of everything.
 _OPEN = 0.25
-# Effects that change the stability of the loop, and from how many values they start anew.
-_FRESH = frozenset({"actuator_delay", "current_bandwidth"})
+# Effects that change the stability of the loop or act in events; from how many values they start
+# anew.
+_FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
 _MOST_FRESH = 2
 
 

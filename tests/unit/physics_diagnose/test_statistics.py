@@ -88,3 +88,15 @@ def test_corrected_p_counts_candidates():
 def test_huber_weights_leave_ordinary_samples_alone():
     weights = st.huber_weights(np.array([[0.5], [3.5], [14.0]]))
     assert weights[:, 0] == pytest.approx([1.0, 1.0, 0.5])
+
+
+def test_rotation_p_proves_a_single_event_and_nothing_from_noise():
+    rng = np.random.default_rng(5)
+    rows = np.full(100, 400.0)
+    noise = rng.chisquare(400.0, 100)
+    event = noise.copy()
+    event[17] = 300_000.0
+    assert st.sign_flip_p(event - noise, seed=1) > 0.4
+    assert st.rotation_p(event, noise, rows, parameters=1) < 1e-6
+    assert st.rotation_p(noise, noise - rng.chisquare(1.0, 100) / 100.0, rows, parameters=1) > 0.05
+    assert st.rotation_p(noise, noise, rows, parameters=1) == 1.0

@@ -1,0 +1,33 @@
+"""Names that an effect at the corner of its range does not deserve."""
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.diagnose.claims import imitation
+from pmac_comp.physics.model.drive import DriveModel
+
+BENCH = load_bench("paper")
+
+
+@pytest.mark.parametrize(
+    ("effect", "own", "corner"),
+    [
+        (
+            "cable_drag",
+            {"stiffness_N_per_m": 250.0, "centre_m": 0.1},
+            {"stiffness_N_per_m": -10.0, "centre_m": 10.0},
+        ),
+        ("preload_loss", {"stiffness_ratio": 0.3}, {"stiffness_ratio": 0.0}),
+        ("base_mode", {"damping_ratio": 0.05}, {"damping_ratio": 1.0}),
+        ("viscous_nonlinear", {"exponent": 0.5}, {"exponent": 0.99}),
+        ("post_reversal_dip", {"length_m": 1e-3}, {"length_m": 2e-5}),
+    ],
+)
+def test_an_effect_at_the_corner_of_its_range_is_another_one(effect, own, corner):
+    base = DriveModel.base(BENCH)
+    assert imitation(effect, base.with_effect(effect, own)) == ""
+    assert imitation(effect, base.with_effect(effect, corner)) != ""
+
+
+def test_effects_without_such_a_corner_are_themselves():
+    assert imitation("payload", DriveModel.base(BENCH).with_effect("payload")) == ""
