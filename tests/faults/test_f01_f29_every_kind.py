@@ -111,6 +111,11 @@ def guarded_table(link: Link, context: Context) -> None:
         upload_tables(link, parts, [new_table(24)])
 
 
+def under_guard(link: Link, context: Context) -> None:
+    with_table(link, context)
+    law_install.install_guard(link, context)
+
+
 def with_axes(link: Link, context: Context) -> None:
     del context
     link.write_buffer(["UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "&1#8->4W", "I5190=500"])
@@ -143,6 +148,7 @@ SCENARIOS = [
     Scenario("law route", with_table, whole_route),
     Scenario("cam route", with_program, cam_route),
     Scenario("guarded table", with_table, guarded_table),
+    Scenario("table under guard", under_guard, lambda k, c: upload_tables(k, c, [new_table(24)])),
     Scenario("time motor", with_axes, time_motor),
     Scenario("measurement", with_axes, borrowed_axis),
 ]

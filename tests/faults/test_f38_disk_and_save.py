@@ -66,7 +66,9 @@ def test_f38_full_disk_at_every_sync(
         assert isinstance(error, PmacCompError), n
         assert error.left is not None, (n, error)
         rig.fresh()
-        if error.context.get("confirmed"):
+        if error.context.get("confirmed") and error.left is ControllerState.DISABLED:
+            assert rig.bench.i51 == 0  # by the guard PLC
+        elif error.context.get("confirmed"):
             rig.judge(error.left)
         rig.recover(resume=bool(n % 2))
         count_runs(1)

@@ -266,6 +266,9 @@ class TableUpload:
             self.link.command("I51=0")
         if status.decision.state is ControllerState.OLD:
             self.link.write_buffer(clear_lines(self.context.block))
+            # Between the look and the clearing the guard PLC may have switched off once more.
+            if read_head(self.link, self.context).i51 != status.i51:
+                return ControllerState.DISABLED
             if self._origin is None and self._closing == DONE:
                 # A full disk leaves it open: `recover` then finds the same.
                 with suppress(StorageFull):
@@ -325,6 +328,8 @@ class TableUpload:
     def _switch_back(self, the_plan: UploadPlan) -> None:
         """After a refused line: if the old tables still stand whole, let them act again."""
         if the_plan.enabled_old and read_tables(self.link).crc == the_plan.old.crc:
+            # While the manifest says WRITING the guard PLC holds the tables off.
+            self.link.write_buffer(clear_lines(self.context.block))
             switch_tables(self.link, 1, the_plan.motors)
 
     def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:
