@@ -110,6 +110,8 @@ EFFECTS = [
      {"excess_N": 30.0, "speed_m_per_s": 0.01}),
     ("presliding", {"distance_um": 30.0}, {"distance_m": 30e-6}),
     ("friction_asymmetry", {"fraction": 0.3}, {"fraction": 0.3}),
+    ("friction_asymmetry@sliding", {"fraction": -0.5, "place": "sliding"}, {"fraction": -0.5}),
+    ("friction_asymmetry@rotary", {"fraction": -0.5, "place": "rotary"}, {"fraction": -0.5}),
     ("friction_per_rev", {"amplitude_Nm": 0.08, "order_per_rev": 2.0, "phase_rad": 0.5},
      {"amplitude_Nm": 0.08, "order_per_rev": 2.0, "phase_rad": 0.5}),
     ("post_reversal_dip", {"fraction": 0.5, "length_mm": 1.5},
@@ -129,6 +131,8 @@ EFFECTS = [
     ("axial_stiffness_nonlinear", {"preload_N": 1000.0}, {"preload_N": 1000.0}),
     ("viscous_nonlinear", {"coefficient_N": 60.0, "exponent": 0.5},
      {"coefficient_N": 60.0, "exponent": 0.5}),
+    ("viscous_nonlinear@", {"coefficient_N": -60.0, "exponent": 0.5},
+     {"coefficient_N": -60.0, "exponent": 0.5}),
     ("coupling_windup", {"stiffness_Nm_per_rad": 3000.0}, {"compliance_rad_per_Nm": 1 / 3000.0}),
     ("chain_damping", {"time_us": 200.0}, {"time_s": 127e-6}),
     ("base_mode", {"frequency_Hz": 30.0, "mass_ratio": 0.1, "damping_ratio": 0.05},
@@ -159,9 +163,9 @@ def test_each_effect_means_the_same_in_both_codes(name, hidden, ours):
     motion = MOTIONS["sinusoid 10 mm 5 Hz"]
     plain = make_plant(bench, effects={}, spread=0.0)
     base = model_of(plain, bench)
-    grown = base.with_effect(name, ours)
-    there = run_closed_loop(bench, make_plant(bench, effects={name: hidden}, spread=0.0),
-                            motion.position_m)  # fmt: skip
+    grown = base.with_effect(name.removesuffix("@"), ours)
+    hiding = make_plant(bench, effects={name.partition("@")[0]: hidden}, spread=0.0)
+    there = run_closed_loop(bench, hiding, motion.position_m)
     before = run_closed_loop(bench, plain, motion.position_m)
     here, old = simulate(grown, motion), simulate(base, motion)
     for key in ("motor_position_m", "table_position_m"):

@@ -580,12 +580,8 @@ def run(
     use_load = par[s.NUT_LOAD] != 0.0 and not rigid
     n_terms = terms.shape[0]
     n_gms = int(par[s.GMS_N])
-    all_sharp = (
-        n_gms == 0
-        and par[s.GUIDE + s.BREAK] <= 0.0
-        and par[s.NUT + s.BREAK] <= 0.0
-        and par[s.MOTOR + s.BREAK] <= 0.0
-    )
+    guide_sharp = n_gms == 0 and par[s.GUIDE + s.BREAK] <= 0.0
+    all_sharp = guide_sharp and par[s.NUT + s.BREAK] <= 0.0 and par[s.MOTOR + s.BREAK] <= 0.0
 
     # At rest and relaxed on the first desired position.
     theta0 = desired_m[0] / rho
@@ -798,9 +794,8 @@ def run(
                 )
             mid_speed = speed + 0.5 * h * table_a
             if use_power:
-                push_table -= math.copysign(
-                    par[s.POWER_FORCE] * abs(mid_speed) ** par[s.POWER_EXPONENT], mid_speed
-                )
+                curved = abs(mid_speed) ** par[s.POWER_EXPONENT]
+                push_table -= par[s.POWER_FORCE] * math.copysign(curved, mid_speed)
             if use_asymmetry:
                 push_table -= (
                     (par[s.ASYMMETRY_VISCOUS] + par[s.ASYMMETRY_SLIDING])
@@ -839,7 +834,13 @@ def run(
             if use_dip:
                 level_nut *= 1.0 - par[s.DIP] * math.exp(-since / par[s.DIP_LENGTH])
             if use_asymmetry:
-                level_guide *= 1.0 + math.copysign(par[s.ASYMMETRY_SLIDING], mid_speed)
+                # At rest the guide holds unequal forces either way: equal ones about a force.
+                # Bristles hold the level of the direction in which they move.
+                uneven = par[s.ASYMMETRY_SLIDING]
+                if guide_sharp:
+                    push_table -= uneven * level_guide * warm
+                else:
+                    level_guide *= 1.0 + math.copysign(1.0, mid_speed) * uneven
             for j in range(n_terms):
                 site = int(terms[j, s.TERM_SITE])
                 if 3 <= site <= 4:

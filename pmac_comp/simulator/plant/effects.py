@@ -5,12 +5,14 @@ place where it enters the kernel. What may not: the time stepping. Imports ``bas
 layout only; nothing here is shared with the model that is fitted.
 
 Sign conventions where the name alone leaves a choice: ``friction_asymmetry.fraction`` is
-(positive - negative direction) / sum; a positive ``channel_skew.time_us`` means that the scale
-sample is older than the encoder sample; ``torque_ripple.amplitude_Nm`` is reached at rated torque
-and grows with the torque; ``base_mode.mass_ratio`` is table mass over base mass;
-``presliding.elements`` above 0 makes the guide's presliding one of parallel elements with non-local
-memory (GMS) in place of a LuGre bristle; a positive ``bias_force.force_N`` resists positive
-motion, as the force of ``set_external_force`` does.
+(positive - negative direction) / sum, at place ``sliding`` of Coulomb and viscous friction of the
+guide alike (a difference of the Coulomb level alone is a ``bias_force``); a positive
+``channel_skew.time_us`` means that the scale sample is older than the encoder sample;
+``torque_ripple.amplitude_Nm`` is reached at rated torque and grows with the torque;
+``base_mode.mass_ratio`` is table mass over base mass; ``presliding.elements`` above 0 makes the
+guide's presliding one of parallel elements with non-local memory (GMS) in place of a LuGre bristle;
+a positive ``bias_force.force_N`` resists positive motion, as the force of ``set_external_force``
+does.
 """
 
 import math
@@ -51,20 +53,24 @@ def _stribeck_motor(par: FloatArray, values: Values) -> None:
 def _presliding_at(place: str) -> Callable[[FloatArray, Values], None]:
     def apply(par: FloatArray, values: Values) -> None:
         distance_m = values["distance_um"] / UM_PER_M
+        ratio = values["damping_ratio"]
         if place == "guide":
-            _bristle(par, k.P_GUIDE_LEVEL, distance_m)
+            _bristle(par, k.P_GUIDE_LEVEL, distance_m, ratio)
             if values["elements"] > 0.0:
                 par[k.P_GUIDE_BRISTLE] = 2.0
         if place in {"nut", "rotary"}:
-            _bristle(par, k.P_NUT_LEVEL, distance_m / par[k.P_LEAD])
+            _bristle(par, k.P_NUT_LEVEL, distance_m / par[k.P_LEAD], ratio)
         if place in {"motor", "rotary"}:
-            _bristle(par, k.P_MOTOR_LEVEL, distance_m / par[k.P_LEAD])
+            _bristle(par, k.P_MOTOR_LEVEL, distance_m / par[k.P_LEAD], ratio)
 
     return apply
 
 
-def _bristle(par: FloatArray, level_index: int, distance: float) -> None:
-    """LuGre bristles in place of the sharp stick; the distance belongs to 63 % of the level."""
+def _bristle(par: FloatArray, level_index: int, distance: float, ratio: float) -> None:
+    """LuGre bristles in place of the sharp stick; the distance belongs to 63 % of the level.
+
+    ``ratio`` is their damping over critical damping (ballscrew facts 2.3 and 2.7).
+    """
     flag, damping = {
         k.P_GUIDE_LEVEL: (k.P_GUIDE_BRISTLE, k.P_GUIDE_DAMPING),
         k.P_NUT_LEVEL: (k.P_NUT_BRISTLE, k.P_NUT_DAMPING),
@@ -73,8 +79,7 @@ def _bristle(par: FloatArray, level_index: int, distance: float) -> None:
     par[level_index + 1] = distance
     par[flag] = 1.0
     inertia = par[k.P_M_TABLE] if level_index == k.P_GUIDE_LEVEL else par[k.P_J_MOTOR]
-    # A tenth of critical: bristle damping that leaves the loop passive (ballscrew facts 2.3).
-    par[damping] = 0.1 * math.sqrt(par[level_index] / distance * inertia)
+    par[damping] = 2.0 * ratio * math.sqrt(par[level_index] / distance * inertia)
 
 
 def _asymmetry(par: FloatArray, values: Values) -> None:
@@ -169,7 +174,7 @@ _WAVE_UM = {"amplitude_um": 1.0, "order_per_rev": 1.0, "phase_rad": 0.0}
 PLANT_EFFECTS: Mapping[str, PlantEffect] = {
     "stribeck": PlantEffect({"excess_N": 0.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005}, _stribeck),
     "presliding": PlantEffect(
-        {"distance_um": 10.0, "elements": 0.0},
+        {"distance_um": 10.0, "elements": 0.0, "damping_ratio": 0.05},
         _presliding_at("guide"),
         ("guide", "nut", "motor", "rotary"),
     ),

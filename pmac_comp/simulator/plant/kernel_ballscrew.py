@@ -380,11 +380,11 @@ def ballscrew_step(
         nut_level *= warm
         guide_level *= warm
         forward = 1.0 if v >= 0.0 else -1.0
-        guide_level *= 1.0 + par[P_ASYM_SLIDING] * forward
         turning = 1.0 + par[P_ASYM_ROTARY] * (1.0 if w_s >= 0.0 else -1.0)
         motor_viscous = par[P_MOTOR_VISCOUS] * turning
         nut_viscous = par[P_NUT_VISCOUS] * turning
-        guide_viscous = par[P_GUIDE_VISCOUS] * (1.0 + par[P_ASYM_VISCOUS] * forward)
+        uneven = par[P_ASYM_VISCOUS] + par[P_ASYM_SLIDING]
+        guide_viscous = par[P_GUIDE_VISCOUS] * (1.0 + uneven * forward)
         nut_level += par[P_NUT_LOAD] * abs(f_n)
         nut_level = max(nut_level, 1e-6)
         guide_level = max(guide_level, 1e-6)
@@ -408,7 +408,10 @@ def ballscrew_step(
             load -= par[P_FORCE] * math.sin(par[P_FORCE_OMEGA] * time + par[P_FORCE_PHASE])
         end_m = motor_level / sigma_m
         end_n = nut_level / sigma_n
-        end_g = guide_level / sigma_g
+        end_g = guide_level / sigma_g * (1.0 + par[P_ASYM_SLIDING] * forward)
+        # At rest the guide holds as much in either direction as it slides with in that one.
+        end_low = guide_level / sigma_g * (1.0 - par[P_ASYM_SLIDING])
+        end_high = guide_level / sigma_g * (1.0 + par[P_ASYM_SLIDING])
         for _ in range(n_fine):
             t_k = k_th * (th_m - th_s + beta * (w_m - w_s))
             delta = xt - (rho * th_s + static_m + per_rad * (th_s - anchor) + u)
@@ -456,17 +459,17 @@ def ballscrew_step(
             f_g = guide_viscous * v
             if gms_g:
                 for e in range(_GMS):
-                    reach = _GMS_DISTANCE[e] * end_g
-                    z_new = min(max(z_e[e] + v * dt, -reach), reach)
+                    part = _GMS_DISTANCE[e]
+                    z_new = min(max(z_e[e] + v * dt, -part * end_low), part * end_high)
                     f_g += _GMS_SHARE[e] * (
-                        guide_level * z_new / reach + par[P_GUIDE_DAMPING] * (z_new - z_e[e]) / dt
+                        sigma_g * z_new / part + par[P_GUIDE_DAMPING] * (z_new - z_e[e]) / dt
                     )
                     z_e[e] = z_new
             else:
                 if lugre_g:
                     z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
                 else:
-                    z_new = min(max(z_g + v * dt, -end_g), end_g)
+                    z_new = min(max(z_g + v * dt, -end_low), end_high)
                 f_g += sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
                 z_g = z_new
 
