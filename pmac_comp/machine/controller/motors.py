@@ -6,8 +6,9 @@ other conversation's addressing matters. Source: Software Reference Manual p. 28
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
+from functools import lru_cache
 from typing import Final
 
 from pmac_comp.base.clock import Deadline
@@ -18,6 +19,7 @@ from pmac_comp.machine.wire.numbers import read_number
 
 POLL_s: Final = 0.02
 STATIONARY_SPACING_s: Final = 0.02
+HALF_SPACING_s: Final = 0.5 * STATIONARY_SPACING_s  # before and after a switch
 LONGEST_SPACING_s: Final = 0.1  # between two looks
 
 
@@ -83,6 +85,7 @@ class MotorStatus:
     word2: Word2
 
     @classmethod
+    @lru_cache(maxsize=256)
     def parse(cls, text: str) -> "MotorStatus":
         """Status from the answer to ``?``; raises RemoteProtocolError otherwise."""
         digits = text.strip()
@@ -172,10 +175,49 @@ def read_motor(link: Link, motor: int) -> MotorReading:
 
 @dataclass(frozen=True)
 class Standstill:
-    """First of the two looks that prove that motors stand; other requests may lie between."""
+    """First of the two looks that prove that motors stand; other requests may lie between.
+
+    Parameters
+    ----------
+    first : dict of int to MotorReading
+        The readings.
+    at_s : float
+        When they were taken, on the clock of the conversation.
+    travelled_ct, watched_s
+        How far motors went in an earlier part of the proof, and how long that was: a switch that
+        moves them a little may cut the proof in two.
+    """
 
     first: dict[int, MotorReading]
     at_s: float
+    travelled_ct: Mapping[int, float] = field(default_factory=dict)
+    watched_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What two looks say.
+
+    Parameters
+    ----------
+    reasons : tuple of str
+        Why motors are not at rest, empty when all stand.
+    readings : dict of int to MotorReading
+        The second look.
+    travelled_ct, watched_s
+        How far motors went, and in which time.
+    """
+
+    reasons: tuple[str, ...]
+    readings: dict[int, MotorReading]
+    travelled_ct: Mapping[int, float]
+    watched_s: float
+
+    def goes_on(self, look: Standstill) -> Standstill:
+        """A look after a switch, from which the proof goes on if it was not whole yet."""
+        if self.watched_s >= STATIONARY_SPACING_s:
+            return look
+        return replace(look, travelled_ct=self.travelled_ct, watched_s=self.watched_s)
 
 
 def begin_standstill(link: Link, motors: Sequence[int]) -> Standstill:
@@ -183,43 +225,72 @@ def begin_standstill(link: Link, motors: Sequence[int]) -> Standstill:
     return Standstill(read_motors(link, motors), link.clock.now_s())
 
 
-def moving_motors(link: Link, motors: Sequence[int], *looks: Standstill | None) -> tuple[str, ...]:
-    """Why motors are not at rest, one text per reason; empty when all stand.
+def look_again(
+    link: Link,
+    motors: Sequence[int],
+    *looks: Standstill | None,
+    spacing_s: float = STATIONARY_SPACING_s,
+) -> Rest:
+    """Whether motors are at rest.
 
     A motor is at rest if it is killed and its position does not change, or if its trajectory
-    stands. Two readings are compared, at least 20 ms apart; the first may be the earliest of
-    ``looks`` that is fresh: over a longer time slow drift would count as motion.
+    stands. Two readings are compared, at least ``spacing_s`` apart; the first may be the earliest
+    of ``looks`` that is fresh: over a longer time slow drift would count as motion. After a short
+    spacing a motor that goes faster than a still one may is looked at once more after the full one.
     """
-    begun = next((k for k in looks if k is not None and _is_fresh(link, motors, k)), None)
+    begun = next((k for k in looks if k is not None and is_fresh(link, motors, k)), None)
     begun = begun or begin_standstill(link, motors)
-    link.clock.sleep_s(max(0.0, STATIONARY_SPACING_s - (link.clock.now_s() - begun.at_s)))
+    found = _second_look(link, motors, begun, max(HALF_SPACING_s, spacing_s - begun.watched_s))
+    share = found.watched_s / STATIONARY_SPACING_s
+    if share < 1.0 and any(
+        found.travelled_ct[m] > share * _allowed_ct(found.readings[m]) for m in motors
+    ):
+        return _second_look(link, motors, begun, STATIONARY_SPACING_s)
+    return found
+
+
+def _second_look(link: Link, motors: Sequence[int], begun: Standstill, wait_s: float) -> Rest:
+    link.clock.sleep_s(max(0.0, wait_s - (link.clock.now_s() - begun.at_s)))
+    watched_s = begun.watched_s + link.clock.now_s() - begun.at_s
     second = read_motors(link, motors)
-    reasons = [_motion(begun.first[m], second[m]) for m in motors]
-    return tuple(reason for reason in reasons if reason)
+    travelled_ct = {
+        m: begun.travelled_ct.get(m, 0.0) + abs(second[m].position_ct - begun.first[m].position_ct)
+        for m in motors
+    }
+    reasons = [_motion(begun.first[m], second[m], travelled_ct[m]) for m in motors]
+    return Rest(tuple(r for r in reasons if r), second, travelled_ct, watched_s)
 
 
-def _is_fresh(link: Link, motors: Sequence[int], look: Standstill) -> bool:
+def _allowed_ct(reading: MotorReading) -> float:
+    # Closed loop at rest: encoder noise and the settling of the integrator stay within this.
+    return 20.0 if reading.status.is_closed_loop else 2.0
+
+
+def moving_motors(link: Link, motors: Sequence[int], *looks: Standstill | None) -> tuple[str, ...]:
+    """Why motors are not at rest, one text per reason; empty when all stand."""
+    return look_again(link, motors, *looks).reasons
+
+
+def is_fresh(link: Link, motors: Sequence[int], look: Standstill) -> bool:
+    """Whether a look is young enough to be the first of two, and of all motors."""
     age_s = link.clock.now_s() - look.at_s
     return age_s <= LONGEST_SPACING_s and not set(motors) - set(look.first)
 
 
 def executing_moves(readings: Mapping[int, MotorReading]) -> tuple[str, ...]:
     """Why motors are not at rest, as far as one reading tells."""
-    found = (_motion(reading, reading) for reading in readings.values())
+    found = (_motion(reading, reading, 0.0) for reading in readings.values())
     return tuple(reason for reason in found if reason)
 
 
-def _motion(first: MotorReading, second: MotorReading) -> str:
+def _motion(first: MotorReading, second: MotorReading, travelled_ct: float) -> str:
     name = f"motor #{second.motor}"
     for reading in (first, second):
         active = reading.status.is_activated and reading.status.is_closed_loop
         if active and not reading.status.is_commanded_still:
             return f"{name} is executing a move"
-    travelled = abs(second.position_ct - first.position_ct)
-    # Closed loop at rest: encoder noise and the settling of the integrator stay within this.
-    allowed = 20.0 if second.status.is_closed_loop else 2.0
-    if travelled > allowed:
-        return f"{name} moves by itself ({travelled:.1f} counts within 0.1 s)"
+    if travelled_ct > _allowed_ct(second):
+        return f"{name} moves by itself ({travelled_ct:.1f} counts within 0.1 s)"
     return ""
 
 

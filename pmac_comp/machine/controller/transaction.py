@@ -292,16 +292,20 @@ def journals(context: Context) -> list[Journal]:
     return [Journal(path) for path in _paths(context)]
 
 
-def _paths(context: Context) -> list[Path]:
+def _names(context: Context) -> list[str]:
     # The count comes first in the name: a clock that jumps cannot change the order.
     name = re.compile(re.escape(context.controller) + r"-.{6}-.{10}\.journal")
     found = os.listdir(context.store) if context.store.is_dir() else ()  # noqa: PTH208 - fast
-    return [context.store / text for text in sorted(filter(name.fullmatch, found))]
+    return sorted(filter(name.fullmatch, found))
+
+
+def _paths(context: Context) -> list[Path]:
+    return [context.store / text for text in _names(context)]
 
 
 def _next_path(context: Context, transaction: int) -> Path:
-    known = [int(p.stem.rpartition("-")[0].rpartition("-")[2]) for p in _paths(context)]
-    count = max(known, default=0) + 1
+    names = _names(context)
+    count = int(names[-1].rsplit("-", 2)[1]) + 1 if names else 1
     return context.store / f"{context.controller}-{count:06d}-{transaction:010d}.journal"
 
 

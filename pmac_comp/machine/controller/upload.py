@@ -32,7 +32,14 @@ from pmac_comp.machine.controller.manifest import (
     ManifestState,
     clear_lines,
 )
-from pmac_comp.machine.controller.motors import Standstill, begin_standstill, read_motors
+from pmac_comp.machine.controller.motors import (
+    HALF_SPACING_s,
+    LONGEST_SPACING_s,
+    Rest,
+    Standstill,
+    begin_standstill,
+    look_again,
+)
 from pmac_comp.machine.controller.persist import save
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.switching import switch_tables, watch
@@ -53,7 +60,7 @@ from pmac_comp.machine.controller.transaction import (
     UploadResult,
     mark_left,
 )
-from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, motion_refusals
+from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, not_at_rest
 from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look, step_refusals
 from pmac_comp.machine.controller.variables import batches
 
@@ -137,6 +144,7 @@ class TableUpload:
         self._prepared_s = 0.0
         self._i30 = 0
         self._looks: tuple[Standstill | None, ...] = ()
+        self._rest: Rest | None = None
         self._pointers: tuple[int, ...] = ()
         self._disabled_at_s: float | None = None
         self._disabled_s = 0.0
@@ -191,8 +199,6 @@ class TableUpload:
             self._require_standstill(the_plan, "Switching off")
             self._disable(the_plan)
             self._write(the_plan)
-            # Another first look that motors stand, should the one while disabling be too old.
-            self._looks += (begin_standstill(self.link, the_plan.motors),)
             self._read_back(the_plan, manifest)
             self._seal(manifest)
             if self._wish.enable_after:
@@ -304,13 +310,19 @@ class TableUpload:
         if the_plan.enabled_old:
             self._change.left = ControllerState.DISABLED
         self._disabled_at_s = self.link.clock.now_s()
-        self._looks = (switch_tables(self.link, 0, the_plan.motors),)
+        look = switch_tables(self.link, 0, the_plan.motors)
+        if look is not None and self._rest is not None:
+            look = self._rest.goes_on(look)
+        self._looks = (look,)
         self._change.left = ControllerState.DISABLED
 
     def _require_standstill(self, the_plan: UploadPlan, what: str) -> None:
         """Motors stood from an earlier look to now; raises MotorNotSafe."""
         if the_plan.motors:
-            raise_all(motion_refusals(self.link, the_plan.motors, *self._looks), what)
+            self._rest = look_again(
+                self.link, the_plan.motors, *self._looks, spacing_s=HALF_SPACING_s
+            )
+            raise_all(not_at_rest(self._rest.reasons), what)
 
     def _write(self, the_plan: UploadPlan) -> None:
         self._change.step("write", {"n_lines": len(the_plan.lines)})
@@ -324,6 +336,10 @@ class TableUpload:
                 self._switch_back(the_plan)
                 raise
             self.context.progress("write", k + 1, len(parts))
+        look = next(iter(self._looks), None)
+        if look is None or self.link.clock.now_s() - look.at_s > 0.5 * LONGEST_SPACING_s:
+            # The look while switching off is too old by then: another first one.
+            self._looks += (begin_standstill(self.link, the_plan.motors),)
 
     def _switch_back(self, the_plan: UploadPlan) -> None:
         """After a refused line: if the old tables still stand whole, let them act again."""
@@ -359,9 +375,9 @@ class TableUpload:
     def _enable(self, the_plan: UploadPlan) -> None:
         motors = the_plan.motors
         if motors:
-            refusals = motion_refusals(self.link, motors, *self._looks)
-            readings = read_motors(self.link, motors)
-            refusals += step_refusals(self.context, readings, TableSet(), the_plan.new)
+            rest = look_again(self.link, motors, *self._looks)
+            refusals = not_at_rest(rest.reasons)
+            refusals += step_refusals(self.context, rest.readings, TableSet(), the_plan.new)
             raise_all(refusals, "Enabling")
         if read_pointers(self.link) != self._pointers:
             raise ForeignChange(

@@ -3,15 +3,10 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import numpy as np
-
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import (
     MotorNotSafe,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller.comp_table import Table, TableKind
-from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import (
     Standstill,
@@ -22,7 +17,6 @@ from pmac_comp.machine.controller.table_set import (
 )
 from pmac_comp.machine.controller.table_status import Head
 
-SIXTEENTHS: Final = 16.0  # entries per count
 HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
 PACKET_BYTES: Final = 1024
 _BUFFER_BITS: Final = {
@@ -49,22 +43,6 @@ def difference(meant: TableSet, found: TableSet) -> str:
         if table.canonical != twin.canonical:
             return f"{name} has another source, target or span"
     return f"{len(found)} tables instead of {len(meant)}"
-
-
-def largest_change_ct(old: TableSet, new: TableSet, context: Context) -> float:
-    """Largest change of any motor's correction within the travel, in counts.
-
-    A backlash table acts while the last motion was negative; it counts with its own change.
-    """
-    low, high = context.limits.min_position_ct, context.limits.max_position_ct
-    grid = np.linspace(low, high, 2001)
-    keys = {(t.kind, t.motor) for t in (*old, *new) if t.kind is not TableKind.TCOMP}
-    changes = [_counts(new.get(*key), grid) - _counts(old.get(*key), grid) for key in keys]
-    return max((float(np.max(np.abs(change))) for change in changes), default=0.0)
-
-
-def _counts(table: Table | None, grid: FloatArray) -> FloatArray:
-    return np.zeros(len(grid)) if table is None else table.at(grid) / SIXTEENTHS
 
 
 def buffer_refusals(head: Head) -> list[SafetyRefusal]:

@@ -18,7 +18,6 @@ from pmac_comp.machine.controller.table_set import Key, TableSet, plan, read_tab
 from pmac_comp.machine.controller.table_status import Head, read_head
 from pmac_comp.machine.controller.upload_checks import (
     buffer_refusals,
-    largest_change_ct,
     memory_refusals,
     motion_refusals,
     not_at_rest,
@@ -37,8 +36,6 @@ class UploadPlan:
         Whether tables act now.
     refusals : tuple of SafetyRefusal
         Everything that forbids it.
-    largest_change_ct : float
-        Largest difference between old and new position correction in the travel.
     lines : tuple of str
         What would be sent for the tables.
     motors : tuple of int
@@ -49,7 +46,6 @@ class UploadPlan:
     new: TableSet
     enabled_old: bool
     refusals: tuple[SafetyRefusal, ...]
-    largest_change_ct: float
     lines: tuple[str, ...]
     motors: tuple[int, ...]
 
@@ -125,7 +121,8 @@ def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -
     if motors and to_the_end:
         refusals += motion_refusals(link, motors, begun)
     if motors:
-        readings = read_motors(link, motors)
+        known = begun.first if not (to_the_end or set(motors) - set(begun.first)) else None
+        readings = read_motors(link, motors) if known is None else known
         refusals += [] if to_the_end else not_at_rest(executing_moves(readings))
     if set(motors) - set(begun.first):
         begun = Standstill(readings, link.clock.now_s())
@@ -137,7 +134,6 @@ def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -
         new=new,
         enabled_old=bool(head.i51),
         refusals=tuple(refusals),
-        largest_change_ct=largest_change_ct(old, new, context),
         lines=(*steps.delete_lines, *steps.define_lines),
         motors=motors,
     )
