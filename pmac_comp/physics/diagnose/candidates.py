@@ -205,7 +205,7 @@ _FACTORS: Mapping[str, tuple[str, tuple[float, ...]]] = {
 }
 
 # A torque limit shows only below the largest torque asked for: where to try, as shares of it.
-_LIMIT_SHARES = (0.98, 0.95, 0.92, 0.89, 0.86, 0.83, 0.8, 0.75, 0.65, 0.45)
+_LIMIT_SHARES = (0.995, 0.98, 0.95, 0.92, 0.89, 0.86, 0.83, 0.8, 0.75, 0.65, 0.45)
 _TRIED_AS_THEY_ARE = (*_FACTORS, "torque_saturation")
 
 # Which trace shows the order or frequency of an effect; others try all orders found.

@@ -18,10 +18,13 @@ from pmac_comp.physics.model.drive import DriveModel
 
 _LEAST_SIGMAS = 3.0
 _WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
-# Beside a remainder without a name, share of the flexible rivals' gain that a name must reach.
-_RIVALS_SHARE = 1.0
+# Of the base model's excess: where less is left, forms that explain the rest are right.
+_OPEN_SHARE = 0.1
 _SHORTEST_DIP_m = 0.15e-3  # dips are half to five millimetres long, presliding 5 to 50 um
+_SHORTEST_PRESLIDING_m = 1e-6
 _TOO_SMALL = "its size cannot be told from nothing"
+_ONSET = "it is so short that the friction is Coulomb friction, which nowhere sets in at once"
+_NO_IMITATIONS = frozenset({_TOO_SMALL, _ONSET})
 
 
 def _far_cable(model: DriveModel) -> str:
@@ -57,6 +60,11 @@ def _short_dip(model: DriveModel) -> str:
     return "its length is that of presliding"
 
 
+def _onset(model: DriveModel) -> str:
+    shortest = max(_SHORTEST_PRESLIDING_m, model.bench.motor_resolution_m)
+    return "" if model.parameters["presliding.distance_m"] > shortest else _ONSET
+
+
 # Corners of an effect's range where it is another effect.
 _IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
     "cable_drag": _far_cable,
@@ -64,6 +72,7 @@ _IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
     "base_mode": _no_mode,
     "viscous_nonlinear": _no_curve,
     "post_reversal_dip": _short_dip,
+    "presliding": _onset,
 }
 
 
@@ -85,7 +94,7 @@ class Claims:
         Effects that are not claimed, and why.
     imitated : bool
         Whether one of those stands for something that the library cannot name; others are merely
-        too small to tell from nothing.
+        too small to tell from nothing, or close no more than the onset of friction leaves open.
     """
 
     rounds: tuple[Round, ...]
@@ -118,15 +127,16 @@ def claims_of(grown: Grown, left: Remainder, estimates: Sequence[Estimate], rule
     """
     claimed: list[Round] = []
     withheld: dict[str, str] = {}
+    imitated = False
     for done in grown.rounds:
         if done.accepted is None:
             continue
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
         if why:
             withheld[done.accepted.effect] = why
+            imitated |= why not in _NO_IMITATIONS and not _narrow(done, done.accepted)
         else:
             claimed.append(done)
-    imitated = any(why != _TOO_SMALL for why in withheld.values())
     return Claims(tuple(claimed), withheld, imitated)
 
 
@@ -146,18 +156,22 @@ def _doubt(
     # Small change next to something large and unknown is no finding.
     if left.unexplained and not left.explained:
         return "most of the gap stays open with it"
-    if left.unexplained and accepted.fit_gain < _RIVALS_SHARE * done.screening.rival_gain:
+    rivals = left.open_share > _OPEN_SHARE and accepted.fit_gain < done.screening.rival_gain
+    if left.unexplained and rivals:
         return "smooth functions without a name explain more than it does"
     return ""
 
 
 def _weak(done: Round, accepted: Contender, rules: Rules) -> bool:
     """Whether neither the weighted samples nor the gap in um show an effect beyond doubt."""
-    closed_um2 = done.gap_um**2 - accepted.gap_um**2
-    return (
-        accepted.fit_gain < rules.overwhelming * rules.material * done.rows_fit
-        and closed_um2 < (_WIDE * done.floor_um) ** 2
+    return accepted.fit_gain < rules.overwhelming * rules.material * done.rows_fit and _narrow(
+        done, accepted
     )
+
+
+def _narrow(done: Round, accepted: Contender) -> bool:
+    """Whether an effect closes too little of the gap to show in um."""
+    return done.gap_um**2 - accepted.gap_um**2 < (_WIDE * done.floor_um) ** 2
 
 
 def _nothing(accepted: Contender, model: DriveModel, estimates: Sequence[Estimate]) -> bool:

@@ -314,7 +314,7 @@ def _winner(
 
 def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
     """Whether a candidate is worth a name: material, held out, and not by chance."""
-    if winner.p_value >= rules.p_value or winner.bic_gain <= 0.0 or not _seen(winner.fitted.model):
+    if winner.p_value >= rules.p_value or winner.bic_gain <= 0.0:
         return False
     if winner.gap_um > rules.widened * done.gap_um:
         return False
@@ -330,12 +330,6 @@ def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
         min(fit, judged) > 0.1 * rules.material
         and closed_um2 > (rules.material_gap * done.floor_um) ** 2
     )
-
-
-def _seen(model: DriveModel) -> bool:
-    """Whether presliding is wider than one encoder step: below that it is Coulomb friction."""
-    distance_m = model.parameters.get("presliding.distance_m")
-    return distance_m is None or distance_m > model.bench.motor_resolution_m
 
 
 def _tied(

@@ -29,6 +29,8 @@ _ONSETS = 1.5
 _TRIM = 0.1
 _LARGEST_SHAPE = 3.0
 _TRIM_BLOCK = 50  # coarse samples, a ninth of a second
+_HALF = 0.5  # of the base model's excess, in squares
+_FAR = 2.0  # of the noise floor: no name closes a gap that leaves so much
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 
 
@@ -42,6 +44,8 @@ class Remainder:
         Whether something material is left.
     explained : bool
         Whether the accepted effects closed more than half of the base model's excess.
+    open_share : float
+        Share of the base model's gap beyond the noise floor that is left, in squares.
     fit_share, judged_share : float
         Drop of chi-square per sample that flexible rivals earn; excess over the noise floor.
     p_value : float
@@ -56,6 +60,7 @@ class Remainder:
 
     unexplained: bool
     explained: bool
+    open_share: float
     fit_share: float
     judged_share: float
     p_value: float
@@ -85,14 +90,15 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     open_um = max(_MODEL_um, _ONSETS * _onset_um(grown))
     noticeable = excess_um > max(0.3 * floor_um, open_um)
     by_rivals = fit_share > material and p_value < 0.01 and (noticeable or fit_share > 2 * material)
-    base_um = _rms_um(grown, grown.base.model)
-    worth = max(
-        _EXCESS * floor_um, open_um, 0.25 * float(np.sqrt(max(0.0, base_um**2 - floor_um**2)))
-    )
-    explained = excess_um**2 < 0.5 * (base_um**2 - floor_um**2)
+    base_um = float(np.sqrt(max(0.0, _rms_um(grown, grown.base.model) ** 2 - floor_um**2)))
+    worth = max(_EXCESS * floor_um, open_um, 0.25 * base_um)
+    explained = excess_um**2 < _HALF * base_um**2
+    far = excess_um > max(worth, _FAR * floor_um)
+    beyond = quiet_um > worth or far or (excess_um > worth and not explained)
     return Remainder(
-        explained=bool(explained),
-        unexplained=bool(by_rivals or quiet_um > worth or (excess_um > worth and not explained)),
+        explained=explained,
+        open_share=max(0.0, gap_um**2 - floor_um**2) / max(base_um**2, 1e-12),
+        unexplained=bool(by_rivals or beyond),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
