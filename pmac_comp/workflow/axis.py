@@ -5,6 +5,7 @@ may not: the registers themselves (``machine.controller``), the fit. Nothing her
 after a doubt: a run that did not come back whole is run again from its start.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -42,6 +43,7 @@ _TAIL_s = 0.15  # kept after the last
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _SETTLE_s = 0.3
+_RUN_UP_m = 1e-3  # far beyond the distance in which friction turns over
 _START_ATTEMPTS = 10
 _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
@@ -160,6 +162,8 @@ class Axis:
         self.prepare(whole)
         for attempt in range(_ATTEMPTS):
             with self._halted_if_cut_off():
+                if not relaxed:
+                    self._run_up(whole)
                 self._go_to_start(whole)
                 result = self._gather(whole, progress)
             if not result.gaps:
@@ -219,6 +223,19 @@ class Axis:
     def release_axis(self) -> None:
         """Bring axis definitions back that measurements put aside."""
         self.setup.take_off(self.link)
+
+    def _run_up(self, motion: Motion) -> None:
+        """Stand a little way inside the travel, so that every run meets its start the same way.
+
+        Friction remembers the approach, and a law that was switched on at standstill does not know
+        how the drive got there: where the axis stands on the start already, runs with and without
+        compensation would begin in states that no later run has.
+        """
+        start_m = float(motion.position_m[0])
+        inward_m = math.copysign(_RUN_UP_m, self.bench.mid_travel_m - start_m)
+        if motors.read_motor(self.link, self.motor).status.is_killed:
+            self.enable()
+        motors.move_to(self.link, self.motor, (start_m + inward_m) / self.scales.motor_m_per_ct)
 
     def _go_to_start(self, motion: Motion) -> None:
         start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct

@@ -74,6 +74,7 @@ def definitions(motor: int) -> dict[int, str]:
         7003: f"X:${base + 0x30:X},18",
         7004: f"X:${base + 0x30:X},19",
         7007: "D:$17",
+        7013: f"X:${base + 0x3F:X},8,16,S",
     }
 
 

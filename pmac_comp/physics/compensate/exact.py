@@ -25,6 +25,7 @@ MEASURED_CUTOFF_Hz = 40.0  # with velocity and acceleration feedforward the loop
 _GAIN = 0.8
 _MOST_PASSES = 12
 _LEAST_GAIN_FRAC = 0.03  # of the error: a pass that gains less ends the learning
+_LEAST_GAIN_OF_FIRST_FRAC = 0.01  # of the error before the first pass: neither is that worth a run
 _GROWTH_FRAC = 0.05  # an error that grows by more is taken back
 _RETREAT = 0.6  # cutoff after a pass that was taken back
 _MOST_RETREATS = 2
@@ -125,7 +126,8 @@ def learn(
         gained = best_um - left_um
         if gained > 0.0:
             best, best_error, best_um = offset.copy(), error, left_um
-        if number > 0 and abs(gained) < _LEAST_GAIN_FRAC * best_um:
+        least_um = max(_LEAST_GAIN_FRAC * best_um, _LEAST_GAIN_OF_FIRST_FRAC * history[0])
+        if number > 0 and abs(gained) < least_um:
             converged = True
             break
         if left_um > (1.0 + _GROWTH_FRAC) * best_um:

@@ -30,6 +30,13 @@ per cent over the first half second of a dwell. A torque that faded instead woul
 creep back by its presliding distance, and the integrator, which then holds the axis, would push the
 wrong way at the next reversal. A card starts ``t`` at zero when the law is armed.
 
+An axis that stops inside its friction is not at rest for the controller: its integrator winds
+until the motor creeps, and what it wound would act on top of ``t`` when the next motion begins (60
+um with 2 Tc wound). The card therefore looks at its own output while the command rests. What that
+changed by tells where friction stands; a motion begins with ``t`` there, no further than friction
+reaches, and the difference stays in the torque and fades over the motion, so that nothing jumps.
+Simulations here start relaxed and have no such rest.
+
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
 taken up as ``e`` passes zero, over a fifth of the friction's part.
