@@ -12,6 +12,7 @@ from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest 
     pytest_runtest_logreport,
     pytest_runtest_makereport,
     pytest_terminal_summary,
+    set_share,
 )
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,6 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if config.getoption("--exhaustive"):
         settings.load_profile("long")
+        set_share(config.getoption("--share"))
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -49,6 +51,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         default=False,
         help="run every byte, line and step of the finite fault lists, and the slow tests",
+    )
+    parser.addoption(
+        "--share",
+        type=float,
+        default=1.0,
+        help="with --exhaustive: a random share of the lists that run over bytes, seed fixed",
     )
 
 

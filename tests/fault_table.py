@@ -4,9 +4,10 @@ A test belongs to the id in its own name, else to the one its mark or its module
 is printed whenever a test of the list ran; ``pytest -m faults`` runs exactly those.
 """
 
+import random
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import pytest
@@ -26,6 +27,21 @@ class Row:
 
 
 _rows: dict[str, Row] = defaultdict(Row)
+_share = 1.0
+
+
+def set_share(share: float) -> None:
+    """How much of each exhaustive list runs; see ``pytest --share``."""
+    global _share  # noqa: PLW0603 - an option of the whole run
+    _share = share
+
+
+def all_of(points: Sequence[int]) -> Sequence[int]:
+    """An exhaustive list, or the random share of it that was asked for, seed fixed."""
+    if _share >= 1.0:
+        return points
+    n = min(len(points), max(2, round(_share * len(points))))
+    return sorted(random.Random(2026).sample(points, n))
 
 
 @pytest.fixture

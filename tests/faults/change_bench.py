@@ -15,6 +15,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.card import Card
+from tests.fault_table import all_of
 from tests.faults.upload_bench import restore, snapshot
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
@@ -149,7 +150,7 @@ class ChangeBench:
 def points(ends: list[int], *, exhaustive: bool) -> list[int]:
     """Every byte, or the edge of every packet and one byte inside the longest."""
     if exhaustive:
-        return list(range(ends[-1]))
+        return list(all_of(range(ends[-1])))
     begin, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
     return sorted({*ends[:-1], (begin + end) // 2})
 

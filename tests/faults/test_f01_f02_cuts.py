@@ -8,6 +8,7 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
+from tests.fault_table import all_of
 from tests.faults.upload_bench import UploadBench
 from tests.unit.machine_controller.card_bench import CardBench
 
@@ -39,7 +40,7 @@ def edges(rig: UploadBench) -> dict[Way, list[int]]:
 
 def points(ends: list[int], *, exhaustive: bool) -> Iterator[int]:
     if exhaustive:
-        yield from range(ends[-1] + 1)
+        yield from all_of(range(ends[-1] + 1))
         return
     for begin, end in pairwise(ends):
         yield from sorted({begin, (begin + end) // 2, max(begin, end - 1)})

@@ -13,6 +13,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
+from tests.fault_table import all_of
 from tests.faults.test_f15_f22_controller import LineFault
 from tests.faults.upload_bench import restore, snapshot
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
@@ -58,7 +59,7 @@ def test_f01_law_is_old_or_new_at_every_cut(
     assert attempt(bench, saved, NEW) is None
     total = bench.tap.sent
     assert in_use(bench) == NEW
-    points = range(0, total, 1 if exhaustive else 29)
+    points = all_of(range(total)) if exhaustive else range(0, total, 29)
     seen = set()
     for n in points:
         restore(bench.card, saved)

@@ -25,6 +25,7 @@ from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import Way
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
+from tests.fault_table import all_of
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.killed_child import serve_child
 from tests.faults.test_f15_f22_controller import LineFault
@@ -157,7 +158,7 @@ SCENARIOS = [
 def thinned(at: Sequence[int], n: int, *, exhaustive: bool) -> Sequence[int]:
     """All of them, or about n of them including the last."""
     if exhaustive or len(at) <= n:
-        return at
+        return all_of(at) if exhaustive else at
     return sorted({*at[:: 1 + len(at) // n], at[-1]})
 
 
@@ -232,7 +233,8 @@ def test_f29_sigkill_in_any_change(
     assert status == 0
     rig.fresh()
     rig.judge(ControllerState.NEW)
-    at = range(0, total - 200, 1 if exhaustive else max(1, total // 2))
+    every = range(total - 200)
+    at = all_of(every) if exhaustive else every[:: max(1, total // 2)]
     for n in at:
         rig.restart()
         status, _ = killed_change(rig, n)

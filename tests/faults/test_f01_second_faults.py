@@ -12,6 +12,7 @@ from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
+from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench, Scenario, cut
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
 from tests.faults.upload_bench import SPAN_CT, UploadBench
@@ -64,7 +65,7 @@ def test_f01_rollback_may_be_cut(*, tmp_path: Path, exhaustive: bool, count_runs
     recovery.rollback_last(bench.link, bench.context)
     total = bench.tap.sent
     seen = set()
-    for n in range(0, total, 1 if exhaustive else total // 24):
+    for n in all_of(range(total)) if exhaustive else range(0, total, total // 24):
         bench = uploaded(rig)
         bench.tap.sent = 0
         bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])

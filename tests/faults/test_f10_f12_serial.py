@@ -17,6 +17,7 @@ from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.contract.scripted_card import LinePort, ScriptedCard
+from tests.fault_table import all_of
 from tests.faults.link_bench import LinkBench
 
 pytestmark = pytest.mark.faults
@@ -87,8 +88,8 @@ def test_f11_every_flipped_bit_of_a_download_is_found(checksum, exhaustive):
     lines = [f"P{100 + k}={value}" for k, value in enumerate(table)]
     total = sum(len(line) + 1 for line in lines)
     flagged = found = harmless = 0
-    step = 1 if exhaustive else 17
-    for place in range(0, total * 8, step):
+    every = range(total * 8)
+    for place in all_of(every) if exhaustive else every[::17]:
         bench = LinkBench(Framing.LINES, checksum=checksum)
         bench.commander.timeout_s = 0.5
         at, bit = divmod(place, 8)

@@ -11,6 +11,7 @@ from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import upload
+from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench
 from tests.faults.killed_child import serve_child
 from tests.faults.test_f01_f29_every_kind import SCENARIOS
@@ -36,7 +37,7 @@ def test_f29_sigkill_at_any_byte(*, tmp_path: Path, exhaustive: bool, count_runs
     status, total = killed_upload(rig, 1 << 30)
     assert status == 0
     assert rig.state is ControllerState.NEW
-    points = range(0, total, 1 if exhaustive else total // 9)
+    points = all_of(range(total)) if exhaustive else range(0, total, total // 9)
     for n in points:
         rig.restart()
         status, _ = killed_upload(rig, n)
