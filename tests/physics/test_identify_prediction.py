@@ -75,6 +75,24 @@ def test_friction_of_guide_and_screw_is_found_from_the_captures_alone() -> None:
         assert row["left_um"] < 0.2, name
 
 
+def test_damping_of_bristles_does_not_bend_the_other_parameters() -> None:
+    # Dahl's form has none; a damping that the model took for given once went into the inertias.
+    friction = {"presliding": {"distance_um": 8.0, "place": "rotary", "damping_ratio": 0.0}}
+    plant = make_plant(BENCH, effects=friction, seed=7)
+    names = {"sine_low_end", "sine_small", "sine_long", "move_long"}
+    motions = [m for m in calibration_motions(BENCH) if m.name in names]
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
+    found = identify_with_friction(runs, BENCH)
+    assert found.model is not None
+    assert "presliding@rotary" in found.model.effects
+    assert found.parameters["presliding.damping_ratio"].value < 0.02
+    inertia = found.parameters["chain.motor_inertia_kgm2"]
+    assert inertia.value == pytest.approx(BENCH.nominal.motor_inertia_kgm2, rel=0.04)
+    for name, truth in truth_si(plant.truth).items():
+        estimate = found.parameters[name]
+        assert abs(estimate.value - truth) < 4.0 * estimate.std, name
+
+
 def test_plain_friction_keeps_the_base_model() -> None:
     plant = make_plant(BENCH, effects={}, seed=6)
     motions = [m for m in calibration_motions(BENCH) if m.name in {"sine_low_end", "sine_long",

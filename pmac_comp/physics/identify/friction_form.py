@@ -56,6 +56,8 @@ class _Form:
     stribeck_m_per_s: float
     memory: bool = False
     has_stribeck: bool = True
+    guide_damping: float = 0.05
+    rotary_damping: float = 0.05
 
     @property
     def is_coulomb(self) -> bool:
@@ -81,11 +83,17 @@ class _Form:
             guide = False
         if guide and rotary:
             both = {"distance_m": self.guide_m, "rotary_m": self.rotary_m}
-            found.append(("presliding@all", both))
+            damping = {
+                "damping_ratio": self.guide_damping,
+                "rotary_damping_ratio": self.rotary_damping,
+            }
+            found.append(("presliding@all", {**both, **damping}))
         elif guide:
-            found.append(("presliding", {"distance_m": self.guide_m}))
+            at_guide = {"distance_m": self.guide_m, "damping_ratio": self.guide_damping}
+            found.append(("presliding", at_guide))
         elif rotary:
-            found.append(("presliding@rotary", {"distance_m": self.rotary_m}))
+            turning = {"distance_m": self.rotary_m, "damping_ratio": self.rotary_damping}
+            found.append(("presliding@rotary", turning))
         if self.has_stribeck or least_m == _NO_ZONE_m:
             values = {"excess_N": self.excess_N, "speed_m_per_s": self.stribeck_m_per_s}
             found.append(("stribeck", values))
@@ -105,16 +113,37 @@ class _Trial:
     progress: Progress | None
     executor: Executor | None
 
-    def fitted(self, start: DriveModel, *, everything: bool = False) -> Identification | None:
-        """Identification from a start; None where the captures do not carry it."""
+    def fitted(self, start: DriveModel) -> Identification | None:
+        """Friction fitted to one half from a start; None where the captures do not carry it."""
+        return self._identified(start, _asked(start), self.held_out)
+
+    def shaped(self, start: DriveModel) -> DriveModel:
+        """The start with distances and Stribeck's curve fitted to one half, levels as they were.
+
+        All at once, levels can run into a corner while the distances are still far off.
+        """
+        shape = [n for n in _asked(start) if n.partition(".")[0] not in BASE_EFFECTS]
+        found = self._identified(start, shape, self.held_out)
+        return start if found is None or found.model is None else found.model
+
+    def settled(self, start: DriveModel) -> Identification | None:
+        """Everything fitted to all of the captures from a start."""
+        return self._identified(start, None, None)
+
+    def _identified(
+        self,
+        start: DriveModel,
+        names: list[str] | None,
+        held_out: Sequence[BoolArray] | None,
+    ) -> Identification | None:
         try:
             return identify(
                 self.captures,
                 self.bench,
                 model=start,
-                names=None if everything else _asked(start),
+                names=names,
                 warm=True,
-                held_out=None if everything else self.held_out,
+                held_out=held_out,
                 progress=self.progress,
                 executor=self.executor,
             )
@@ -186,7 +215,7 @@ def identify_with_friction(
     best = _chosen(trial, base.model, errors, figures)
     final = None
     if best is not None and best.model is not None:
-        final = trial.fitted(best.model, everything=True)
+        final = trial.settled(best.model)
     if final is None or best is None:
         return replace(base, figures={**base.figures, **figures})
     said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(trial.errors(best)))
@@ -199,7 +228,7 @@ def _chosen(
     trial: _Trial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
 ) -> Identification | None:
     """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
-    found = trial.fitted(_start(base, _FIRST_GUESS, _NO_ZONE_m))
+    found = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
     if found is None or not _better(trial.errors(found), plain, _CLEARLY):
         return None
     form = _form_of(found)
@@ -243,6 +272,8 @@ def _form_of(found: Identification) -> _Form:
     return _Form(
         guide_m=size["presliding.distance_m"],
         rotary_m=size["presliding.rotary_m"],
+        guide_damping=size["presliding.damping_ratio"],
+        rotary_damping=size["presliding.rotary_damping_ratio"],
         excess_N=excess.value,
         stribeck_m_per_s=size["stribeck.speed_m_per_s"],
         has_stribeck=excess.value > _SIGNIFICANT * excess.std,

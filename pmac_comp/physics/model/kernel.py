@@ -22,6 +22,7 @@ N_STATES = 8
 N_COLUMNS = 13
 _TAYLOR = 9
 _HISTORY = 256
+_MOST_RISE = 4.0  # of a level over its own part, as far as the bristle's distance follows
 _NEAR_LEVEL = 0.01  # share of the level that may be missing while a bristle slips on
 _SETTLED = 1e-4  # share of the level by which a sweep may still move a friction force
 _COMMAND_RESOLUTION_m = 1e-11  # a thirtieth of the finest unit of a Turbo PMAC register
@@ -1039,12 +1040,12 @@ def _bristle(
 ) -> tuple[float, float]:
     """Bristle element of one site over a substep; its damping fades with speed.
 
-    As in LuGre the stiffness stays where the level moves (Stribeck, warm-up): the distance follows.
+    As in LuGre the stiffness stays where the level moves (Stribeck, warm-up, load): the distance
+    follows, but where almost all of the level comes from elsewhere its own says nothing.
     """
     bristle = par[site + s.BRISTLE]
-    distance = par[site + s.BREAK]
-    if par[site + s.LEVEL] > 0.0:
-        distance *= level / par[site + s.LEVEL]
+    own = max(par[site + s.LEVEL], level / _MOST_RISE)
+    distance = par[site + s.BREAK] * level / own
     damping = 0.0
     if bristle > 0.0:
         ratio = speed * bristle / level
