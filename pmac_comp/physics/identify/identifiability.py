@@ -3,9 +3,10 @@
 Imports this package, ``physics.model`` (specs) and ``base``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
@@ -83,7 +84,7 @@ def informed_frac(fit: Fit) -> FloatArray:
 
 def statements(fit: Fit) -> tuple[str, ...]:
     """Identifiability in words."""
-    return (*_tied_pairs(fit), *_from_bench(fit), *_outside_tolerance(fit))
+    return (*_tied(fit), *_from_bench(fit), *_outside_tolerance(fit))
 
 
 def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
@@ -100,20 +101,26 @@ def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
     return std > _UNDETERMINED * size
 
 
-def _tied_pairs(fit: Fit) -> list[str]:
-    correlation = correlation_of(fit.covariance)
+def _tied(fit: Fit) -> list[str]:
+    """One sentence per group of parameters that these runs move together."""
+    tied = np.abs(correlation_of(fit.covariance)) > _TIED
+    _, group = connected_components(tied, directed=False)
     found = []
-    for i, first in enumerate(fit.names):
-        for j in range(i + 1, len(fit.names)):
-            if abs(correlation[i, j]) > _TIED:
-                pair = frozenset({first, fit.names[j]})
-                help_ = _SEPARATORS.get(pair, "runs that move them differently would")
-                one, other = _in_files(fit, first), _in_files(fit, fit.names[j])
-                found.append(
-                    f"{one} and {other} cannot be told apart on these runs (correlation "
-                    f"{correlation[i, j]:.2f}); {help_}."
-                )
+    for label in dict.fromkeys(group):
+        members = [fit.names[i] for i in np.flatnonzero(group == label)]
+        if len(members) > 1:
+            listed = ", ".join(_in_files(fit, name) for name in members[:-1])
+            found.append(
+                f"{listed} and {_in_files(fit, members[-1])} cannot be told apart on these runs; "
+                f"{_separator(members)}."
+            )
     return found
+
+
+def _separator(members: Sequence[str]) -> str:
+    """What would tell the members of a group apart."""
+    known = [text for pair, text in _SEPARATORS.items() if pair <= set(members)]
+    return "; ".join(known) or "runs that move them differently would"
 
 
 def _from_bench(fit: Fit) -> list[str]:

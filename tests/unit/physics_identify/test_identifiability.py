@@ -1,0 +1,48 @@
+"""What a fit says of parameters that the runs move together."""
+
+import numpy as np
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.identify.identifiability import statements
+from pmac_comp.physics.identify.output_error import Fit
+from pmac_comp.physics.model.drive import DriveModel
+
+MODEL = DriveModel.base(load_bench("paper"))
+NAMES = ("coulomb.nut_Nm", "coulomb.motor_Nm", "coulomb.guide_N", "viscous.guide_Ns_per_m")
+
+
+def fit_with(correlation: np.ndarray) -> Fit:
+    """Fit of four parameters with unit scales and a correlation matrix."""
+    one = np.ones(len(NAMES))
+    return Fit(
+        model=MODEL,
+        names=NAMES,
+        covariance=1e-6 * correlation,
+        information=np.eye(len(NAMES)),
+        prior=one,
+        scales=one,
+        nuisance=np.zeros(0),
+        freedom=50,
+        rounds=1,
+        step=0.0,
+    )
+
+
+def test_a_pair_is_named_with_the_run_that_separates_it() -> None:
+    correlation = np.eye(4)
+    correlation[0, 1] = correlation[1, 0] = -0.97
+    text = statements(fit_with(correlation))
+    assert len(text) == 1
+    assert "coulomb.nut_Nm and coulomb.motor_Nm cannot be told apart on these runs" in text[0]
+    assert "an added mass or a side load would" in text[0]
+
+
+def test_a_group_is_one_sentence() -> None:
+    # One direction that nothing determines ties all pairs of its parameters: six sentences of it.
+    text = statements(fit_with(np.full((4, 4), 0.99) + 0.01 * np.eye(4)))
+    assert len(text) == 1
+    assert "coulomb.guide_N and viscous.guide_Ns_per_m cannot be told apart" in text[0]
+
+
+def test_what_is_told_apart_is_not_mentioned() -> None:
+    assert statements(fit_with(np.eye(4))) == ()
