@@ -69,10 +69,16 @@ def capture_paths(paths: Sequence[Path], *, side: str = "") -> tuple[Path, ...]:
     Raises
     ------
     ConfigError
-        A folder without captures.
+        A folder without captures, or a name that is neither file nor folder.
     """
     found: list[Path] = []
     for path in paths:
+        if not path.exists():
+            raise ConfigError(
+                f"There is no file or folder {path}.",
+                code="PC-CMD-006",
+                hint="Check the path; `pmac-comp capture --out` and `verify --out` write folders.",
+            )
         if not path.is_dir():
             found.append(path)
             continue

@@ -88,3 +88,20 @@ def test_ripple_from_knot_to_knot_is_no_lead_and_a_wobble_is() -> None:
     ripple = 0.4e-6 * (-1.0) ** np.arange(200)
     assert np.max(np.abs(_smooth(wobble) - wobble)) < 0.01e-6
     assert np.max(np.abs(_smooth(wobble + ripple) - wobble)[2:-2]) < 0.01e-6
+
+
+def test_rounding_of_a_coarse_scale_is_no_backlash() -> None:
+    # 1 um of scale and 0.6 um of encoder: single knots differ by up to a um between directions.
+    position = np.concatenate([np.linspace(-0.15, 0.15, 10_000), np.linspace(0.15, -0.15, 10_000)])
+    speed = np.where(np.arange(position.size) < 10_000, 1.0, -1.0)
+    motor = np.round(position / 0.61e-6) * 0.61e-6
+    table = np.round((position + 0.4e-6 * np.sign(speed)) / 1e-6) * 1e-6
+    run = Capture(
+        time_s=5e-4 * np.arange(position.size),
+        commanded_position_m=position,
+        motor_position_m=motor,
+        table_position_m=table,
+    )
+    found = lead_map([run], None, spacing_m=0.25e-3)
+    inside = slice(20, -20)
+    assert np.max(np.abs(found.reversal_m[inside] - 0.8e-6)) < 0.3e-6
