@@ -20,6 +20,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import records as rec
+from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import identify, share_after_reversals
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
@@ -218,6 +219,7 @@ def identify_with_friction(
         final = trial.settled(best.model)
     if final is None or best is None:
         return replace(base, figures={**base.figures, **figures})
+    final = widened_where_apart(final, best)
     said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(trial.errors(best)))
     return replace(
         final, statements=(said, *final.statements), figures={**final.figures, **figures}

@@ -1,0 +1,99 @@
+"""Intervals of a fit, held against another fit that should agree with it.
+
+What lives here: the comparison of two fits and the widening that follows. What may not: fitting.
+Imports this package.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmac_comp.physics.identify.persistence import file_key
+from pmac_comp.physics.identify.result import (
+    Identification,
+    ParameterEstimate,
+    correlation_of,
+)
+
+_FAR = 3.0  # standard deviations; two fits of the same runs differ by about one
+
+
+def widened_where_apart(found: Identification, other: Identification) -> Identification:
+    """The fit with intervals that reach to a second fit of the same runs where that is far.
+
+    A small error of the model (what rounding does, a detail of friction) can move parameters that
+    the runs hardly determine from one end of what is possible to the other; all blocks of time then
+    pull alike and their scatter does not show it. A fit to a part of the runs goes elsewhere
+    (a specification test of Hausman's kind).
+
+    Parameters
+    ----------
+    found : Identification
+        The fit to give out.
+    other : Identification
+        A fit of the same model to part of its samples; its parameters may be fewer.
+
+    Returns
+    -------
+    Identification
+        ``found`` itself where the two agree; else with the difference of the two as one more
+        direction of uncertainty, and a statement that says so.
+    """
+    names, model = found.correlation_names, found.model
+    std = np.array([found.parameters[name].std for name in names])
+    values = np.array([found.parameters[name].value for name in names])
+    elsewhere = np.array(
+        [
+            other.parameters[name].value if name in other.parameters else value
+            for name, value in zip(names, values, strict=True)
+        ]
+    )
+    apart = elsewhere - values
+    far = np.abs(apart) > _FAR * std
+    if model is None or not far.any():
+        return found
+    covariance = found.correlation * np.outer(std, std) + np.outer(apart, apart)
+    wider = np.sqrt(np.diag(covariance))
+    parameters = dict(found.parameters)
+    half_width = _half_width_std(found)
+    for name, size in zip(names, wider, strict=True):
+        parameters[name] = _with_std(found, name, float(size), half_width)
+    listed = ", ".join(
+        file_key(model.spec(name), rigid=model.is_rigid)
+        for name, is_far in zip(names, far, strict=True)
+        if is_far
+    )
+    return replace(
+        found,
+        parameters=parameters,
+        correlation=correlation_of(covariance),
+        statements=(
+            *found.statements,
+            f"Half of the samples put these values elsewhere than all of them: {listed}. "
+            "Their intervals reach to both.",
+        ),
+    )
+
+
+def _half_width_std(found: Identification) -> float:
+    """Half width of the 95 % intervals in standard deviations."""
+    widths = [
+        max(entry.upper95 - entry.value, entry.value - entry.lower95) / entry.std
+        for entry in found.parameters.values()
+        if entry.std > 0.0
+    ]
+    return max(widths)
+
+
+def _with_std(found: Identification, name: str, std: float, half_width: float) -> ParameterEstimate:
+    entry = found.parameters[name]
+    low, high = -np.inf, np.inf
+    if found.model is not None:
+        spec = found.model.spec(name)
+        low, high = spec.lower, spec.upper
+    return replace(
+        entry,
+        std=std,
+        lower95=max(entry.value - half_width * std, low),
+        upper95=min(entry.value + half_width * std, high),
+    )
