@@ -17,6 +17,7 @@ from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 _INTERRUPTED = 130
+_CHANGING = frozenset({"upload", "recover", "rollback", "restore", "improve", "verify", "capture"})
 app = typer.Typer(
     name="pmac-comp",
     help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",
@@ -40,6 +41,17 @@ def _root(
         raise typer.Exit
 
 
+def _interrupted(words: Sequence[str]) -> str:
+    command = next(iter(words), "")
+    if command not in _CHANGING:
+        return "interrupted"
+    return (
+        "interrupted at once. If the change had begun, what the controller was left with is "
+        "unconfirmed: run `pmac-comp status`, then `pmac-comp recover`, with the same URL, bench "
+        "and journal."
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command and leave with its exit code (0 done, 2..9 and 70 by error class)."""
     words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
@@ -52,11 +64,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         output.show_error(error, wants_json)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
-        output.say("interrupted")
+        output.say(_interrupted(words))
         sys.exit(_INTERRUPTED)
     except SystemExit as left:
         if left.code == _INTERRUPTED:  # typer has taken the Ctrl-C and says nothing
-            output.say("interrupted")
+            output.say(_interrupted(words))
         raise
     except BrokenPipeError:
         sys.exit(1)

@@ -94,11 +94,18 @@ def info(url: UrlArgument, json_target: JsonOption = "") -> None:
     output.finish(result, json_target, lambda: output.table(url, ("item", "value"), result.items()))
 
 
-def status(url: UrlArgument, bench: BenchOption = "paper", json_target: JsonOption = "") -> None:
+def status(
+    url: UrlArgument,
+    bench: BenchOption = "paper",
+    journal: Annotated[
+        Path, typer.Option("--journal", help="Folder of uploads from this host")
+    ] = Path("pmac-comp-journal"),
+    json_target: JsonOption = "",
+) -> None:
     """Show motors, compensation tables, law bank and what the last upload left."""
     from pmac_comp.workflow.inspect import controller_status
 
-    result = controller_status(url, bench)
+    result = controller_status(url, bench, journal)
 
     def show() -> None:
         output.table(

@@ -2,12 +2,19 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller import law_state, motors, recovery
 from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.lease import read_clock, read_lease
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
@@ -37,25 +44,32 @@ def controller_info(url: str) -> dict[str, Any]:
     }
 
 
-def controller_status(url: str, bench: str) -> dict[str, Any]:
-    """Motors and compensation of a controller; nothing is changed."""
+def controller_status(url: str, bench: str, journal: Path | None = None) -> dict[str, Any]:
+    """Motors and compensation of a controller, and what ``journal`` knows; nothing is changed."""
     with open_axis(url, bench) as axis:
         numbers = [axis.motor]
         if axis.bench.scale is not None:
             numbers.append(axis.bench.scale.motor_number)
         readings = motors.read_motors(axis.link, numbers)
         context = context_of(axis)
+        if journal is not None:
+            context = replace(context, store=journal)
         state = table_status(axis.link, context)
         head = law_state.read_law_head(
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
+        form = _form(axis.link, head)
+        lease = _lease(read_lease(axis.link, context), read_clock(axis.link))
+    still_open = "; ".join(recovery.left_open(context))
+    verdict = state.decision.state.value
     compensation = {
         "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
                             state.tables) or "none",
         "tables act (I51)": state.i51,
-        "verdict": state.decision.state.value,
-        "why": f"tables: {state.decision.reason}",
-        "law": head.form.name.lower(),
+        "verdict": f"{verdict}, to be settled: run `pmac-comp recover`" if still_open else verdict,
+        "why": "; ".join(filter(None, (f"tables: {state.decision.reason}", still_open))),
+        "lease": lease,
+        "law": form.name.lower(),
         "law bank": head.bank,
         "law gain": head.gain,
         "law correction ct": head.correction_ct,
@@ -75,6 +89,22 @@ def controller_status(url: str, bench: str) -> dict[str, Any]:
         ],
         "compensation": compensation,
     }
+
+
+def _form(link: Link, head: law_state.LawHead) -> LawForm:
+    """The form that runs; a PLC 0 that was taken off leaves its signature behind."""
+    if head.form is LawForm.PLC and not plc_runs(link, 0):
+        return LawForm.NONE
+    return head.form
+
+
+def _lease(lease: Lease, now: int) -> str:
+    left_s = (lease.expires - now) / CLOCK_PER_s
+    if lease.is_free:
+        return "free"
+    if left_s < 0.0:
+        return f"left behind by owner {lease.owner}, expired"
+    return f"held by owner {lease.owner} for {left_s:.0f} s more"
 
 
 def _state(status: motors.MotorStatus) -> str:

@@ -122,7 +122,10 @@ class ChangeBench:
     def recover(self, *, resume: bool) -> UploadResult:
         """Reconnect, recover, and hold the verdict against what stands there."""
         bench = self.fresh()
+        if standing(bench) not in (self.before, self.after):
+            assert recovery.left_open(bench.context), "half changed, and `status` does not say so"
         result = recovery.recover(bench.link, bench.context, resume=resume)
+        assert recovery.left_open(bench.context) == ()
         self.judge(result.verdict)
         assert bench.p(LawBlock().p(Index.LEASE)) == 0
         return result

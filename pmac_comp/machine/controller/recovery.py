@@ -43,7 +43,7 @@ from pmac_comp.machine.controller.table_recovery import (
     rollback_tables,
     tables_state,
 )
-from pmac_comp.machine.controller.temporary import take_off
+from pmac_comp.machine.controller.temporary import standing, take_off
 from pmac_comp.machine.controller.transaction import (
     DONE,
     ROLLED_BACK,
@@ -224,6 +224,19 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
         raise
 
 
+def left_open(context: Context) -> tuple[str, ...]:
+    """Changes of this folder that began and did not end, in words; ``recover`` settles them."""
+    torn = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
+    if torn:
+        begin = torn[-1].first()
+        name = "" if begin is None else begin.data.get("name", "")
+        return (f"an upload ({name}) was interrupted",)
+    open_parts = [f"a change of {p.kind.value} was interrupted" for p in _unsettled(context)]
+    if standing(context):
+        open_parts.append("axis definitions of a measurement stand")
+    return tuple(open_parts)
+
+
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
     notes = take_off(link, context, whatever_stands=True)
@@ -393,7 +406,7 @@ def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[s
         notes.append(_take_part_back(link, alone, part))
         part.journal.write(ROLLED_BACK)
     group.write(ROLLED_BACK)
-    return notes
+    return tuple(dict.fromkeys(notes))  # several parts may be of one kind
 
 
 def _take_part_back(link: Link, context: Context, part: Part) -> str:

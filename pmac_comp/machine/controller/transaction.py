@@ -145,7 +145,8 @@ class Change:
         finally:
             self._stack.close()
         if failure[0] is None and self._interrupt.pending:
-            raise self._interrupted("when the change was complete")
+            part = "this part of the upload" if self.context.group else "the change"
+            raise self._interrupted(f"when {part} was complete")
 
     def _interrupted(self, when: str) -> ChangeInterrupted:
         return ChangeInterrupted(
@@ -159,7 +160,8 @@ class Change:
     def may_go_on(self) -> None:
         """Asked at every safe place; raises ChangeInterrupted if somebody asked for an end."""
         if self._interrupt.pending or self.context.stop_requested():
-            error = self._interrupted("before the change was complete")
+            part = "this part of the upload" if self.context.group else "the change"
+            error = self._interrupted(f"before {part} was complete")
             error.left = None  # looked at before it leaves
             raise error
 
@@ -327,4 +329,4 @@ def mark_left(error: PmacCompError, left: ControllerState, *, confirmed: bool) -
     if not confirmed:
         error.hint = (
             error.hint + " " if error.hint else ""
-        ) + "The state is unconfirmed: run `pmac-comp recover` when the link is back."
+        ) + "The state is unconfirmed: run `pmac-comp recover` as soon as the controller answers."
