@@ -27,7 +27,8 @@ from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
 
-_ELEMENTARY = frozenset({"coulomb", "viscous"})
+ELEMENTARY = frozenset({"coulomb", "viscous"})
+"""Friction that every drive has."""
 _CLOSE = 0.9
 # Share of the best gain from which on the second is worth a refit of everything.
 _OPEN = 0.25
@@ -252,5 +253,5 @@ def _best_of_each(contenders: Sequence[Contender]) -> list[Contender]:
     ranked = list(best.values())
     # Flexible forms can imitate elementary friction to a few per cent: the elementary one goes
     # first and the other may still earn its place beside it.
-    plain = [c for c in ranked if c.effect in _ELEMENTARY and c.gain > _CLOSE * ranked[0].gain]
+    plain = [c for c in ranked if c.effect in ELEMENTARY and c.gain > _CLOSE * ranked[0].gain]
     return [*plain, *(c for c in ranked if c not in plain)]

@@ -12,6 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.contenders import (
+    ELEMENTARY,
     Contender,
     Ground,
     Rules,
@@ -211,8 +212,11 @@ def _pruned(
 def _without(
     bench: Workbench, whole: Fitted, done: Round, library: Mapping[str, Effect], rules: Rules
 ) -> Fitted | None:
-    """The model refitted without a round's effect, or None where that earns its place."""
-    if done.accepted is None:
+    """The model refitted without a round's effect, or None where that earns its place.
+
+    Elementary friction stays: every drive has it, and a flexible form can always stand in for it.
+    """
+    if done.accepted is None or done.accepted.effect in ELEMENTARY:
         return None
     part = bench.fitting_bench()
     try:

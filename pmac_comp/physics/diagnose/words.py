@@ -124,6 +124,8 @@ def _cause(name: str, story: Story) -> str:
 def _size(estimate: Estimate) -> str:
     bare = estimate.name.partition(".")[2]
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    if Z95 * estimate.std > abs(estimate.value) and not bare.startswith("phase"):
+        return f"{bare} is not determined by these runs"
     return f"{bare} = {estimate.value:.4g} +/- {Z95 * estimate.std:.2g}{unit}"
 
 
