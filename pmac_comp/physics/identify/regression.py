@@ -117,6 +117,16 @@ def block_sums(rows: FloatArray, block: int) -> FloatArray:
     return np.add.reduceat(rows, np.arange(0, rows.shape[0], max(block, 1)), axis=0)
 
 
+# Regressors that are no parameter of a drive, as a reader knows them.
+_WORDS = {
+    "acceleration": "the moving inertia",
+    "speed": "viscous friction",
+    "direction": "Coulomb friction",
+    "bias": "a constant force",
+    "static": "the static error of scale and screw",
+}
+
+
 def _small_sample(n_blocks: int, p: int) -> float:
     return n_blocks / max(n_blocks - p, 1)
 
@@ -125,8 +135,9 @@ def _not_identifiable(
     tied: Sequence[str], advice: Mapping[str, str], reason: str
 ) -> NotIdentifiable:
     runs = list(dict.fromkeys(advice[name] for name in tied if name in advice))
+    said = list(dict.fromkeys(_WORDS.get(name.rstrip("0123456789"), name) for name in tied))
     return NotIdentifiable(
-        f"Not identifiable: {reason} {', '.join(tied)}.",
+        f"Not identifiable: {reason} {' and '.join(said)}.",
         code="PC-IDN-002",
         hint="Capture " + "; and ".join(runs) + "." if runs else "Capture richer motion.",
         context={"parameters": list(tied)},

@@ -1,10 +1,13 @@
 """What a fit says of parameters that the runs move together."""
 
 import numpy as np
+import pytest
 
+from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.identify.identifiability import statements
 from pmac_comp.physics.identify.output_error import Fit
+from pmac_comp.physics.identify.regression import regress
 from pmac_comp.physics.model.drive import DriveModel
 
 MODEL = DriveModel.base(load_bench("paper"))
@@ -46,3 +49,19 @@ def test_a_group_is_one_sentence() -> None:
 
 def test_what_is_told_apart_is_not_mentioned() -> None:
     assert statements(fit_with(np.eye(4))) == ()
+
+
+def test_a_refusal_speaks_of_friction_and_not_of_regressors() -> None:
+    rng = np.random.default_rng(1)
+    one = np.ones(200)
+    columns = np.column_stack([rng.normal(size=200), -one, one])
+    with pytest.raises(NotIdentifiable, match="Coulomb friction and the static error") as caught:
+        regress(
+            ("speed", "direction", "static0"),
+            columns,
+            one,
+            block=10,
+            advice={"direction": "slow runs in both directions"},
+        )
+    assert "static0" not in str(caught.value)
+    assert "slow runs in both directions" in str(caught.value.hint)

@@ -57,7 +57,7 @@ def test_sandwich_intervals_hold_for_coloured_noise() -> None:
 def test_columns_that_say_the_same_are_named() -> None:
     x = np.random.default_rng(0).normal(size=300)
     columns = np.column_stack([x, np.ones(300), 2.0 * x + 1e-6])
-    with pytest.raises(NotIdentifiable, match=r"speed, direction") as caught:
+    with pytest.raises(NotIdentifiable, match=r"viscous friction and Coulomb friction") as caught:
         regress(
             ("speed", "bias", "direction"),
             columns,
