@@ -59,15 +59,15 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
         form = _form(axis.link, head)
-        lease = _lease(read_lease(axis.link, context), read_clock(axis.link))
+        lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
     still_open = "; ".join(recovery.left_open(context))
-    verdict = state.decision.state.value
     compensation = {
         "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
                             state.tables) or "none",
         "tables act (I51)": state.i51,
-        "verdict": f"{verdict}, to be settled: run `pmac-comp recover`" if still_open else verdict,
-        "why": "; ".join(filter(None, (f"tables: {state.decision.reason}", still_open))),
+        "verdict": state.decision.state.value,
+        "why": f"tables: {state.decision.reason}",
+        "left open": f"{still_open}: run `pmac-comp recover`" if still_open else "nothing",
         "lease": lease,
         "law": form.name.lower(),
         "law bank": head.bank,
@@ -98,7 +98,8 @@ def _form(link: Link, head: law_state.LawHead) -> LawForm:
     return head.form
 
 
-def _lease(lease: Lease, now: int) -> str:
+def lease_text(lease: Lease, now: int) -> str:
+    """Who may write, and for how long, at a time on the controller's clock."""
     left_s = (lease.expires - now) / CLOCK_PER_s
     if lease.is_free:
         return "free"
