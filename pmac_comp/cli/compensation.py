@@ -210,6 +210,9 @@ def rollback(
     journal: Annotated[
         Path, typer.Option("--journal", help="Folder for backup and journal")
     ] = Path("pmac-comp-journal"),
+    persist: Annotated[
+        bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
+    ] = False,
     yes: YesOption = False,
     json_target: JsonOption = "",
 ) -> None:
@@ -218,7 +221,7 @@ def rollback(
 
     confirmed(f"Roll back the last upload on {url}?", yes=yes)
     progress = ProgressLines()
-    result = rollback_upload(url, bench, journal, progress=progress)
+    result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
     progress.close()
     output.finish(
         result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")

@@ -70,16 +70,21 @@ def upload_file(
     }
 
 
-def _save(axis: Axis, context: Context, route: str) -> None:
-    """SAVE what was uploaded, with the axis and a cam's time motor killed, and see it again."""
+def _save(
+    axis: Axis, context: Context, route: str, left: ControllerState = ControllerState.NEW
+) -> None:
+    """SAVE what stands, with the axis and a cam's time motor killed, and see it again."""
     axis.kill()
     if route == "cam":
         motors.kill(axis.link, axis.bench.controller.cam_motor_number)
     try:
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
     except PmacCompError as error:
-        error.left = error.left or ControllerState.NEW
-        error.add_note("The upload itself stands until the next reset; only SAVE did not end well.")
+        error.left = error.left or left
+        what = "upload" if left is ControllerState.NEW else "rollback"
+        error.add_note(
+            f"The {what} itself stands until the next reset; only SAVE did not end well."
+        )
         raise
 
 
@@ -102,8 +107,19 @@ def recover_upload(
     return {**result.as_dict(), "summary": "; ".join(result.notes) or "nothing was left open"}
 
 
+_FLASH = (
+    "the flash was not touched: if the upload was saved there, a reset brings it back "
+    "(--persist saves the old over it, motors killed)"
+)
+
+
 def rollback_upload(
-    url: str, bench: str, journal: Path, *, progress: Progress | None = None
+    url: str,
+    bench: str,
+    journal: Path,
+    *,
+    persist: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Bring back what the last upload replaced, all parts of it, the last one first."""
     with _ready(url, bench, journal, progress) as (axis, context):
@@ -111,4 +127,10 @@ def rollback_upload(
         rest_time_motor(axis)
         stand_at_zero(axis)
         result = recovery.rollback_last(axis.link, context)
-    return {**result.as_dict(), "summary": "; ".join(result.notes)}
+        said = _FLASH
+        if persist:
+            # The time motor of a cam went with the upload; what is left of it is not enabled.
+            _save(axis, context, result.route, ControllerState.OLD)
+            said = f"motor #{axis.motor} was killed, all of it saved to flash and read again"
+    summary = "; ".join((*result.notes, said))
+    return {**result.as_dict(), "saved": persist, "summary": summary}
