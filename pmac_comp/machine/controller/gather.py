@@ -37,6 +37,7 @@ COUNTER_MODULUS: Final = 1 << 24
 SOURCES_MAX: Final = 48
 PACKET_BYTES: Final = 1400
 LIST_LONG_WORDS: Final = 1600  # per question: 100 lines, some 21 kB
+_STALLED_s: Final = 0.5  # without a sample the card does not gather any more
 POLL_FRACTION: Final = 0.25  # of the time in which the ring fills
 POLL_LONGEST_s: Final = 0.02  # whoever watches the blocks stops the axis within this
 HEADER_LONG_WORDS: Final = 47  # allowed for in RAM, as the maker's client does
@@ -485,7 +486,7 @@ def gather_ring(
     keep_going: Callable[[], bool] | None = None,
     on_block: Callable[[dict[str, IntArray]], None] | None = None,
 ) -> GatherResult:
-    """Samples of a duration through the DPRAM ring, as long as wanted.
+    """Samples of a duration of the card's time through the DPRAM ring.
 
     Parameters
     ----------
@@ -519,9 +520,14 @@ def gather_ring(
         if during is not None:
             during()
         deadline = Deadline.after(link.clock, duration_s)
-        while not deadline.expired():
-            link.clock.sleep_s(min(wait_s, deadline.remaining_s()))
-            reader.poll()
+        # The card's own time counts: a simulated one on a busy machine falls behind ours.
+        wanted = int(duration_s / (plan.period_cycles * servo_period_s))
+        stalled = Deadline.after(link.clock, duration_s + _STALLED_s)
+        while not deadline.expired() or (reader.n < wanted and not stalled.expired()):
+            late = deadline.expired()
+            link.clock.sleep_s(wait_s if late else min(wait_s, deadline.remaining_s()))
+            if reader.poll() and late:
+                stalled = Deadline.after(link.clock, _STALLED_s)
             if keep_going is not None and not keep_going():
                 complete, reason = False, "stopped"
                 break

@@ -24,7 +24,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, TorqueTable
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
+from tests.unit.machine_controller.card_bench import CardBench, CycleClock, make_plc_bench
 
 
 def test_status_words_by_name() -> None:
@@ -91,6 +91,25 @@ def test_decimated_gather(tmp_path: Path) -> None:
     plan = gather.GatherPlan(gather.bench_sources(1, None), period_cycles=5)
     result = gather.gather_ring(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
     assert np.all(np.diff(result.servo_cycle) == 5)
+
+
+class SlowCardClock(CycleClock):
+    """Time of a host whose simulated card runs at half its speed."""
+
+    def now_s(self) -> float:
+        return 2.0 * super().now_s()
+
+    def sleep_s(self, duration_s: float) -> None:
+        super().sleep_s(0.5 * duration_s)
+
+
+def test_a_card_slower_than_the_host_is_gathered_for_its_own_time(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    bench.clock = SlowCardClock(bench.card)
+    bench.connect()
+    plan = gather.GatherPlan(gather.bench_sources(1, 2))
+    result = gather.gather_ring(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
+    assert len(result.servo_cycle) >= int(0.5 / bench.bench.servo_period_s)
 
 
 @pytest.mark.parametrize("door", ["register", "master"])
