@@ -69,7 +69,10 @@ def verification_sections(verification: Verification) -> list[Section]:
                 "position. Total: table minus command. The mean of each run is taken out. "
                 f"The sensors' own quantisation is {verification.floor_um:.2f} um rms. Intervals "
                 "are 95 % by drawing blocks of the runs anew.",
-                *(f"{line[0].upper()}{line[1:]}." for line in verification.reached()),
+                *(
+                    f"{line[0].upper()}{line[1:]}."
+                    for line in (*verification.reached(), *verification.judged())
+                ),
                 *verification.remarks,
             ],
             tables=[*_main_tables(verification.motions), *_promise_tables(verification.motions)],

@@ -185,6 +185,10 @@ class MotionOutcome:
             if f"{name}_upper_um" in self.promise
         )
 
+    def e_r_beyond_um(self, floor_um: float) -> float:
+        """Rms of e_r in um beyond ``floor_um``, the noise of table minus motor."""
+        return math.sqrt(max(self.e_r_after.value**2 - floor_um**2, 0.0))
+
     def as_result(self) -> dict[str, Any]:
         """Mapping of the contract for ``--json``."""
         return {

@@ -89,6 +89,23 @@ class Verification:
             f"{self.mechanical}, total error {self.total}"
         ]
 
+    def judged(self) -> list[str]:
+        """What of the figures is the sensors' own, and whether the promise was kept, for people."""
+        out: list[str] = []
+        if self.motions and self.floor_um > 0.0:
+            beyond = [m.e_r_beyond_um(self.floor_um) for m in self.motions]
+            out.append(
+                f"the steps of encoder and scale alone make {self.floor_um:.3f} um rms of every e "
+                f"and e_r; beyond them e_r is {min(beyond):.2f} to {max(beyond):.2f} um"
+            )
+        kept = [m.promise_kept(self.floor_um) for m in self.motions if m.promise is not None]
+        if kept:
+            out.append(
+                f"the model's promise (with its interval and these steps) was kept on "
+                f"{kept.count(True)} of {len(kept)} motions"
+            )
+        return out
+
     def lines(self) -> list[str]:
         """Table and remarks for people."""
         head = f"  {'motion':44s} {'e -> e_r um':>17s} {'e_c um':>17s} {'total um':>17s}  ratio"
@@ -113,7 +130,7 @@ class Verification:
                     f"{m.truth['e_c_before_um']:8.2f}>{m.truth['e_c_after_um']:8.2f} "
                     f"{m.truth['total_before_um']:8.2f}>{m.truth['total_after_um']:8.2f}"
                 )
-        out += self.reached()
+        out += self.reached() + self.judged()
         out += [] if self.static is None else self.static.lines()
         out += [] if self.ringing is None else self.ringing.lines()
         return [*out, *(f"  note: {line}" for line in self.remarks)]

@@ -7,6 +7,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
+from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import verify_files
 
 BENCH = load_bench("paper")
@@ -60,6 +61,27 @@ def test_promise_is_kept_or_missed() -> None:
         missed = outcome_of("a", before, after, promise={**promised, name: most})
         assert missed.promise_kept(0.02) is False
     assert outcome_of("a", before, after).promise_kept(0.05) is None
+
+
+def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-3.0, e_um=3.5, control_um=1.0)]
+    bounds = [
+        {"e_before_um": 3.0, "e_r_after_um": 0.4, "e_c_before_um": 10.0, "e_c_after_um": 1.0,
+         "total_before_um": 10.4, "total_after_um": 1.1,
+         "e_r_after_upper_um": upper, "total_after_upper_um": 1.4}
+        for upper in (0.5, 0.1)
+    ]  # fmt: skip
+    motions = tuple(outcome_of("a", before, after, promise=promise) for promise in bounds)
+    judged = Verification(motions, floor_um=0.3, simulated=True).judged()
+    # e_r is 0.5 um and the steps make 0.3 of it: 0.4 is left.
+    assert "0.300 um" in judged[0]
+    assert "0.40 to 0.40 um" in judged[0]
+    assert "1 of 2 motions" in judged[1]
+    alone = Verification((outcome_of("a", before, after),), floor_um=0.9, simulated=True)
+    assert "0.00 to 0.00 um" in alone.judged()[0]
+    assert len(alone.judged()) == 1
+    assert Verification((), floor_um=0.3, simulated=True).judged() == []
 
 
 def test_floor_is_the_quantisation_of_both_sensors() -> None:
