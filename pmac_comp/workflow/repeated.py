@@ -55,7 +55,6 @@ class Refinement:
         learning = self.learning
         steps = " -> ".join(f"{value:.2f}" for value in learning.history_um)
         part = " -> ".join(f"{value:.2f}" for value in learning.learnable_um)
-        end = "by its stop rule" if learning.converged else "after the passes allowed"
         proof = (
             f"it converges: by {learning.contraction:.2f} per pass"
             if learning.contraction < 1.0
@@ -68,8 +67,8 @@ class Refinement:
             f"themselves by {learning.scatter_um:.2f} um)",
             f"the model takes {100 * self.model_share:.0f} % of it away, learning "
             f"{100 * self.learning_share:.0f} % more",
-            f"learning: {steps} um, below {learning.cutoff_Hz:.0f} Hz {part} um; {proof}; ended "
-            f"{end}",
+            f"learning: {steps} um, below {learning.cutoff_Hz:.0f} Hz {part} um; {proof}; it "
+            f"ended because {learning.ended}",
         )
 
     def as_result(self) -> dict[str, Any]:
@@ -86,6 +85,7 @@ class Refinement:
             "contraction": self.learning.contraction,
             "converged": self.learning.converged,
             "scatter_um": self.learning.scatter_um,
+            "ended": self.learning.ended,
         }
 
 

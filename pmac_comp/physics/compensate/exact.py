@@ -53,6 +53,8 @@ class Learning:
         Rms of the total error of fresh runs with the best offset.
     scatter_um : float
         Rms by which such runs differ from their mean: what no repetition can learn.
+    ended : str
+        Why learning ended, for people.
     """
 
     correction_m: FloatArray
@@ -62,6 +64,7 @@ class Learning:
     learnable_um: tuple[float, ...] = ()
     confirmed_um: tuple[float, ...] = ()
     scatter_um: float = 0.0
+    ended: str = ""
 
     @property
     def contraction(self) -> float:
@@ -116,7 +119,7 @@ def learn(
     history: list[float] = []
     learnable: list[float] = []
     retreats = 0
-    converged = False
+    converged, ended = False, f"the {passes} passes allowed were made"
     for number in range(passes + 1):
         error = total_error_of(offset)
         error = error - np.mean(error)
@@ -128,13 +131,16 @@ def learn(
             best, best_error, best_um = offset.copy(), error, left_um
         least_um = max(_LEAST_GAIN_FRAC * best_um, _LEAST_GAIN_OF_FIRST_FRAC * history[0])
         if number > 0 and abs(gained) < least_um:
-            converged = True
+            converged, ended = (
+                True,
+                f"the last pass changed the error by less than {least_um:.2f} um",
+            )
             break
         if left_um > (1.0 + _GROWTH_FRAC) * best_um:
             retreats += 1
             cutoff_Hz *= _RETREAT
             if retreats > _MOST_RETREATS:
-                converged = True
+                converged, ended = True, f"the error grew {retreats} times and was taken back"
                 break
         step = zero_phase(best_error, period_s, cutoff_Hz)
         offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
@@ -151,6 +157,7 @@ def learn(
         float(np.sqrt(np.mean([np.mean((run - mean) ** 2) for run in fresh])) * UM_PER_M)
         if len(fresh) > 1
         else 0.0,
+        ended,
     )
 
 

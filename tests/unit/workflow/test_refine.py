@@ -76,3 +76,4 @@ def test_a_person_reads_both_shares(refined: Refinement) -> None:
     text = " ".join(refined.lines())
     assert f"the model takes {100 * refined.model_share:.0f} %" in text
     assert "it converges" in text
+    assert "ended because the last pass changed the error by less than" in text
