@@ -28,6 +28,10 @@ _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
 _TAKE_UP_m = 50e-6
 _FORGETTING = 6.0
+# A command rests within this (its sum of fractions of a count is not exact), and so long tells
+# what an integrator holds.
+_REST_m = 1e-9
+_REST_s = 0.02
 _FORCE_COLUMN = "external_force_N"
 
 
@@ -208,7 +212,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
-        rest_torque_Nm=_rest_torque_Nm(bench, desired, measured[:, 0], given),
+        rest_torque_Nm=_rest_torque_Nm(bench, desired, measured[:, 0], given, period_s),
     )
 
 
@@ -234,13 +238,24 @@ def _forgetting_s(bench: Bench) -> float:
 
 
 def _rest_torque_Nm(
-    bench: Bench, desired_m: FloatArray, motor_m: FloatArray, torque_Nm: FloatArray | None
+    bench: Bench,
+    desired_m: FloatArray,
+    motor_m: FloatArray,
+    torque_Nm: FloatArray | None,
+    period_s: float,
 ) -> float:
-    """Torque of the integrator at the first sample; 0 where it cannot be known."""
+    """Torque that the integrator holds when the run begins; 0 where it cannot be known.
+
+    The median while the command rests: an encoder that flickers by one count at rest makes the
+    derivative term jump by far more than the integrator moves meanwhile.
+    """
     vector = DriveModel.base(bench).kernel_vector()
-    if torque_Nm is None or vector[slots.KI] <= 0.0 or desired_m[1] != desired_m[0]:
+    left = np.flatnonzero(np.abs(desired_m - desired_m[0]) > _REST_m)
+    resting = min(int(left[0]) if left.size else desired_m.size, round(_REST_s / period_s))
+    if torque_Nm is None or vector[slots.KI] <= 0.0 or resting < 2:
         return 0.0
-    held = torque_Nm[0] - vector[slots.KP] * (desired_m[0] - motor_m[0]) - vector[slots.OFFSET]
+    error_m = desired_m[:resting] - motor_m[:resting]
+    held = np.median(torque_Nm[:resting] - vector[slots.KP] * error_m) - vector[slots.OFFSET]
     return float(np.clip(held, -vector[slots.LIMIT], vector[slots.LIMIT]))
 
 
