@@ -64,6 +64,9 @@ class Region:
         That such bin means come from correlated noise alone, corrected for the coordinates tried.
     centres, means_um : tuple of float
         The residual's shape along the coordinate.
+    repeats : bool
+        Whether ``low`` and ``high`` are the period of a pattern of position in um, or its
+        frequency, and the shape is that over one period.
     """
 
     channel: str
@@ -76,10 +79,19 @@ class Region:
     p_value: float
     centres: tuple[float, ...] = ()
     means_um: tuple[float, ...] = ()
+    repeats: bool = False
 
     def describe(self) -> str:
         """One phrase for a person."""
         unit = f" {self.unit}" if self.unit else ""
+        if self.repeats:
+            where = "every" if self.coordinate == "position" else "at"
+            what = " of position" if self.coordinate == "position" else ""
+            return (
+                f"{self.channel} residual repeats {where} {self.low:.4g}{unit}{what} "
+                f"with an amplitude of {self.size_um:.2f} um ({100 * self.share:.0f} % of the "
+                "variance that is faster than 2 ms)"
+            )
         return (
             f"{self.channel} residual follows {self.coordinate.replace('_', ' ')} "
             f"({100 * self.share:.0f} % of its variance), largest {self.size_um:.2f} um "

@@ -11,6 +11,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.fine import FinePattern, fine_pattern
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.noise import noise_floor_um
@@ -32,6 +33,7 @@ _TRIM_BLOCK = 50  # coarse samples, a ninth of a second
 _HALF = 0.5  # of the base model's excess, in squares
 _FAR = 2.0  # of the noise floor: no name closes a gap that leaves so much
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
+_CHANCE = 1e-4  # that white noise shows the wave that is told
 
 
 @dataclass(frozen=True)
@@ -95,17 +97,33 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     explained = excess_um**2 < _HALF * base_um**2
     far = excess_um > max(worth, _FAR * floor_um)
     beyond = quiet_um > worth or far or (excess_um > worth and not explained)
+    fine = _material_wave(grown, max(floor_um, _MODEL_um, 0.25 * base_um))
+    regions = _regions(grown, bench)
+    if fine is not None:
+        excess_um = float(np.sqrt(max(excess_um**2, gap_um**2 - floor_um**2)))
+        regions = (fine.region, *regions)
     return Remainder(
         explained=explained,
         open_share=max(0.0, gap_um**2 - floor_um**2) / max(base_um**2, 1e-12),
-        unexplained=bool(by_rivals or beyond),
+        unexplained=bool(by_rivals or beyond or fine is not None),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
         noise_floor_um=floor_um,
         excess_um=excess_um,
-        regions=_regions(grown, bench),
+        regions=regions,
     )
+
+
+def _material_wave(grown: Grown, worth_um: float) -> FinePattern | None:
+    """A wave within coarse samples that is neither chance nor small.
+
+    The gap beyond the floor is looked for on the coarse grid, which averages such a wave away.
+    """
+    fine = fine_pattern(grown.bench, grown.final.model)
+    if fine is None or fine.p_value > _CHANCE or fine.rms_um < worth_um:
+        return None
+    return fine
 
 
 def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float]:
