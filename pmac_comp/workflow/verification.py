@@ -93,10 +93,13 @@ class Verification:
         """What of the figures is the sensors' own, and whether the promise was kept, for people."""
         out: list[str] = []
         if self.motions and self.floor_um > 0.0:
-            beyond = [m.e_r_beyond_um(self.floor_um) for m in self.motions]
+            beyond = sorted(
+                {f"{m.e_r_beyond_um(self.floor_um):.2f}" for m in self.motions}, key=float
+            )
+            span = beyond[0] if len(beyond) == 1 else f"{beyond[0]} to {beyond[-1]}"
             out.append(
                 f"the steps of encoder and scale alone make {self.floor_um:.3f} um rms of every e "
-                f"and e_r; beyond them e_r is {min(beyond):.2f} to {max(beyond):.2f} um"
+                f"and e_r; beyond them e_r is {span} um"
             )
         kept = [m.promise_kept(self.floor_um) for m in self.motions if m.promise is not None]
         if kept:

@@ -76,11 +76,16 @@ def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept()
     judged = Verification(motions, floor_um=0.3, simulated=True).judged()
     # e_r is 0.5 um and the steps make 0.3 of it: 0.4 is left.
     assert "0.300 um" in judged[0]
-    assert "0.40 to 0.40 um" in judged[0]
+    assert "e_r is 0.40 um" in judged[0]
     assert "1 of 2 motions" in judged[1]
     alone = Verification((outcome_of("a", before, after),), floor_um=0.9, simulated=True)
-    assert "0.00 to 0.00 um" in alone.judged()[0]
+    assert "e_r is 0.00 um" in alone.judged()[0]
     assert len(alone.judged()) == 1
+    both = (
+        motions[0],
+        outcome_of("b", before, [run(correction_um=-3.0, e_um=4.0, control_um=1.0)]),
+    )
+    assert "0.40 to 0.9" in Verification(both, floor_um=0.3, simulated=True).judged()[0]
     assert Verification((), floor_um=0.3, simulated=True).judged() == []
 
 
