@@ -315,7 +315,7 @@ def improve(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for everything")] = Path(
         "pmac-comp-improve"
     ),
-    route: RouteOption = "law",
+    route: Annotated[str, typer.Option("--route", help="table, law or servo")] = "law",
     seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
     effects: Annotated[
         Path | None, typer.Option("--effects", help="Python file with effects of your own")
