@@ -22,6 +22,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import identify, share_after_reversals
+from pmac_comp.physics.identify.output_error import Stages
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 
@@ -116,7 +117,7 @@ class _Trial:
 
     def fitted(self, start: DriveModel) -> Identification | None:
         """Friction fitted to one half from a start; None where the captures do not carry it."""
-        return self._identified(start, _asked(start), self.held_out)
+        return self._identified(start, _asked(start), self.held_out, "fine")
 
     def shaped(self, start: DriveModel) -> DriveModel:
         """The start with distances and Stribeck's curve fitted to one half, levels as they were.
@@ -124,18 +125,19 @@ class _Trial:
         All at once, levels can run into a corner while the distances are still far off.
         """
         shape = [n for n in _asked(start) if n.partition(".")[0] not in BASE_EFFECTS]
-        found = self._identified(start, shape, self.held_out)
+        found = self._identified(start, shape, self.held_out, "rough")
         return start if found is None or found.model is None else found.model
 
     def settled(self, start: DriveModel) -> Identification | None:
         """Everything fitted to all of the captures from a start."""
-        return self._identified(start, None, None)
+        return self._identified(start, None, None, "fine")
 
     def _identified(
         self,
         start: DriveModel,
         names: list[str] | None,
         held_out: Sequence[BoolArray] | None,
+        stages: Stages,
     ) -> Identification | None:
         try:
             return identify(
@@ -145,6 +147,7 @@ class _Trial:
                 names=names,
                 warm=True,
                 held_out=held_out,
+                stages=stages,
                 progress=self.progress,
                 executor=self.executor,
             )
@@ -238,13 +241,13 @@ def _chosen(
         return None
     if not form.is_whole:
         # What came out as nothing is left out, from the start: it can hold the rest in a corner.
-        found = trial.fitted(_start(base, form, _STICK_ZONE_m)) or found
+        found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
     errors = trial.errors(found)
     figures["held_out_lugre_um"] = _rms_um(errors)
     if form.guide_m <= _STICK_ZONE_m:
         return found
     # Memory of the guide's friction can only show where there is presliding at the guide.
-    other = trial.fitted(_start(base, form.with_memory, _STICK_ZONE_m))
+    other = trial.fitted(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
     if other is None:
         return found
     left = trial.errors(other)
@@ -299,14 +302,24 @@ def _in_words(found: Identification, before_um: float, after_um: float) -> str:
 
 
 def _better(new: FloatArray, old: FloatArray, errors: float) -> bool:
-    """Whether blocks are better by so many standard errors of the mean, and by a useful amount."""
+    """Whether blocks are better by so many standard errors of the mean, and by a useful amount.
+
+    Either in what they gain, or in the share of its own that each block gains: where a few blocks
+    hold most of the misfit, as those with a reversal do, they also make most of the scatter, and
+    the first alone would call a misfit that falls to a fifth in nearly every block unclear.
+    """
     if new.shape[0] < _FEW_BLOCKS:
         return False
     size = np.mean(old, axis=0)
     size[size == 0.0] = 1.0
     gain = ((old - new) / size).sum(axis=1)
-    error = float(np.std(gain)) / np.sqrt(gain.size)
-    return bool(np.mean(gain) > errors * error and np.mean(gain) > _GAIN)
+    both = old + new
+    both[both == 0.0] = 1.0
+    share = ((old - new) / both).sum(axis=1)
+    clear = any(
+        np.mean(found) > errors * np.std(found) / np.sqrt(found.size) for found in (gain, share)
+    )
+    return bool(clear and np.mean(gain) > _GAIN)
 
 
 def _rms_um(mean_squares: FloatArray) -> float:
