@@ -26,7 +26,7 @@ from pmac_comp.physics.identify.identifiability import (
     statements,
 )
 from pmac_comp.physics.identify.linear_start import starting_model
-from pmac_comp.physics.identify.output_error import Fit, refine, require_converged
+from pmac_comp.physics.identify.output_error import Fit, Stages, refine, require_converged
 from pmac_comp.physics.identify.plausibility import require_plausible
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
@@ -73,6 +73,7 @@ def identify(
     static_map: Literal["auto", "free", "none"] = "auto",
     warm: bool = False,
     held_out: Sequence[BoolArray] | None = None,
+    stages: Stages = "all",
     executor: Executor | None = None,
 ) -> Identification:
     """Friction and stiffness of a drive, identified together, with intervals.
@@ -97,6 +98,8 @@ def identify(
         Start from the friction of ``model`` instead of the linear regressions.
     held_out : sequence of ndarray of bool, or None
         Samples of each capture, shape (n,), that are simulated but not fitted; residuals hold them.
+    stages : "all", "rough" or "fine"
+        See ``output_error.refine``.
     executor : Executor or None
         Where simulations run; None uses threads.
 
@@ -123,7 +126,16 @@ def identify(
     if start.is_rigid and model is None:
         return _identify_rigid(captures, bench, start, progress)
     return _identify_elastic(
-        captures, bench, start, progress, names, static_map, executor, warm=warm, held_out=held_out
+        captures,
+        bench,
+        start,
+        progress,
+        names,
+        static_map,
+        executor,
+        warm=warm,
+        held_out=held_out,
+        stages=stages,
     )
 
 
@@ -138,6 +150,7 @@ def _identify_elastic(
     *,
     warm: bool,
     held_out: Sequence[BoolArray] | None,
+    stages: Stages,
 ) -> Identification:
     tell = progress or (lambda _text, _fraction: None)
     has_scale = any(c.table_position_m is not None for c in captures) and not start.is_rigid
@@ -165,11 +178,13 @@ def _identify_elastic(
         names=names,
         weights="white" if start.is_rigid else "coloured",
         rounding=held_out is None,
+        stages=stages,
         steady=[rec.steady_rows(r) for r in records] if leave_out == "rest" else None,
         progress=tell,
         executor=executor,
     )
-    require_converged(fit)
+    if stages != "rough":
+        require_converged(fit)
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
         require_identifiable(fit, has_torque=has_torque)

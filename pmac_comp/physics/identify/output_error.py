@@ -24,6 +24,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
 
 Progress = Callable[[str, float], None]
+Stages = Literal["all", "rough", "fine"]
 
 # A tolerance is the half-width that a maker states: as a normal prior, two standard deviations.
 TOLERANCE_IN_STD = 2.0
@@ -34,8 +35,12 @@ _STEP_FRAC = 2e-3
 _BLOCK_s = 0.4
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 12
-_DONE_STEP = 0.3  # of a standard deviation
-_SAME_SLOPES = 1.0  # a step shorter than this changes the derivatives too little to take them anew
+_DONE_STEP, _ROUGHLY_DONE_STEP = 0.3, 1.0  # of a standard deviation
+# Steps that stay this near, in standard deviations or in scaled parameters, change the derivatives
+# too little to take them anew; a fit ends with derivatives of its last place.
+_SAME_SLOPES = 1.0
+_SAME_SLOPES_FRAC = 0.1
+_STALLED = 0.7  # of the step before, with old derivatives
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
 _DAMPING_TRIES = 6
@@ -176,6 +181,7 @@ class _Point:
     step: float
     slopes: list[list[FloatArray]] | None
     rounds: int
+    slopes_at: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -201,6 +207,7 @@ def refine(
     names: Iterable[str] | None = None,
     weights: Literal["coloured", "white"] = "coloured",
     rounding: bool = True,
+    stages: Stages = "all",
     steady: Sequence[BoolArray] | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
@@ -223,6 +230,9 @@ def refine(
         position near the measured one at all frequencies alike.
     rounding : bool
         Whether the last rounds account for what the encoder's rounding does on average.
+    stages : "all", "rough" or "fine"
+        ``rough`` ends with a few rounds of white weights, for a start of another fit; ``fine``
+        leaves them out: from a start that is near already, they lead away and back.
     steady : sequence of ndarray of bool, or None
         Rows of each record that friction in detail does not touch. Where these alone would put the
         base parameters elsewhere, the intervals are widened by the distance.
@@ -240,10 +250,10 @@ def refine(
     """
     if executor is not None:
         problem = _problem(records, nuisance, model, bench, names, executor, steady)
-        return _refine(problem, weights, progress, rounding=rounding)
+        return _refine(problem, weights, progress, rounding=rounding, stages=stages)
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
         problem = _problem(records, nuisance, model, bench, names, own, steady)
-        return _refine(problem, weights, progress, rounding=rounding)
+        return _refine(problem, weights, progress, rounding=rounding, stages=stages)
 
 
 def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:
@@ -303,30 +313,42 @@ def _prior_information(spec: ParameterSpec) -> float:
     return float((_FREE_PRIOR_SCALES * abs(spec.scale)) ** -2)
 
 
-def _refine(problem: _Problem, weights: str, progress: Progress | None, *, rounding: bool) -> Fit:
+def _refine(
+    problem: _Problem, weights: str, progress: Progress | None, *, rounding: bool, stages: Stages
+) -> Fit:
     tell = progress or (lambda _text, _fraction: None)
     theta = problem.bounded(
         problem.theta_of([problem.model.parameters[spec.name] for spec in problem.specs])
     )
     filters = _white_filters(problem, problem.residuals(theta))
     at = _Point(theta, np.inf, None, 0)
-    for limit, done in ((_WHITE_ROUNDS, 1.0), (_COLOURED_ROUNDS, _DONE_STEP)):
-        at = _stepped(problem, at, filters, limit, done, tell)
-        theta = at.theta
-        residuals = problem.residuals(theta)
-        eta = _linear_part(problem, residuals, filters)
-        left = _without(problem, residuals, eta)
-        reweigh = _coloured_filters if weights == "coloured" else _white_filters
-        filters = reweigh(problem, left)
+    reweigh = _coloured_filters if weights == "coloured" else _white_filters
+    if stages != "fine":
+        at = _stepped(problem, at, filters, _WHITE_ROUNDS, _ROUGHLY_DONE_STEP, tell, exact=False)
+    if stages != "rough":
+        filters = reweigh(problem, _left_at(problem, at.theta, filters))
+        # A fit that is only compared with others need not settle to the last digit.
+        done = _DONE_STEP if rounding else _ROUGHLY_DONE_STEP
+        at = _stepped(problem, at, filters, _COLOURED_ROUNDS, done, tell, exact=True)
+    theta = at.theta
+    filters = reweigh(problem, _left_at(problem, theta, filters))
     last, rounds, step = None, at.rounds, at.step
     if weights == "coloured" and rounding:
         tell("accounting for what the encoder rounds", rounds / _ALL_ROUNDS)
-        theta, last, more, step = _with_rounding(problem, theta, filters, step)
+        theta, last, more, step = _with_rounding(problem, at, filters)
         rounds += more
     tell("refined", 1.0)
     if last is None:
-        last = _normal(problem, filters, *_jacobian(problem, theta))
+        last = _normal(problem, filters, problem.residuals(theta), _slopes_near(problem, at))
     return _finished(problem, theta, last, rounds, step)
+
+
+def _left_at(
+    problem: _Problem, theta: FloatArray, filters: list[list[Whitener]]
+) -> list[FloatArray]:
+    """Residuals less the nuisances."""
+    residuals = problem.residuals(theta)
+    return _without(problem, residuals, _linear_part(problem, residuals, filters))
 
 
 def _stepped(
@@ -336,32 +358,45 @@ def _stepped(
     limit: int,
     done: float,
     tell: Progress,
+    *,
+    exact: bool,
 ) -> _Point:
-    """Steps until one is shorter than ``done``, taken with derivatives of that place."""
+    """Steps until one is shorter than ``done``; ``exact``: taken with derivatives of that place."""
     theta, step, slopes, rounds = at.theta, at.step, at.slopes, at.rounds
-    old = True
+    slopes_at = at.slopes_at
+    old, before = True, np.inf
     for _ in range(limit):
         tell(f"refining friction and stiffness, round {rounds + 1}", rounds / _ALL_ROUNDS)
         # Settled with old derivatives: once more with new ones.
-        fresh = slopes is None or step > _SAME_SLOPES or (old and step < done)
+        moved = np.inf if slopes_at is None else float(np.abs(theta - slopes_at).max())
+        far = step > _SAME_SLOPES and moved > _SAME_SLOPES_FRAC
+        stalled = old and step > _STALLED * before
+        before = step
+        fresh = slopes is None or far or stalled or (exact and old and step < done)
         if fresh:
             residuals, slopes = _jacobian(problem, theta)
+            slopes_at = theta
         else:
             residuals = problem.residuals(theta)
         old = not fresh
         normal = _normal(problem, filters, residuals, slopes or [])
         theta, step = _damped_step(problem, theta, normal, filters)
         rounds += 1
-        if step < done and fresh:
+        if step < done and (fresh or not exact):
             break
-    return _Point(theta, step, slopes, rounds)
+    return _Point(theta, step, slopes, rounds, slopes_at)
+
+
+def _slopes_near(problem: _Problem, at: _Point) -> list[list[FloatArray]]:
+    """Derivatives that hold at a point: those of the last step where that was short."""
+    if at.slopes is None or at.slopes_at is None:
+        return _jacobian(problem, at.theta)[1]
+    far = float(np.abs(at.theta - at.slopes_at).max()) > _SAME_SLOPES_FRAC
+    return _jacobian(problem, at.theta)[1] if far and at.step > _SAME_SLOPES else at.slopes
 
 
 def _with_rounding(
-    problem: _Problem,
-    theta: FloatArray,
-    filters: list[list[Whitener]],
-    step: float,
+    problem: _Problem, at_start: _Point, filters: list[list[Whitener]]
 ) -> tuple[FloatArray, _Normal | None, int, float]:
     """Point, normal equations, rounds and last step with what rounding does on average.
 
@@ -369,10 +404,11 @@ def _with_rounding(
     simulations fit clearly worse than the smooth one, or a step makes them so, they are not
     followed; without normal equations the smooth ones hold.
     """
+    theta, step = at_start.theta, at_start.step
     smooth = _cost(problem, theta, filters) - _prior_cost(problem, theta)
     best = None
     tried = theta
-    _, slopes = _jacobian(problem, theta)  # hardly changes over the few deviations moved here
+    slopes = _slopes_near(problem, at_start)  # hardly change over the few deviations moved here
     for i, gain in enumerate(_QUANTISED_GAINS):
         at = _normal(problem, filters, problem.quantised_residuals(tried), slopes)
         if best is None and at.cost > _CHAOS * smooth:
