@@ -296,6 +296,7 @@ class Axis:
             self.link.command("GATHER")
             start()
             self._watch_positions(duration_s + 0.05)
+            gather.await_stored(self.link, plan, n_samples)
             self.link.command("ENDGATHER")
             return gather.read_ram(self.link, plan, n_samples)
 

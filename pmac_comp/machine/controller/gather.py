@@ -333,18 +333,35 @@ def gather_ram(
     with prepared(link, plan, words):
         link.command("GATHER")
         link.clock.sleep_s(n_samples * plan.period_cycles * servo_period_s)
+        await_stored(link, plan, n_samples)
         link.command("ENDGATHER")
         return read_ram(link, plan, n_samples)
 
 
-def read_ram(link: Link, plan: GatherPlan, n_samples: int) -> GatherResult:
-    """First ``n_samples`` of the RAM buffer; the pointers say how many there are."""
+def await_stored(link: Link, plan: GatherPlan, n_samples: int) -> None:
+    """Wait while the card still stores the last of its samples: its own time counts, not ours."""
+    stored = _stored(link, plan)
+    stalled = Deadline.after(link.clock, _STALLED_s)
+    while stored < n_samples and not stalled.expired():
+        link.clock.sleep_s(POLL_LONGEST_s)
+        before, stored = stored, _stored(link, plan)
+        if stored > before:
+            stalled = Deadline.after(link.clock, _STALLED_s)
+
+
+def _stored(link: Link, plan: GatherPlan) -> int:
+    """Samples in the RAM buffer by its pointers."""
     start, storage = (
         parse_integer(item)
         for line in link.query(f"RX:${reg.GATHER_POINTERS:X} RY:${reg.GATHER_POINTERS:X}")
         for item in line.split()
     )
-    stored = (storage - start) // plan.layout.long_words
+    return (storage - start) // plan.layout.long_words
+
+
+def read_ram(link: Link, plan: GatherPlan, n_samples: int) -> GatherResult:
+    """First ``n_samples`` of the RAM buffer; the pointers say how many there are."""
+    stored = _stored(link, plan)
     if stored < n_samples:
         raise CaptureError(
             f"{n_samples} samples were asked for, the card stored {stored}.", code="PC-GAT-011"

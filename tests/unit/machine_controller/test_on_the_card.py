@@ -103,12 +103,16 @@ class SlowCardClock(CycleClock):
         super().sleep_s(0.5 * duration_s)
 
 
-def test_a_card_slower_than_the_host_is_gathered_for_its_own_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", [gather.GatherMode.RING, gather.GatherMode.RAM])
+def test_a_card_slower_than_the_host_is_gathered_for_its_own_time(
+    tmp_path: Path, mode: gather.GatherMode
+) -> None:
     bench = make_plc_bench(tmp_path)
     bench.clock = SlowCardClock(bench.card)
     bench.connect()
-    plan = gather.GatherPlan(gather.bench_sources(1, 2))
-    result = gather.gather_ring(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
+    plan = gather.GatherPlan(gather.bench_sources(1, 2), mode=mode)
+    way = gather.gather_ring if mode is gather.GatherMode.RING else gather.gather_ram
+    result = way(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
     assert len(result.servo_cycle) >= int(0.5 / bench.bench.servo_period_s)
 
 
