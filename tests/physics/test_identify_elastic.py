@@ -198,6 +198,28 @@ def test_f40_hopeless_data_names_the_run(case: str) -> None:
     assert caught.value.hint.startswith("Capture")
 
 
+def test_a_capture_of_one_stretch_is_refused() -> None:
+    plant = make_plant(BENCH, effects={}, seed=2)
+    sine = sinusoid(period_s=PERIOD_S, amplitude_m=0.012, frequency_Hz=3.5, cycles=8).position_m
+    runs = [closed_loop_capture(BENCH, plant, sine[: round(1.1 / PERIOD_S)])]
+    with pytest.raises(NotIdentifiable, match="stretches") as caught:
+        identify(runs, BENCH)
+    assert "slow runs in both directions" in caught.value.hint
+
+
+def test_an_elastic_drive_is_not_identified_from_its_motor_alone(
+    captures: tuple[list[Capture], dict[str, float]],
+) -> None:
+    blind = [replace(run, table_position_m=None) for run in captures[0]]
+    with pytest.raises(NotIdentifiable, match="position of the table") as caught:
+        identify(blind, BENCH)
+    assert "scale" in caught.value.hint
+    nominal = BENCH.nominal.model_copy(update={"axial_stiffness_N_per_um": None})
+    one_mass = BENCH.model_copy(update={"nominal": nominal})
+    found = identify(blind, one_mass)
+    assert found.parameters["coulomb.guide_N"].value > 0.0
+
+
 def starved(case: str) -> tuple[list[Capture], dict[str, float]]:
     plant = make_plant(BENCH, effects={}, seed=21)
     rest = np.full(6000, 0.05)

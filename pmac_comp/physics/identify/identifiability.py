@@ -12,8 +12,10 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.output_error import Fit
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.output_error import BLOCK_s, Fit
 from pmac_comp.physics.identify.persistence import file_key
+from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.result import correlation_of
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import modes_Hz
@@ -56,6 +58,42 @@ _TIED = 0.95
 _RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
 _SURELY = 2.0  # standard deviations beyond the end of the tolerance
 _FROM_BENCH = 0.5  # share of the prior's variance that remains
+
+
+def require_table(captures: Sequence[Capture]) -> None:
+    """Raise NotIdentifiable where no capture of an elastic drive holds the table's position.
+
+    The motor's loop meets the sum of all friction and a mass that is hardly elastic for it: a fit
+    to it alone divides them as its own small errors happen to fall.
+    """
+    if any(c.table_position_m is not None for c in captures):
+        return
+    raise NotIdentifiable(
+        "Not identifiable from these captures: stiffness, and what friction acts at guide, nut and "
+        "motor. None of them holds the position of the table.",
+        code="PC-IDN-007",
+        hint="Capture the runs with the scale at the table; or state the axis as one mass (no "
+        "axial_stiffness_N_per_um in [nominal]): then its whole mass and friction are identified.",
+    )
+
+
+def require_long_enough(records: Sequence[Record]) -> None:
+    """Raise NotIdentifiable where there are fewer stretches of time than quantities to determine.
+
+    Intervals come from the scatter between stretches; with so few, there is none.
+    """
+    stretches = 0
+    for record in records:
+        size = max(round(BLOCK_s / record.period_s), 1)
+        stretches += len(set(np.flatnonzero(record.valid) // size))
+    if stretches < len(ESSENTIAL):
+        raise NotIdentifiable(
+            f"Not identifiable from these captures: {stretches} stretches of {BLOCK_s:g} s in "
+            f"motion cannot determine {len(ESSENTIAL)} quantities (friction and stiffness).",
+            code="PC-IDN-008",
+            hint="Capture " + "; and ".join(dict.fromkeys(_ADVICE.values())) + ", some seconds "
+            "each (`pmac-comp capture` has a default campaign).",
+        )
 
 
 def require_identifiable(fit: Fit, *, has_torque: bool) -> None:

@@ -22,6 +22,8 @@ from pmac_comp.physics.identify.derivatives import BORDER_SAMPLES
 from pmac_comp.physics.identify.identifiability import (
     informed_frac,
     require_identifiable,
+    require_long_enough,
+    require_table,
     resonance_statement,
     statements,
 )
@@ -125,6 +127,8 @@ def identify(
     start = DriveModel.base(bench) if model is None else model
     if start.is_rigid and model is None:
         return _identify_rigid(captures, bench, start, progress)
+    if model is None:
+        require_table(captures)
     return _identify_elastic(
         captures,
         bench,
@@ -169,6 +173,8 @@ def _identify_elastic(
         ]
     own = any(name.partition("@")[0] in _STATIC_EFFECTS for name in start.effects)
     free_map = static_map == "free" or (static_map == "auto" and not own)
+    if names is None and has_scale:
+        require_long_enough(records)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
     fit = refine(
         records,

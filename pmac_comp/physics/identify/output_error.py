@@ -32,7 +32,7 @@ TOLERANCE_IN_STD = 2.0
 # wide prior around the typical figure, so that the sum stays free.
 _FREE_PRIOR_SCALES = 2.0
 _STEP_FRAC = 2e-3
-_BLOCK_s = 0.4
+BLOCK_s = 0.4
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 12
 _DONE_STEP, _ROUGHLY_DONE_STEP = 0.3, 1.0  # of a standard deviation
@@ -607,7 +607,7 @@ def _block_scores(
     for i, _, part in parts:
         slopes = part[:, 1 : 1 + p] - part[:, 1 + p :] @ on_slopes
         left = part[:, 0] - part[:, 1 + p :] @ on_residual
-        block = max(round(_BLOCK_s / problem.records[i].period_s), 1)
+        block = max(round(BLOCK_s / problem.records[i].period_s), 1)
         for b, start in enumerate(range(0, left.size, block)):
             rows = slice(start, start + block)
             scores[i, b] = scores.get((i, b), 0.0) + slopes[rows].T @ left[rows]
