@@ -28,10 +28,11 @@ _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
 _TAKE_UP_m = 50e-6
 _FORGETTING = 6.0
-# A command rests within this (its sum of fractions of a count is not exact), and so long tells
-# what an integrator holds.
-_REST_m = 1e-9
+# A command rests within this (its sum of fractions of a count is not exact); so long, and at
+# least so many samples, tell what an integrator holds.
+_REST_m = 1e-12
 _REST_s = 0.02
+_LEAST_REST = 5
 _FORCE_COLUMN = "external_force_N"
 
 
@@ -252,7 +253,7 @@ def _rest_torque_Nm(
     vector = DriveModel.base(bench).kernel_vector()
     left = np.flatnonzero(np.abs(desired_m - desired_m[0]) > _REST_m)
     resting = min(int(left[0]) if left.size else desired_m.size, round(_REST_s / period_s))
-    if torque_Nm is None or vector[slots.KI] <= 0.0 or resting < 2:
+    if torque_Nm is None or vector[slots.KI] <= 0.0 or resting < _LEAST_REST:
         return 0.0
     error_m = desired_m[:resting] - motor_m[:resting]
     held = np.median(torque_Nm[:resting] - vector[slots.KP] * error_m) - vector[slots.OFFSET]
