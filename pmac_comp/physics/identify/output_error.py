@@ -8,7 +8,7 @@ Imports ``physics.model``, ``base`` and this package.
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -40,6 +40,13 @@ _DONE_STEP, _ROUGHLY_DONE_STEP = 0.3, 1.0  # of a standard deviation
 # too little to take them anew; a fit ends with derivatives of its last place.
 _SAME_SLOPES = 1.0
 _SAME_SLOPES_FRAC = 0.1
+# Derivatives of a place this near, in scaled parameters, err by as much of a standard deviation
+# in where a fit ends: they count as its own.
+_OWN_SLOPES_FRAC = 0.05
+# Substeps of the model over those with which derivatives are taken; also in a fit that is only
+# compared with others. Half of them miss a derivative by less than 1 % (the delay's by 2), a
+# quarter by 2 % (the damping's of bristles by 8): steps go astray by that, where they end does not.
+_SLOPES_COARSER, _COMPARED_COARSER = 2, 4
 _STALLED = 0.7  # of the step before, with old derivatives
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
@@ -112,6 +119,8 @@ class _Problem:
     count_m: float
     executor: Executor
     steady: Sequence[BoolArray] | None  # rows away from rest and reversals
+    slope_substeps: int
+    latest: dict[bytes, list[FloatArray]] = field(default_factory=dict)  # residuals, last place
 
     @property
     def nuisance_information(self) -> FloatArray:
@@ -151,7 +160,13 @@ class _Problem:
         return np.clip(theta, *self.bounds)
 
     def residuals(self, theta: FloatArray) -> list[FloatArray]:
-        return self.many([theta])[0]
+        """Measured minus simulated channels per record; kept until another place is asked for."""
+        place = theta.tobytes()
+        if place not in self.latest:
+            found = self.many([theta], self.model.substeps)[0]
+            self.latest.clear()
+            self.latest[place] = found
+        return self.latest[place]
 
     def quantised_residuals(self, theta: FloatArray) -> list[FloatArray]:
         """Measured minus the mean of simulations that round as the sensors do, shape (n, c)."""
@@ -162,10 +177,10 @@ class _Problem:
         k = len(self.records)
         return [r.measured - np.stack(done[i::k]).mean(axis=0) for i, r in enumerate(self.records)]
 
-    def many(self, thetas: Sequence[FloatArray]) -> list[list[FloatArray]]:
+    def many(self, thetas: Sequence[FloatArray], substeps: int) -> list[list[FloatArray]]:
         models = [self.model_at(theta) for theta in thetas]
-        jobs = [(record, model) for model in models for record in self.records]
-        done = list(self.executor.map(_simulated_pair, jobs))
+        jobs = [(record, model, substeps) for model in models for record in self.records]
+        done = list(self.executor.map(_simulated_triple, jobs))
         k = len(self.records)
         return [
             [r.measured - y for r, y in zip(self.records, done[i * k :], strict=False)]
@@ -248,11 +263,12 @@ def refine(
     NonFinite
         The model is unstable at the start.
     """
+    coarse = _SLOPES_COARSER if rounding else _COMPARED_COARSER
     if executor is not None:
-        problem = _problem(records, nuisance, model, bench, names, executor, steady)
+        problem = _problem(records, nuisance, model, bench, names, executor, steady, coarse)
         return _refine(problem, weights, progress, rounding=rounding, stages=stages)
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
-        problem = _problem(records, nuisance, model, bench, names, own, steady)
+        problem = _problem(records, nuisance, model, bench, names, own, steady, coarse)
         return _refine(problem, weights, progress, rounding=rounding, stages=stages)
 
 
@@ -261,8 +277,9 @@ def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:
     return simulated(record, model, shift_m=shift_m, quantise=True)
 
 
-def _simulated_pair(job: tuple[Record, DriveModel]) -> FloatArray:
-    return simulated(*job)
+def _simulated_triple(job: tuple[Record, DriveModel, int]) -> FloatArray:
+    record, model, substeps = job
+    return simulated(record, model, substeps=substeps)
 
 
 def _problem(
@@ -273,6 +290,7 @@ def _problem(
     names: Iterable[str] | None,
     executor: Executor,
     steady: Sequence[BoolArray] | None,
+    coarse: int,
 ) -> _Problem:
     wanted = None if names is None else set(names)
     specs = tuple(
@@ -301,6 +319,7 @@ def _problem(
         bench.motor_resolution_m,
         executor,
         steady,
+        model.coarser_substeps(coarse),
     )
 
 
@@ -339,7 +358,9 @@ def _refine(
         rounds += more
     tell("refined", 1.0)
     if last is None:
-        last = _normal(problem, filters, problem.residuals(theta), _slopes_near(problem, at))
+        slopes = at.slopes if stages == "rough" else None
+        slopes = _slopes_near(problem, at) if slopes is None else slopes
+        last = _normal(problem, filters, problem.residuals(theta), slopes)
     return _finished(problem, theta, last, rounds, step)
 
 
@@ -363,28 +384,30 @@ def _stepped(
 ) -> _Point:
     """Steps until one is shorter than ``done``; ``exact``: taken with derivatives of that place."""
     theta, step, slopes, rounds = at.theta, at.step, at.slopes, at.rounds
-    slopes_at = at.slopes_at
+    place = theta if at.slopes_at is None else at.slopes_at
     old, before = True, np.inf
     for _ in range(limit):
         tell(f"refining friction and stiffness, round {rounds + 1}", rounds / _ALL_ROUNDS)
         # Settled with old derivatives: once more with new ones.
-        moved = np.inf if slopes_at is None else float(np.abs(theta - slopes_at).max())
+        moved = float(np.abs(theta - place).max())
         far = step > _SAME_SLOPES and moved > _SAME_SLOPES_FRAC
         stalled = old and step > _STALLED * before
         before = step
-        fresh = slopes is None or far or stalled or (exact and old and step < done)
+        astray = exact and old and step < done and moved > _OWN_SLOPES_FRAC
+        fresh = slopes is None or far or stalled or astray
         if fresh:
             residuals, slopes = _jacobian(problem, theta)
-            slopes_at = theta
+            place = theta
         else:
             residuals = problem.residuals(theta)
         old = not fresh
         normal = _normal(problem, filters, residuals, slopes or [])
         theta, step = _damped_step(problem, theta, normal, filters)
         rounds += 1
-        if step < done and (fresh or not exact):
+        own = fresh or float(np.abs(theta - place).max()) <= _OWN_SLOPES_FRAC
+        if step < done and (own or not exact):
             break
-    return _Point(theta, step, slopes, rounds, slopes_at)
+    return _Point(theta, step, slopes, rounds, place)
 
 
 def _slopes_near(problem: _Problem, at: _Point) -> list[list[FloatArray]]:
@@ -520,19 +543,22 @@ def _robust_std(values: FloatArray) -> float:
 def _jacobian(
     problem: _Problem, theta: FloatArray
 ) -> tuple[list[FloatArray], list[list[FloatArray]]]:
-    """Residuals at theta and their one-sided differences, per parameter and record."""
+    """Residuals at theta and their one-sided differences, per parameter and record.
+
+    A step that misses 1 nm of the motion misses the same of both ends of a difference.
+    """
     low, high = problem.bounds
     steps = np.where(theta + _STEP_FRAC <= high, _STEP_FRAC, -_STEP_FRAC)
     steps = np.where(theta + steps < low, _STEP_FRAC, steps)
     points = [theta] + [
         theta + step * unit for step, unit in zip(steps, np.eye(theta.size), strict=True)
     ]
-    first, *others = problem.many(points)
+    first, *others = problem.many(points, problem.slope_substeps)
     slopes = [
         [(moved - base) / step for moved, base in zip(other, first, strict=True)]
         for other, step in zip(others, steps, strict=True)
     ]
-    return first, slopes
+    return problem.residuals(theta), slopes
 
 
 def _normal(

@@ -133,7 +133,12 @@ def prepare(
 
 
 def response_of(
-    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+    record: Record,
+    model: DriveModel,
+    *,
+    shift_m: float = 0.0,
+    quantise: bool = False,
+    substeps: int | None = None,
 ) -> Response:
     """Simulated closed loop under the inputs of a record, at the servo rate.
 
@@ -148,21 +153,33 @@ def response_of(
         external_force_N=record.force_N,
         time_origin_s=float(record.capture.time_s[0]),
         quantise=quantise,
+        substeps=substeps,
     )
 
 
 def simulated(
-    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+    record: Record,
+    model: DriveModel,
+    *,
+    shift_m: float = 0.0,
+    quantise: bool = False,
+    substeps: int | None = None,
 ) -> FloatArray:
     """Simulated channels of a record as compared, shape (m, c)."""
-    return thinned(simulated_full(record, model, shift_m=shift_m, quantise=quantise), record.factor)
+    full = simulated_full(record, model, shift_m=shift_m, quantise=quantise, substeps=substeps)
+    return thinned(full, record.factor)
 
 
 def simulated_full(
-    record: Record, model: DriveModel, *, shift_m: float = 0.0, quantise: bool = False
+    record: Record,
+    model: DriveModel,
+    *,
+    shift_m: float = 0.0,
+    quantise: bool = False,
+    substeps: int | None = None,
 ) -> FloatArray:
     """Simulated channels at the samples of the capture, shape (n, c)."""
-    response = response_of(record, model, shift_m=shift_m, quantise=quantise)
+    response = response_of(record, model, shift_m=shift_m, quantise=quantise, substeps=substeps)
     columns = [_channel(name, response)[:: record.stride] for name in record.channels]
     stack = np.column_stack(columns)[: record.capture.n]
     if shift_m and "motor" in record.channels:

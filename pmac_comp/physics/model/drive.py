@@ -205,8 +205,16 @@ class DriveModel:
     @property
     def substeps(self) -> int:
         """Substeps per servo period that the model asks for."""
-        needed = [self.effect(name)[0].min_substeps for name in self.effects]
-        return max(4, math.ceil(self.bench.servo_period_s / _SUBSTEP_s), *needed, 1)
+        usual = math.ceil(self.bench.servo_period_s / _SUBSTEP_s)
+        return max(4, usual, self._least_substeps)
+
+    def coarser_substeps(self, factor: int) -> int:
+        """So many times fewer substeps, where the effects allow it: for comparisons of runs."""
+        return max(math.ceil(self.substeps / factor), self._least_substeps)
+
+    @property
+    def _least_substeps(self) -> int:
+        return max((self.effect(name)[0].min_substeps for name in self.effects), default=1)
 
 
 _FIRST = ("coulomb", "viscous", "payload")
