@@ -22,13 +22,15 @@ from scipy.integrate import solve_ivp
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.identify import identify
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import identify_with_friction
 from pmac_comp.physics.model import drive, kernel
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.plant.effects import PlantEffects
 
 # Order of the enumeration in bench_model.c.
 PARAMETERS = (
@@ -36,6 +38,10 @@ PARAMETERS = (
     s.NUT_LOAD, s.MOTOR + s.LEVEL, s.NUT + s.LEVEL, s.GUIDE + s.LEVEL, s.KP, s.KI, s.KD, s.KVFF,
     s.KAFF, s.FRICTION_FF, s.OFFSET, s.INTEGRATOR_LIMIT,
 )  # fmt: skip
+WITH_FORMS: PlantEffects = {
+    "presliding": {"distance_um": 10.0},
+    "stribeck": {"excess_N": 15.0, "speed_m_per_s": 0.005},
+}
 
 
 def cpu_s(work: Callable[[], object], *, repeats: int) -> float:
@@ -222,15 +228,11 @@ def growth(model: DriveModel, motion: tr.Trajectory) -> dict[str, object]:
     }
 
 
-def identification(seconds: float) -> dict[str, float]:
-    """Friction and stiffness from six captures of the simulated plant.
-
-    Processor time is that of all threads; on two idle cores the identification takes a little more
-    than half of it (see the speed-up with two threads).
-    """
+def six_captures(seconds: float, effects: PlantEffects) -> list[Capture]:
+    """Six motions of the simulated plant, each cut to a length."""
     bench = load_bench("paper")
     period = bench.servo_period_s
-    plant = make_plant(bench, effects={}, seed=1)
+    plant = make_plant(bench, effects=effects, seed=1)
     sines = [(0.01, 3.0, -0.25), (0.01, 3.0, 0.25), (0.05, 0.8, 0.0), (0.02, 1.5, 0.1)]
     motions = [
         tr.sinusoid(period_s=period, amplitude_m=a, frequency_Hz=f, cycles=seconds * f, centre_m=c)
@@ -244,16 +246,32 @@ def identification(seconds: float) -> dict[str, float]:
         tr.triangle(period_s=period, amplitude_m=0.02, speed_m_per_s=0.016, cycles=2),
     ]  # fmt: skip
     captures = [closed_loop_capture(bench, plant, motion.position_m) for motion in motions]
-    captures = [capture.slice(0, min(capture.n, round(seconds / period))) for capture in captures]
-    cpu, wall = time.process_time(), time.perf_counter()
-    found = identify(captures, bench)
-    return {
-        "captures": len(captures),
-        "seconds of data": round(sum(c.n for c in captures) * period, 1),
-        "processor time, s": round(time.process_time() - cpu, 2),
-        "elapsed on this machine now, s": round(time.perf_counter() - wall, 2),
-        "rounds": found.figures["rounds"],
-    }
+    return [capture.slice(0, min(capture.n, round(seconds / period))) for capture in captures]
+
+
+def identification(seconds: float) -> dict[str, dict[str, object]]:
+    """Friction and stiffness from six captures, as ``pmac-comp identify`` finds them by default.
+
+    On a drive with Coulomb friction, which the first fit settles, and on one with presliding and
+    Stribeck friction, where forms are tried on halves of the captures. Processor time is that of
+    all threads; on two idle cores the identification takes a little more than half of it (see the
+    speed-up with two threads).
+    """
+    bench = load_bench("paper")
+    drives: dict[str, PlantEffects] = {"Coulomb friction": {}, "presliding, Stribeck": WITH_FORMS}
+    found = {}
+    for name, effects in drives.items():
+        captures = six_captures(seconds, effects)
+        cpu, wall = time.process_time(), time.perf_counter()
+        result = identify_with_friction(captures, bench)
+        found[name] = {
+            "captures": len(captures),
+            "seconds of data": round(sum(c.n for c in captures) * bench.servo_period_s, 1),
+            "processor time, s": round(time.process_time() - cpu, 2),
+            "elapsed on this machine now, s": round(time.perf_counter() - wall, 2),
+            "friction found": list(result.model.effects) if result.model is not None else [],
+        }
+    return found
 
 
 def main() -> None:
