@@ -13,7 +13,8 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.output_error import BLOCK_s, Fit
+from pmac_comp.physics.identify.normal_equations import BLOCK_s
+from pmac_comp.physics.identify.output_error import Fit
 from pmac_comp.physics.identify.persistence import file_key
 from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.result import correlation_of

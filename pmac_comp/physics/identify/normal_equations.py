@@ -1,0 +1,200 @@
+"""Whitened normal equations of residuals and derivatives, nuisances projected out.
+
+What lives here: weights of the channels, Gauss-Newton matrices whole and per block of time, cost.
+What may not: simulation, steps. Imports ``problem``, ``whitening`` and ``records``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import NonFinite
+from pmac_comp.physics.identify.problem import Problem
+from pmac_comp.physics.identify.records import Record
+from pmac_comp.physics.identify.whitening import Whitener, fit_whitener, white
+
+BLOCK_s = 0.4
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Whitened normal equations with the nuisances projected out."""
+
+    hessian: FloatArray
+    gradient: FloatArray
+    cost: float
+    scores: FloatArray
+    block_hessians: FloatArray
+    prior_scores: FloatArray
+    nuisance: FloatArray
+    steady: tuple[FloatArray, FloatArray] | None = None  # Hessian and gradient of steady rows alone
+
+
+def normal_equations(
+    problem: Problem,
+    filters: list[list[Whitener]],
+    residuals: Sequence[FloatArray],
+    slopes: Sequence[Sequence[FloatArray]],
+) -> Normal:
+    """Weighted equations of residuals and derivatives at one place."""
+    parts = []
+    for i, record in enumerate(problem.records):
+        columns = [-slope[i] for slope in slopes]
+        for c, whitener in enumerate(filters[i]):
+            nuisance = _nuisance_of(problem, i, record, c)
+            stack = np.column_stack(
+                [residuals[i][:, c], *[column[:, c] for column in columns], nuisance]
+            )
+            rows = whitener.rows(record.valid)
+            parts.append((i, c, np.where(rows[:, None], whitener.apply(stack), 0.0)))
+    whole = _assembled(problem, parts, len(slopes))
+    if problem.steady is None:
+        return whole
+    kept = [(i, c, part * filters[i][c].rows(problem.steady[i])[:, None]) for i, c, part in parts]
+    some = _assembled(problem, kept, len(slopes))
+    return replace(whole, steady=(some.hessian, some.gradient))
+
+
+def _nuisance_of(problem: Problem, i: int, record: Record, c: int) -> FloatArray:
+    columns = problem.nuisance[i]
+    return columns if record.channels[c] == "difference" else np.zeros_like(columns)
+
+
+def _assembled(problem: Problem, parts: list[tuple[int, int, FloatArray]], p: int) -> Normal:
+    gram = _gram([part for _, _, part in parts])
+    inner = slice(1, 1 + p)
+    rest = slice(1 + p, None)
+    known = problem.nuisance_information
+    solve = np.linalg.pinv(gram[rest, rest] + np.diag(known), hermitian=True)
+    on_slopes = solve @ gram[rest, inner]
+    on_residual = solve @ gram[rest, 0]
+    hessian = gram[inner, inner] - gram[inner, rest] @ on_slopes
+    gradient = gram[inner, 0] - gram[inner, rest] @ on_residual
+    cost = float(gram[0, 0] - gram[0, rest] @ on_residual)
+    scores, hessians = _block_scores(problem, parts, on_slopes, on_residual, p)
+    return Normal(
+        hessian=hessian,
+        gradient=gradient,
+        cost=cost,
+        scores=scores,
+        block_hessians=hessians,
+        prior_scores=on_slopes.T @ (known[:, None] * on_slopes),
+        nuisance=np.asarray(on_residual),
+    )
+
+
+def _gram(parts: Sequence[FloatArray]) -> FloatArray:
+    total = np.zeros((parts[0].shape[1], parts[0].shape[1]))
+    for part in parts:
+        total += part.T @ part
+    return total
+
+
+def _block_scores(
+    problem: Problem,
+    parts: list[tuple[int, int, FloatArray]],
+    on_slopes: FloatArray,
+    on_residual: FloatArray,
+    p: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Score and Gauss-Newton matrix of each block of time, all channels of a block together."""
+    scores: dict[tuple[int, int], FloatArray] = {}
+    hessians: dict[tuple[int, int], FloatArray] = {}
+    for i, _, part in parts:
+        slopes = part[:, 1 : 1 + p] - part[:, 1 + p :] @ on_slopes
+        left = part[:, 0] - part[:, 1 + p :] @ on_residual
+        block = max(round(BLOCK_s / problem.records[i].period_s), 1)
+        for b, start in enumerate(range(0, left.size, block)):
+            rows = slice(start, start + block)
+            scores[i, b] = scores.get((i, b), 0.0) + slopes[rows].T @ left[rows]
+            hessians[i, b] = hessians.get((i, b), 0.0) + slopes[rows].T @ slopes[rows]
+    return np.stack(list(scores.values())), np.stack(list(hessians.values()))
+
+
+def white_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
+    """Weights per record and channel that take residuals for white noise."""
+    return [
+        [
+            white(max(_robust_std(residual[record.valid, c]), problem.floors[name]))
+            for c, name in enumerate(record.channels)
+        ]
+        for record, residual in zip(problem.records, residuals, strict=True)
+    ]
+
+
+def coloured_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
+    """Weights per record and channel that whiten residuals."""
+    return [
+        [
+            fit_whitener(residual[:, c], record.valid, problem.floors[name])
+            for c, name in enumerate(record.channels)
+        ]
+        for record, residual in zip(problem.records, residuals, strict=True)
+    ]
+
+
+def _robust_std(values: FloatArray) -> float:
+    if values.size == 0:
+        return 0.0
+    centred = values - np.median(values)
+    return float(np.sqrt(np.mean(np.clip(centred, *np.quantile(centred, [0.02, 0.98])) ** 2)))
+
+
+def prior_cost(problem: Problem, theta: FloatArray) -> float:
+    """Squared distance from the prior, in its standard deviations."""
+    return float(problem.weight @ (theta - problem.centre) ** 2)
+
+
+def cost_at(problem: Problem, theta: FloatArray, filters: list[list[Whitener]]) -> float:
+    """Misfit with prior at a place; infinite where the loop is unstable."""
+    try:
+        residuals = problem.residuals(theta)
+    except NonFinite:
+        return np.inf
+    parts = _whitened_residuals(problem, residuals, filters)
+    gram = _gram(parts)
+    rest = _nuisance_solution(problem, gram)
+    return float(gram[0, 0] - gram[0, 1:] @ rest) + prior_cost(problem, theta)
+
+
+def linear_part(
+    problem: Problem, residuals: list[FloatArray], filters: list[list[Whitener]]
+) -> FloatArray:
+    """Nuisances that fit residuals best, shape (q,)."""
+    parts = _whitened_residuals(problem, residuals, filters)
+    gram = _gram(parts)
+    return _nuisance_solution(problem, gram)
+
+
+def _nuisance_solution(problem: Problem, gram: FloatArray) -> FloatArray:
+    matrix = gram[1:, 1:] + np.diag(problem.nuisance_information)
+    return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ gram[1:, 0])
+
+
+def _whitened_residuals(
+    problem: Problem, residuals: list[FloatArray], filters: list[list[Whitener]]
+) -> list[FloatArray]:
+    parts = []
+    for i, record in enumerate(problem.records):
+        for c, whitener in enumerate(filters[i]):
+            nuisance = _nuisance_of(problem, i, record, c)
+            stack = np.column_stack([residuals[i][:, c], nuisance])
+            rows: BoolArray = whitener.rows(record.valid)
+            parts.append(np.where(rows[:, None], whitener.apply(stack), 0.0))
+    return parts
+
+
+def without_nuisances(
+    problem: Problem, residuals: Sequence[FloatArray], eta: FloatArray
+) -> list[FloatArray]:
+    """Residuals less the nuisances, per record."""
+    cleaned = []
+    for i, record in enumerate(problem.records):
+        left = residuals[i].copy()
+        for c, name in enumerate(record.channels):
+            if name == "difference":
+                left[:, c] -= problem.nuisance[i] @ eta
+        cleaned.append(left)
+    return cleaned
