@@ -204,7 +204,7 @@ def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
         float(drop[~ground.fitting].sum()),
         corrected_p(_by_chance(ground, whole, parameters), len(ground.library)),
         bic_gain(gain * size, parameters, rows * size),
-        gap(bench.judging_records, whole.model, bench.executor).position_um,
+        gap(bench.calm_records, whole.model, bench.executor).position_um,
     )
 
 

@@ -284,8 +284,7 @@ def _where(grown: Grown, bench: Bench) -> tuple[Region, ...]:
     found: list[Region] = []
     for i, name in reversed(list(enumerate(names))):
         marked = [
-            np.where(r.usable, d[:, i], np.nan)
-            for r, d in zip(workbench.records, residuals, strict=True)
+            np.where(c, d[:, i], np.nan) for c, d in zip(workbench.counted, residuals, strict=True)
         ]
         found += localise(marked, coordinates, channel=name, sample_s=period)
     return tuple(found)

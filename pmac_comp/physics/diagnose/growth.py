@@ -35,6 +35,7 @@ from pmac_comp.physics.diagnose.screen import (
     screen,
 )
 from pmac_comp.physics.diagnose.statistics import studentised
+from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
@@ -99,16 +100,11 @@ def _accepted(rounds: Sequence[Round]) -> tuple[Contender, ...]:
 
 def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
     """Weights before any data was explained: what the sensors' steps do inside the loop."""
-    sharp = bench.simulate([model])[0]
-
-    def rounded(i: int) -> FloatArray:
-        record = bench.records[i]
-        response = record.response(model, quantise=True)
-        return record.coarsen(record.channels_of(response)) - sharp[i]
-
-    noise = list(bench.executor.map(rounded, range(len(bench.records))))
-    whitener = bench.noise_from(noise, sensor_floor_m(bench, model)).whitener
-    return bench.with_noise(Noise(whitener, None, bench.doubtful(model)))
+    rounded, floor_m = bench.rounded(model), sensor_floor_m(bench, model)
+    unruly = bench.unruly(model, rounded)
+    noise = Noise(bench.noise_from(rounded, floor_m).whitener, None, bench.doubtful(model), unruly)
+    bench = bench.with_noise(noise)
+    return bench.with_noise(replace(bench.noise_from(rounded, floor_m), robust=None))
 
 
 def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
@@ -165,7 +161,8 @@ def grow(
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        whole, rounds = _pruned(bench, done.accepted.fitted, rounds, library, rules, progress)
+        whole, rounds = _widened(bench, done.accepted.fitted, rounds, library, rules, progress)
+        whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
         point = evaluate(bench.fitting_bench(), whole.model)
     open_SI: Mapping[str, float] = {}
     if _accepted(rounds):
@@ -180,6 +177,34 @@ def grow(
     grew = base is not None and bool(_accepted(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)
+
+
+def _widened(
+    bench: Workbench,
+    whole: Fitted,
+    rounds: Sequence[Round],
+    library: Mapping[str, Effect],
+    rules: Rules,
+    progress: Progress,
+) -> tuple[Fitted, list[Round]]:
+    """The model with accepted effects at further places where those earn themselves."""
+    kept = list(rounds)
+    for i, done in enumerate(kept):
+        if done.accepted is None or not library[done.accepted.effect].joint_places:
+            continue
+        found = wider(Ground.of(bench, whole, library), done.accepted)
+        gap_um = gap(bench.calm_records, whole.model, bench.executor).position_um
+        if found is None or not _earned(found, replace(done, gap_um=gap_um), rules):
+            continue
+        progress(f"{done.accepted.effect} acts at further places: {found.key}")
+        whole = found.fitted
+        both = replace(
+            found,
+            fit_gain=found.fit_gain + done.accepted.fit_gain,
+            judged_gain=found.judged_gain + done.accepted.judged_gain,
+        )
+        kept[i] = replace(done, accepted=both)
+    return whole, kept
 
 
 def _pruned(
@@ -225,7 +250,7 @@ def _without(
         less = evaluate(bench, fitted.model)
     except ModelError:
         return None
-    gap_um = gap(bench.judging_records, less.model, bench.executor).position_um
+    gap_um = gap(bench.calm_records, less.model, bench.executor).position_um
     back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
     needed = gap_um > rules.widened * back.gap_um
     return None if needed or _earned(back, replace(done, gap_um=gap_um), rules) else less
@@ -235,6 +260,8 @@ def _look_around(
     bench: Workbench, point: Fitted, library: Mapping[str, Effect], last: Look | None
 ) -> tuple[Workbench, Fitted, Screening, Look]:
     """Columns at the point, a fresh noise estimate, the point refitted under it, the ranking."""
+    unruly = bench.unruly(point.model, bench.rounded(point.model))
+    bench = bench.with_noise(replace(bench.known_noise, unruly=unruly))
     part = bench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
@@ -265,8 +292,7 @@ def _spread(bench: Workbench, noise: Noise) -> Noise:
     for record, mask in zip(bench.records, bench.fitting, strict=True):
         whole = np.ones((record.usable.size, bench.channels))
         weights.append(next(given) if mask.any() and noise.robust is not None else whole)
-    doubtful = None if bench.noise is None else bench.noise.doubtful
-    return Noise(noise.whitener, tuple(weights), doubtful)
+    return replace(bench.known_noise, whitener=noise.whitener, robust=tuple(weights))
 
 
 def _round(
@@ -285,8 +311,8 @@ def _round(
         progress(f"refitting with {item.start.key}")
         tried += [*contend(ground, item, screening.frozen), *afresh(ground, screening, item)]
     contenders = polished(ground, tried)
-    gap_um = gap(bench.judging_records, before.model, bench.executor).position_um
-    floor_um = noise_floor_um(bench, before.model)
+    gap_um = gap(bench.calm_records, before.model, bench.executor).position_um
+    floor_um = noise_floor_um(bench, before.model, calm=True)
     bare = Round(
         before, screening, tuple(contenders), None, (), rows_fit, rows_judge, gap_um, floor_um
     )

@@ -18,18 +18,18 @@ _LEAST_STILL = 20
 _FAR_MORE = 9.0
 
 
-def noise_floor_um(bench: Workbench, model: DriveModel) -> float:
+def noise_floor_um(bench: Workbench, model: DriveModel, *, calm: bool = False) -> float:
     """Rms of the last channel on judging samples that a perfect model would leave.
 
     The larger of two. One is what the sensors' steps do in the simulated loop, together with what
     the data shows beyond them at frequencies at which no drive moves. The other is how far the
     data itself differs between repeats of the same command. Neither can exceed what the model
-    leaves, which contains it.
+    leaves, which contains it. ``calm`` leaves out where the sensors' rounding decides the motion.
     """
-    judging = bench.judging_records
+    judging = bench.calm_records if calm else bench.judging_records
     still_m2 = _still_power_m2(bench, model)
     parts = list(bench.executor.map(lambda r: _noise_parts_m(r, model, still_m2), judging))
-    whole = [r for r, m in zip(bench.records, bench.fitting, strict=True) if not m.all()]
+    whole = bench.whole_records(calm=calm)
     total, count = 0.0, 0
     for record, complete, (steps, left) in zip(judging, whole, parts, strict=True):
         n = int(np.count_nonzero(record.valid))

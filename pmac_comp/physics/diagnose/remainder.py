@@ -37,6 +37,24 @@ _CHANCE = 1e-4  # that white noise shows the wave that is told
 
 
 @dataclass(frozen=True)
+class Calm:
+    """Gaps without the samples in which the sensors' rounding decides the motion.
+
+    Parameters
+    ----------
+    left_out : float
+        Share of the judging time that those samples are.
+    before_um, after_um, floor_um : float
+        Gaps of base and grown model, and the noise floor, on the others.
+    """
+
+    left_out: float
+    before_um: float
+    after_um: float
+    floor_um: float
+
+
+@dataclass(frozen=True)
 class Remainder:
     """What the grown model leaves.
 
@@ -52,8 +70,12 @@ class Remainder:
         Drop of chi-square per sample that flexible rivals earn; excess over the noise floor.
     p_value : float
         That the judged share comes from chance.
+    floor_um : float
+        Rms that a perfect model would leave on the judging samples that evidence comes from.
     noise_floor_um : float
-        Rms that a perfect model would leave on the judging samples.
+        The same on all of them, those included where rounding decides the motion.
+    calm : Calm
+        The gap without the samples in which rounding decides the motion.
     excess_um : float
         Gap beyond the noise floor, root of the difference of squares.
     regions : tuple of Region
@@ -66,14 +88,16 @@ class Remainder:
     fit_share: float
     judged_share: float
     p_value: float
+    floor_um: float
     noise_floor_um: float
+    calm: "Calm"
     excess_um: float
     regions: tuple[Region, ...]
 
     @property
     def visible(self) -> bool:
         """Whether the remainder is worth describing."""
-        return self.unexplained or self.excess_um > 0.5 * self.noise_floor_um
+        return self.unexplained or self.excess_um > 0.5 * self.floor_um
 
 
 def remainder_of(grown: Grown, bench: Bench) -> Remainder:
@@ -81,7 +105,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     last = grown.rounds[-1]
     rivals = last.screening
     fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
-    floor_um = noise_floor_um(grown.bench, grown.final.model)
+    floor_um = noise_floor_um(grown.bench, grown.final.model, calm=True)
     gap_um = _rms_um(grown, grown.final.model)
     excess_um, quiet_um = _excess_um(grown, gap_um, floor_um)
     p_value = corrected_p(sign_flip_p(rivals.rival_drop, seed=1), 1)
@@ -109,7 +133,9 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
-        noise_floor_um=floor_um,
+        floor_um=floor_um,
+        calm=Calm(_left_out(grown.bench), _rms_um(grown, grown.base.model), gap_um, floor_um),
+        noise_floor_um=noise_floor_um(grown.bench, grown.final.model),
         excess_um=excess_um,
         regions=regions,
     )
@@ -156,8 +182,9 @@ def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
     simulated = bench.simulate([model])[0]
     doubtful = None if bench.noise is None else bench.noise.doubtful
     powers = []
+    counted = bench.counted
     for i, (record, mask) in enumerate(zip(bench.records, bench.fitting, strict=True)):
-        judged = np.flatnonzero(~mask & record.usable)
+        judged = np.flatnonzero(~mask & counted[i])
         left = (record.coarse_measured_m[:, -1] - simulated[i][:, -1])[judged]
         if left.size < _TRIM_BLOCK:
             continue
@@ -184,8 +211,15 @@ def _onset_um(grown: Grown) -> float:
     return 1e6 * float(np.sqrt(np.mean(powers)))
 
 
+def _left_out(bench: Workbench) -> float:
+    """Share of the judging time in which rounding decides the motion."""
+    judged = [u & ~f for u, f in zip((r.usable for r in bench.records), bench.fitting, strict=True)]
+    kept = sum(int(np.count_nonzero(j & c)) for j, c in zip(judged, bench.counted, strict=True))
+    return 1.0 - kept / max(1, sum(int(np.count_nonzero(j)) for j in judged))
+
+
 def _rms_um(grown: Grown, model: DriveModel) -> float:
-    return gap(grown.bench.judging_records, model, grown.bench.executor).position_um
+    return gap(grown.bench.calm_records, model, grown.bench.executor).position_um
 
 
 def _regions(grown: Grown, bench: Bench) -> tuple[Region, ...]:
@@ -195,8 +229,7 @@ def _regions(grown: Grown, bench: Bench) -> tuple[Region, ...]:
         r.coordinates(r.response(grown.final.model), bench.pitch_m) for r in workbench.records
     ]
     marked = [
-        np.where(r.usable, d[:, -1], np.nan)
-        for r, d in zip(workbench.records, residuals, strict=True)
+        np.where(c, d[:, -1], np.nan) for c, d in zip(workbench.counted, residuals, strict=True)
     ]
     channel = "table" if workbench.channels > 1 else "motor"
     period = workbench.records[0].coarse_period_s

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
@@ -25,6 +26,12 @@ _BLOCK_s = 0.5
 _SHORTEST_BLOCK_s = 0.1
 _LEAST_BLOCKS = 24
 _PIECE = 512
+# Rounding that moves the axis by so many counts, and so many times more than usual, decides its
+# motion; at most so much of the time, and with a margin, as what it has moved takes time to settle.
+_COUNTS = 2.0
+_UNRULY = 8.0
+_MOST_UNRULY = 0.4
+_BEFORE_AND_AFTER_s = 0.1
 _ONSET_m = 1e-7
 _ONSET_PLACES = ("guide", "nut", "motor")
 
@@ -88,11 +95,14 @@ class Noise:
         Weights of single samples per record.
     doubtful : tuple of ndarray, shape (m, channels, q), or None
         Per record, shapes of what the model is known not to get right.
+    unruly : tuple of ndarray of bool, shape (m,), or None
+        Per record, where the sensors' rounding in the loop decides the motion.
     """
 
     whitener: Whitener
     robust: tuple[FloatArray, ...] | None = None
     doubtful: tuple[FloatArray, ...] | None = None
+    unruly: tuple[BoolArray, ...] | None = None
 
     def of(self, keep: Sequence[int]) -> "Noise":
         """Noise of some of the records."""
@@ -100,6 +110,7 @@ class Noise:
             self.whitener,
             None if self.robust is None else tuple(self.robust[i] for i in keep),
             None if self.doubtful is None else tuple(self.doubtful[i] for i in keep),
+            None if self.unruly is None else tuple(self.unruly[i] for i in keep),
         )
 
 
@@ -125,6 +136,13 @@ class Workbench:
     noise: Noise | None = None
 
     @property
+    def known_noise(self) -> Noise:
+        """The noise, which must have been estimated."""
+        if self.noise is None:
+            raise ValueError("the noise has not been estimated")
+        return self.noise
+
+    @property
     def channels(self) -> int:
         """Channels of every record."""
         return self.records[0].channels
@@ -142,6 +160,32 @@ class Workbench:
         return tuple(
             replace(r, valid=r.valid & _fine(~f, r))
             for r, f in zip(self.records, self.fitting, strict=True)
+            if not f.all()
+        )
+
+    @property
+    def counted(self) -> tuple[BoolArray, ...]:
+        """Coarse samples of every record that evidence may come from."""
+        unruly = None if self.noise is None else self.noise.unruly
+        usable = tuple(r.usable for r in self.records)
+        if unruly is None:
+            return usable
+        return tuple(u & ~x for u, x in zip(usable, unruly, strict=True))
+
+    @property
+    def calm_records(self) -> tuple[Record, ...]:
+        """The judging records without the samples that no evidence comes from."""
+        return tuple(
+            replace(r, valid=r.valid & _fine(c & ~f, r))
+            for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
+            if not f.all()
+        )
+
+    def whole_records(self, *, calm: bool) -> tuple[Record, ...]:
+        """Records with judging samples, uncut; ``calm`` leaves out what is no evidence."""
+        return tuple(
+            replace(r, valid=r.valid & _fine(c, r)) if calm else r
+            for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
             if not f.all()
         )
 
@@ -219,9 +263,7 @@ class Workbench:
         Blocks are ``block_s`` long unless told otherwise: products of the columns of all
         candidates are large and serve as sums over whole stretches.
         """
-        noise = self.noise
-        if noise is None:
-            raise ValueError("the noise has not been estimated")
+        noise = self.known_noise
         jobs = [
             (record, first, last, fits, i)
             for i, (record, mask) in enumerate(zip(self.records, self.fitting, strict=True))
@@ -230,13 +272,14 @@ class Workbench:
         ]
         length_s = self.block_s if longest_s is None else longest_s
         block = max(4 * _ORDER, round(length_s / self.records[0].coarse_period_s))
+        counted = self.counted
 
         def work(job: tuple[Record, int, int, bool, int]) -> tuple[FloatArray, FloatArray]:
-            record, first, last, _, i = job
+            _, first, last, _, i = job
             return gram_of_record(
                 residuals[i][first:last],
                 columns[i][first:last],
-                record.usable[first:last],
+                counted[i][first:last],
                 noise.whitener,
                 block=block,
                 offset_channels=[1] if self.channels > 1 else [],
@@ -255,13 +298,44 @@ class Workbench:
 
     def noise_from(self, noise_like: Sequence[FloatArray], floor_m: FloatArray) -> Noise:
         """Whitener and robust weights from what a flexible refit leaves."""
-        usable = [r.usable for r in self.records]
+        usable = self.counted
         whitener = fit_whitener(noise_like, usable, order=_ORDER, floor=floor_m)
         weights = tuple(
             huber_weights(whitener.apply(n - n[u].mean(axis=0)))
             for n, u in zip(noise_like, usable, strict=True)
         )
-        return Noise(whitener, weights, None if self.noise is None else self.noise.doubtful)
+        if self.noise is None:
+            return Noise(whitener, weights)
+        return replace(self.noise, whitener=whitener, robust=weights)
+
+    def rounded(self, model: DriveModel) -> list[FloatArray]:
+        """What the sensors' steps do inside the loop on the coarse grid, per record."""
+        sharp = self.simulate([model])[0]
+
+        def work(i: int) -> FloatArray:
+            record = self.records[i]
+            response = record.response(model, quantise=True)
+            return record.coarsen(record.channels_of(response)) - sharp[i]
+
+        return list(self.executor.map(work, range(len(self.records))))
+
+    def unruly(self, model: DriveModel, rounded: Sequence[FloatArray]) -> tuple[BoolArray, ...]:
+        """Where rounding moves the axis by counts of its encoder and far more than elsewhere.
+
+        An axis at rest within its friction creeps as its integrator counts one fraction of a step
+        or another, and leaves late or early: micrometres that no effect explains and that the true
+        model, simulated without rounding, does not show. Nothing is left out where that is common.
+        """
+        usable = [r.usable for r in self.records]
+        moved = [np.abs(r - np.median(r, axis=0)).max(axis=1) for r in rounded]
+        calm = np.median(np.concatenate([m[u] for m, u in zip(moved, usable, strict=True)]))
+        limit = max(_UNRULY * float(calm), _COUNTS * model.bench.motor_resolution_m)
+        near = round(_BEFORE_AND_AFTER_s / self.records[0].coarse_period_s)
+        found = tuple(maximum_filter1d(m > limit, 2 * near + 1) for m in moved)
+        left_out = sum(int(np.count_nonzero(x & u)) for x, u in zip(found, usable, strict=True))
+        if left_out > _MOST_UNRULY * sum(int(np.count_nonzero(u)) for u in usable):
+            return tuple(np.zeros_like(u) for u in usable)
+        return found
 
     def doubtful(self, model: DriveModel) -> tuple[FloatArray, ...]:
         """What a slightly softer onset of friction would change, per record and place.
