@@ -45,6 +45,10 @@ Progress = Callable[[str], None]
 _HINT = 0.002
 _MOST_FRESH = 10
 _FAR_MORE = 4.0
+# Where a few steps of the others leave so much chi-square per sample, and so much of what an effect
+# explained, more steps do not replace it.
+_FIRST_LESS, _MORE_LESS = 3, 5
+_MISSED, _SLOWLY = 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -246,8 +250,12 @@ def _without(
     part = bench.fitting_bench()
     try:
         bare = whole.model.without_effect(done.accepted.effect)
-        fitted = refit(part, evaluate(part, bare), rounds=8)
-        less = evaluate(bench, fitted.model)
+        begun, had = evaluate(part, bare), evaluate(part, whole.model).chi2
+        fitted = refit(part, begun, rounds=_FIRST_LESS)
+        lost = fitted.chi2 - had
+        if lost > max(_MISSED * done.rows_fit, _SLOWLY * (begun.chi2 - had)):
+            return None
+        less = evaluate(bench, refit(part, fitted, rounds=_MORE_LESS).model)
     except ModelError:
         return None
     gap_um = gap(bench.calm_records, less.model, bench.executor).position_um

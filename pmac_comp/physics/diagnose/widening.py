@@ -12,11 +12,12 @@ from dataclasses import replace
 
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.contenders import Contender, Ground, judged
-from pmac_comp.physics.diagnose.refit import evaluate, refit
+from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
 
-_ROUNDS = 6
+_FIRST_ROUNDS = 2
+_ROUNDS = 4
 
 
 def wider(ground: Ground, accepted: Contender) -> Contender | None:
@@ -38,13 +39,18 @@ def wider(ground: Ground, accepted: Contender) -> Contender | None:
     joint = ground.library[effect].joint_places
     if place in joint or ground.before.model.is_rigid:
         return None
-    tried = [
-        found
+    begun = [
+        (fitted, f"{effect}@{other}")
         for other in joint
         for start in _starts(ground, effect, other)
-        if (found := _refitted(ground, accepted, f"{effect}@{other}", start)) is not None
+        if (fitted := _begun(ground, start)) is not None
     ]
-    return max(tried, key=lambda c: c.gain, default=None)
+    if not begun:
+        return None
+    fitted, key = min(begun, key=lambda b: b[0].chi2)
+    fitted = refit(ground.bench.fitting_bench(), fitted, rounds=_ROUNDS)
+    found = judged(ground, accepted.screened, evaluate(ground.bench, fitted.model))
+    return replace(found, key=key)
 
 
 def _starts(ground: Ground, effect: str, place: str) -> list[DriveModel]:
@@ -59,11 +65,10 @@ def _starts(ground: Ground, effect: str, place: str) -> list[DriveModel]:
     return [usual.with_parameters(present), usual]
 
 
-def _refitted(ground: Ground, accepted: Contender, key: str, start: DriveModel) -> Contender | None:
+def _begun(ground: Ground, start: DriveModel) -> Fitted | None:
+    """A few steps from a start, enough to tell which start is the better one."""
     part = ground.bench.fitting_bench()
     try:
-        fitted = refit(part, evaluate(part, start), rounds=_ROUNDS)
-        whole = evaluate(ground.bench, fitted.model)
+        return refit(part, evaluate(part, start), rounds=_FIRST_ROUNDS)
     except ModelError:
         return None
-    return replace(judged(ground, accepted.screened, whole), key=key)

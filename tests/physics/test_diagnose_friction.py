@@ -1,0 +1,79 @@
+"""Friction as real drives have it: grip over a distance at several places, Stribeck, and rests."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.diagnose import Diagnosis, diagnose
+from pmac_comp.physics.diagnose.records import prepare
+from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import effect_library
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.workflow.campaigns import calibration_motions
+from tools.acceptance.prediction_table import plant_of
+
+BENCH = load_bench("paper_x4")
+NEAR = ("presliding", "stribeck", "viscous_nonlinear", "coupling_windup", "post_reversal_dip")
+REST_s = 0.6
+
+
+@pytest.fixture(scope="module")
+def captures():
+    """The paper's own drive on four motions, each with a rest behind it and a second pass."""
+    plant = plant_of(BENCH, "paper", 4)
+    names = {"sine_low_end", "sine_small", "sine_long", "move_long"}
+    runs = []
+    for motion in calibration_motions(BENCH):
+        if motion.name in names:
+            still = np.full(round(REST_s / BENCH.servo_period_s), motion.position_m[-1])
+            command = np.concatenate([motion.position_m, still, motion.position_m])
+            runs.append(closed_loop_capture(BENCH, plant, command[: round(6 / 442e-6)]))
+    return runs
+
+
+@pytest.fixture(scope="module")
+def found(captures) -> Diagnosis:
+    return diagnose(captures, BENCH, effects={name: effect_library()[name] for name in NEAR})
+
+
+def test_presliding_of_guide_and_screw_is_found_with_the_stribeck_friction_beside_it(found):
+    assert (found.verdict, set(found.named)) == ("named", {"presliding", "stribeck"})
+    assert "presliding@all" in found.model.effects
+    size = {e.name: e.value for e in found.estimates}
+    assert size["presliding.rotary_um"] == pytest.approx(5e-3 * 1e6 * BENCH.lead_m_per_rad, rel=0.1)
+
+
+def test_what_rounding_does_at_rest_is_told_apart_from_the_gap(found):
+    assert any("rests within its friction" in line for line in found.statements)
+
+
+def test_rests_and_what_settles_after_them_are_left_out_as_unruly(captures, found):
+    records = prepare(captures, BENCH, prefix="capture")
+    with processors() as executor:
+        bench = Workbench(records, split(records, []), executor)
+        unruly = bench.unruly(found.model, bench.rounded(found.model))
+    speeds = [np.abs(np.gradient(r.coarsen(r.desired_m), r.coarse_period_s)) for r in records]
+    out, speed = np.concatenate(unruly), np.concatenate(speeds)
+    assert out[speed < 1e-6].mean() > 0.5
+    # In motion only what settles after a rest.
+    assert out[speed > 0.05].mean() < 0.1
+
+
+def test_a_bench_that_rounding_rules_everywhere_leaves_nothing_out():
+    model = DriveModel.base(BENCH)
+    record = prepare(
+        [closed_loop_capture(BENCH, plant_of(BENCH, "paper", 4), _back_and_forth())],
+        BENCH,
+        prefix="capture",
+    )
+    with processors() as executor:
+        bench = Workbench(record, split(record, []), executor)
+        wild = [np.full((record[0].usable.size, 2), 1e-9)]
+        wild[0][::2] = 1e-4
+        assert not np.concatenate(bench.unruly(model, wild)).any()
+
+
+def _back_and_forth() -> np.ndarray:
+    time = BENCH.servo_period_s * np.arange(3000)
+    return np.asarray(0.01 * (1.0 - np.cos(2 * np.pi * time)))
