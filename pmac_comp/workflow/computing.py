@@ -28,6 +28,7 @@ from pmac_comp.workflow.compensation_file import Compensation, check_route, writ
 from pmac_comp.workflow.dynamic_law import (
     dynamic_law,
     law_remarks,
+    turn_errors,
     with_unmodelled,
     without_turn,
 )
@@ -104,7 +105,8 @@ def compute_compensation(
         provenance=provenance,
         progress=progress,
     )
-    lead = static_map(bench, route, slow, law, limit) if slow else None
+    per_turn_m = turn_errors(bench, model, law, captures, slow)
+    lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
     backlash = lead is not None and has_backlash(lead)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
@@ -120,7 +122,7 @@ def compute_compensation(
         provenance = {**law.provenance, "trim": trim, "trim_explained": explained}
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
-        lead = static_map(bench, route, slow, law, limit) if slow else None
+        lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
         backlash = lead is not None and has_backlash(lead)
         law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)

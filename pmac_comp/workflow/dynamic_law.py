@@ -9,15 +9,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
-from pmac_comp.physics.compensate.grip import gripping_law
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.grip import gripping_law, gripping_torque
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
-from pmac_comp.physics.compensate.unmodelled import unmodelled
+from pmac_comp.physics.compensate.unmodelled import only_turn, unmodelled
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
 
@@ -78,6 +81,44 @@ def dynamic_law(
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
     said = {"turn_explained": found.explained, "grip_explained": grip}
     return replace(law, provenance={**law.provenance, **said})
+
+
+def turn_errors(
+    bench: Bench,
+    model: "DriveModel",
+    law: CompensationLaw,
+    captures: Sequence[Capture],
+    slow: Sequence[Capture],
+) -> list[FloatArray]:
+    """What the torque per turn makes of table minus motor in slow runs, m, one array per run.
+
+    Cogging shakes the table at any speed, and more where it passes the first mode: a table that
+    took it for a lead error of the screw would shake the axis anew at all other speeds.
+    """
+    loop, delay_s = model_loop(without_turn(model)), drive_delay_s(model)
+    if law.torque_limit_Nm == 0.0 and captures:  # a route without torque has not looked for it
+        found = turn_torque(law, loop, (*captures, *slow), drive_delay_s=delay_s)
+        law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=0.0)
+    if law.ripple_Nm == 0.0 and law.turn_friction_Nm == 0.0:
+        return [np.zeros(run.n) for run in slow]
+    turn = only_turn(law).with_values(
+        ripple_lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm
+    )
+    turn = replace(turn, every_cycles=1)
+    return [_turn_error(turn, loop, run, gripping_torque(law, run)) for run in slow]
+
+
+def _turn_error(
+    turn: CompensationLaw, loop: LoopRunner, run: Capture, grip_Nm: FloatArray
+) -> FloatArray:
+    r = run.commanded_position_m
+    shaken = loop(r, None, grip_Nm - evaluate_law(turn, r, run.sample_period_s).torque_Nm)
+    plain = loop(r, None, grip_Nm)
+    return np.asarray(
+        shaken.table_position_m
+        - shaken.motor_position_m
+        - (plain.table_position_m - plain.motor_position_m)
+    )
 
 
 def nut_gap(model: "DriveModel") -> tuple[float, LoopRunner] | None:

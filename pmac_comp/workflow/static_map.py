@@ -6,6 +6,7 @@ from enum import Enum
 
 import numpy as np
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
@@ -26,13 +27,18 @@ class Limit(Enum):
 
 
 def static_map(
-    bench: Bench, route: str, slow: Sequence[Capture], law: CompensationLaw, limit: Limit
+    bench: Bench,
+    route: str,
+    slow: Sequence[Capture],
+    law: CompensationLaw,
+    limit: Limit,
+    per_turn_m: Sequence[FloatArray] = (),
 ) -> LeadMap:
     """Lead map of slow runs, cut to what was measured if the runs do not cover the travel.
 
     A route with a dynamic law or a known motion carries the friction's wind-up itself; for the
     route ``table`` it is part of the difference of the two directions and goes into the backlash
-    table.
+    table. ``per_turn_m`` is what the torque per turn makes of each run.
 
     Raises
     ------
@@ -41,7 +47,7 @@ def static_map(
     """
     none = dict.fromkeys(("coulomb_m", "coulomb_per_m", "gap_half_m"), 0.0)
     removed = law.with_values(**none) if route == "table" else law
-    lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench))
+    lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench), per_turn_m=per_turn_m)
     covered = covered_m(bench, lead)
     if covered is None:
         return lead

@@ -21,7 +21,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 
-_DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
+DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
 _NAME = "torque_breakaway_m"
 _LEAST_GAIN_FRAC = 0.1  # of the unexplained rms: less than this is not worth a change
 _PATH_CUTOFF_Hz = 150.0  # a count that flickers at rest is no way
@@ -48,7 +48,7 @@ def gripping_law(
     """
     if not captures or law.torque_coulomb_Nm <= 0.0:
         return law, 0.0
-    longer = [b for b in _DISTANCES_m if b > law.torque_breakaway_m]
+    longer = [b for b in DISTANCES_m if b > law.torque_breakaway_m]
     left_m = {b: _left_m(law, loop, captures, b) for b in (law.torque_breakaway_m, *longer)}
     best = min(left_m, key=lambda b: left_m[b])
     explained = 1.0 - left_m[best] / max(left_m[law.torque_breakaway_m], 1e-30)

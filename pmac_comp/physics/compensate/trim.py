@@ -9,18 +9,19 @@ they are taken over; what they do not explain stays for ``diagnose``.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
-from pmac_comp.physics.compensate.grip import gripping_torque
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.grip import DISTANCES_m, gripping_torque
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 from pmac_comp.physics.compensate.lead import LeadMap
 
 _LEAST_GAIN_FRAC = 0.05  # of the unexplained rms: less than this is not worth a change
+_LEAST_GRIP_FRAC = 0.01  # the same of another break-away distance: it acts at reversals only
 _TERMS = (
     "inertia_s2",
     "inertia_per_m_s2_per_m",
@@ -58,43 +59,76 @@ def trimmed_law(
     usable = [c for c in captures if c.table_position_m is not None]
     if not usable:
         return law, 0.0
-    parts = [_rest(law, loop, capture, lead) for capture in usable]
-    columns = np.concatenate([part[0] for part in parts])
-    rest = np.concatenate([part[1] for part in parts])
-    scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
-    found, *_ = np.linalg.lstsq(columns / scale, rest, rcond=1e-6)
-    explained = 1.0 - float(np.std(rest - columns / scale @ found) / max(np.std(rest), 1e-30))
-    if explained < _LEAST_GAIN_FRAC:
+    runs = [_run(law, loop, capture, lead) for capture in usable]
+    whole = float(np.std(np.concatenate([run.rest_m for run in runs])))
+    longer = [b for b in DISTANCES_m if b > law.breakaway_m]
+    fits = [_fit(law, runs, breakaway_m) for breakaway_m in (law.breakaway_m, *longer)]
+    best = min(fits, key=lambda fit: fit.left_m)
+    if best.left_m > (1.0 - _LEAST_GRIP_FRAC) * fits[0].left_m:
+        best = fits[0]
+    explained = 1.0 - best.left_m / max(whole, 1e-30)
+    if best is fits[0] and explained < _LEAST_GAIN_FRAC:
         return law, 0.0
     # The error is what the law takes away: its terms grow by minus the error's.
     values = {
         name: getattr(law, name) - float(change)
-        for name, change in zip(_TERMS, found / scale, strict=True)
+        for name, change in zip(_TERMS, best.changes, strict=True)
     }
     if law.gap_half_m > 0.0:
         values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
-    return replace(law, **values), explained
+    return replace(law, **values, breakaway_m=best.breakaway_m), explained
 
 
-def _rest(
-    law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None
-) -> tuple[FloatArray, FloatArray]:
-    """Terms and unexplained mechanical error of one run, both without their means."""
+@dataclass(frozen=True)
+class _Run:
+    """A run without compensation: where its motor went, what the model leaves, what counts."""
+
+    motor_m: FloatArray
+    rest_m: FloatArray  # of the samples in use, without its mean
+    use: BoolArray
+    period_s: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Changes of the terms with a break-away distance, and the rms that they leave."""
+
+    breakaway_m: float
+    changes: FloatArray
+    left_m: float
+
+
+def _run(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None) -> _Run:
     r, table = capture.commanded_position_m, capture.table_position_m
     signals = loop(r, None, gripping_torque(law, capture))
     simulated = signals.table_position_m - signals.motor_position_m
     measured = (table if table is not None else r) - capture.motor_position_m
     rest = measured - simulated - (0.0 if lead is None else lead.at(r))
-    columns = _terms(law, signals.motor_position_m, capture.sample_period_s)
     use = capture.mask
-    columns, rest = columns[use], rest[use]
-    return columns - columns.mean(axis=0), rest - rest.mean()
+    motor = signals.motor_position_m
+    return _Run(motor, rest[use] - rest[use].mean(), use, capture.sample_period_s)
 
 
-def _terms(law: CompensationLaw, motor_m: FloatArray, period_s: float) -> FloatArray:
-    """Acceleration, speed and direction of the simulated motor, alone and times position."""
-    v = np.gradient(motor_m, period_s)
-    a = np.gradient(v, period_s)
-    s = np.tanh(v / 2e-3)
-    x = motor_m - law.origin_m
-    return np.column_stack([a, a * x, v, v * x, s, s * x])
+def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit:
+    """Regression on acceleration, speed and friction, alone and times position.
+
+    Friction of another break-away distance than the model's leaves the difference of the two
+    states, besides what changes of the terms' sizes explain.
+    """
+    columns, rests = [], []
+    for run in runs:
+        v = np.gradient(run.motor_m, run.period_s)
+        a = np.gradient(v, run.period_s)
+        x = run.motor_m - law.origin_m
+        s = friction_state(v, breakaway_m, run.period_s)
+        own = friction_state(v, law.breakaway_m, run.period_s)
+        level = law.coulomb_m + law.coulomb_per_m * x
+        terms = np.column_stack([a, a * x, v, v * x, s, s * x])[run.use]
+        rest = run.rest_m - (level * (own - s))[run.use]
+        columns.append(terms - terms.mean(axis=0))
+        rests.append(rest - rest.mean())
+    matrix, rest = np.concatenate(columns), np.concatenate(rests)
+    scale = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-30)
+    found, *_ = np.linalg.lstsq(matrix / scale, rest, rcond=1e-6)
+    left = float(np.std(rest - matrix / scale @ found))
+    return _Fit(breakaway_m, np.asarray(found / scale), left)

@@ -97,7 +97,7 @@ def _rests(
 ) -> tuple[float, float]:
     """Standard deviations in um of what is left of the mechanical and the total error."""
     r, period = capture.commanded_position_m, capture.sample_period_s
-    per_turn = evaluate_law(_only_turn(law), r, period).torque_Nm
+    per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
     signals = loop(r, None, gripping_torque(law, capture) - per_turn)
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)
@@ -116,7 +116,7 @@ def _std_um(values: FloatArray) -> float:
     return float(np.std(values) * UM_PER_M)
 
 
-def _only_turn(law: CompensationLaw) -> CompensationLaw:
+def only_turn(law: CompensationLaw) -> CompensationLaw:
     """The torque per turn alone."""
     others = dict.fromkeys((name for name in TORQUE_NAMES if name not in _TURN), 0.0)
     return law.with_values(**others)

@@ -43,6 +43,20 @@ def test_dynamic_law_takes_the_step_out_of_the_reversal() -> None:
     assert abs(np.mean(found.reversal_m)) < 0.05e-6
 
 
+def test_what_cogging_makes_of_a_run_is_not_taken_for_lead() -> None:
+    run = slow_run()
+    shaken = 0.3e-6 * np.cos(6.0 * 2.0 * np.pi * run.commanded_position_m / 0.01)
+    table = np.asarray(run.table_position_m) + shaken
+    other = Capture(
+        run.time_s, run.commanded_position_m, run.motor_position_m, table_position_m=table
+    )
+    want = lead_error_m(lead_map([run], None).position_m)
+    left = lead_map([other], None).error_m - want
+    clean = lead_map([other], None, per_turn_m=[shaken]).error_m - want
+    assert np.std(left) > 0.08e-6
+    assert np.std(clean) < 0.04e-6
+
+
 def test_table_takes_the_map_away_within_its_rounding() -> None:
     found = lead_map([slow_run()], None)
     rendered = lead_table(found, BENCH)

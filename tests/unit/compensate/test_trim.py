@@ -1,12 +1,14 @@
 """The law corrected by captures of a drive that its model does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import model_loop
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid
@@ -40,6 +42,28 @@ def test_missing_compliance_is_taken_over_by_the_law() -> None:
     assert law.inertia_s2 == pytest.approx(2.7e-6, rel=0.01)
     assert law.viscous_s == pytest.approx(LAW.viscous_s, abs=0.2e-6)
     assert explained > 0.9
+
+
+def test_friction_that_grips_late_at_the_table_is_taken_over() -> None:
+    distance_m, level_m = 16e-6, LAW.coulomb_m
+    sharp = replace(LAW, breakaway_m=1.2e-6)
+    captures = []
+    for motion in MOTIONS:
+        run = simulate(MODEL, motion)
+        v = np.gradient(run.motor_position_m, BENCH.servo_period_s)
+        states = [
+            friction_state(v, b, BENCH.servo_period_s) for b in (sharp.breakaway_m, distance_m)
+        ]
+        table = run.table_position_m + level_m * (states[0] - states[1])
+        captures.append(
+            Capture(
+                run.time_s, run.commanded_position_m, run.motor_position_m, table_position_m=table
+            )
+        )
+    law, explained = trimmed_law(sharp, model_loop(MODEL), captures)
+    assert law.breakaway_m == pytest.approx(distance_m, rel=0.3)
+    assert law.coulomb_m == pytest.approx(LAW.coulomb_m, rel=0.05)
+    assert explained > 0.5
 
 
 def test_law_of_a_model_that_fits_stays_as_it_is() -> None:
