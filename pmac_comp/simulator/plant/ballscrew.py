@@ -31,8 +31,8 @@ _COUPLING_SHARE = 1.0e-4 / 5.45e-4
 _BEARING_OVER_NUT = 211.0 / 180.0
 _DAMPING_s = 7.3e-5
 # Width of the stick zone where no presliding was asked for: far below any sensor.
-_SHARP_GUIDE_m = 0.2e-6
-_SHARP_ROTARY_rad = 1.0e-4
+_SHARP_GUIDE_m = 4e-8
+_SHARP_ROTARY_rad = 2e-5
 # Mechanical stops: a rubber buffer a little behind the end switches.
 _STOP_BEHIND_TRAVEL_m = 10e-3
 _STOP_STIFFNESS_N_per_m = 5e6

@@ -357,7 +357,6 @@ def ballscrew_step(
     lugre_g = par[P_GUIDE_BRISTLE] == 1.0
     gms_g = par[P_GUIDE_BRISTLE] == 2.0
     z_e = state[S_GMS : S_GMS + _GMS]
-    half = 0.5 * dt
     elapsed = 0.0
     for _ in range(n_coarse):
         state[S_TH_SCREW] = th_s
@@ -443,18 +442,23 @@ def ballscrew_step(
             else:
                 f_n = k_nut * (delta + beta * closing)
 
-            # Bristles: stable for any speed; the sharp form is an elastic-plastic return map.
+            # Bristles: stable for any speed. The sharp form is an elastic-plastic return map whose
+            # damping, there to let a stuck axis come to rest, never adds to the level.
             if lugre_m:
                 z_new = (z_m + w_m * dt) / (1.0 + abs(w_m) * dt / end_m)
+                t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
             else:
                 z_new = min(max(z_m + w_m * dt, -end_m), end_m)
-            t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
+                t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
+                t_fm = min(max(t_fm, -motor_level), motor_level)
             z_m = z_new
             if lugre_n:
                 z_new = (z_n + w_s * dt) / (1.0 + abs(w_s) * dt / end_n)
+                t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
             else:
                 z_new = min(max(z_n + w_s * dt, -end_n), end_n)
-            t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
+                t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
+                t_fn = min(max(t_fn, -nut_level), nut_level)
             z_n = z_new
             f_g = guide_viscous * v
             if gms_g:
@@ -468,9 +472,11 @@ def ballscrew_step(
             else:
                 if lugre_g:
                     z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
+                    f_g += sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
                 else:
                     z_new = min(max(z_g + v * dt, -end_low), end_high)
-                f_g += sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
+                    rubs = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
+                    f_g += min(max(rubs, -sigma_g * end_low), sigma_g * end_high)
                 z_g = z_new
 
             r1 = torque * ripple + cog - t_k - t_fm - motor_viscous * w_m
@@ -488,8 +494,9 @@ def ballscrew_step(
                 v_b += dt * a_b
                 xb += dt * v_b
             # The current loop moves on after its torque was used: leapfrog takes forces at the
-            # start of the step.
-            drive = newer if elapsed + half >= switch_s else older
+            # start of the step. A delay that ends within a step switches there, not at its edge.
+            before = min(max((switch_s - elapsed) / dt, 0.0), 1.0)
+            drive = before * older + (1.0 - before) * newer
             torque += lag * (drive - torque)
             elapsed += dt
             w_m += dt * (i11 * r1 + i12 * r2)
