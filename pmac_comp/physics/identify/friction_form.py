@@ -81,7 +81,8 @@ class _Form:
         guide, rotary = self.guide_m > least_m, self.rotary_m > least_m
         found: list[tuple[str, dict[str, float]]] = []
         if self.memory and guide:
-            found.append(("presliding_gms", {"distance_m": self.guide_m}))
+            memory = {"distance_m": self.guide_m, "damping_ratio": self.guide_damping}
+            found.append(("presliding_gms", memory))
             guide = False
         if guide and rotary:
             both = {"distance_m": self.guide_m, "rotary_m": self.rotary_m}

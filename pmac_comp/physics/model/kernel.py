@@ -375,8 +375,13 @@ def _slip_elements(
     moved: float,
     level: float,
     mobility: float,
+    rub: float,
 ) -> float:
-    """Mean force of parallel slip elements over a substep; ``ends`` gets their end forces."""
+    """Mean force of parallel slip elements over a substep; ``ends`` gets their end forces.
+
+    ``rub`` is the damping of all bristles together divided by the substep; an element that slips
+    moves none of them.
+    """
     n = int(par[s.GMS_N])
     # Stiffness belongs to the plain Coulomb level, which Stribeck and the like move.
     plain = par[s.GUIDE + s.LEVEL] if par[s.GUIDE + s.LEVEL] > 0.0 else level
@@ -399,8 +404,9 @@ def _slip_elements(
             elif end < -top:
                 end = -top
             else:
-                slope += 0.5 * spring
+                slope += 0.5 * spring + rub * par[s.GMS + 2 * i]
             mean += 0.5 * (forces[i] + end)
+            mean += rub * par[s.GMS + 2 * i] * (end - forces[i]) / spring
         miss = shift - moved + mobility * mean
         shift -= miss / (1.0 + mobility * slope)
     for i in range(n):
@@ -969,7 +975,8 @@ def run(
                             end_force[i] = 0.0
                         elif i == 2 and n_gms > 0:
                             free = moved[i] + moves[i, i] * old
-                            new = _slip_elements(slip, slip_end, par, free, level, moves[i, i])
+                            rub = _faded(par[s.GUIDE + s.BRISTLE], start[i], level) * rate_h
+                            new = _slip_elements(slip, slip_end, par, free, level, moves[i, i], rub)
                         else:
                             site = s.GUIDE if i == 2 else (s.NUT if i == 1 else s.MOTOR)
                             if par[site + s.BREAK] <= 0.0:
@@ -1028,6 +1035,15 @@ def run(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _faded(bristle: float, speed: float, level: float) -> float:
+    """Damping of bristles at a speed: none where it would outgrow the level."""
+    if bristle <= 0.0:
+        return 0.0
+    ratio = speed * bristle / level
+    return bristle * math.exp(-ratio * ratio) if abs(ratio) < 5.0 else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _bristle(
     force: float,
     moved: float,
@@ -1043,14 +1059,9 @@ def _bristle(
     As in LuGre the stiffness stays where the level moves (Stribeck, warm-up, load): the distance
     follows, but where almost all of the level comes from elsewhere its own says nothing.
     """
-    bristle = par[site + s.BRISTLE]
     own = max(par[site + s.LEVEL], level / _MOST_RISE)
     distance = par[site + s.BREAK] * level / own
-    damping = 0.0
-    if bristle > 0.0:
-        ratio = speed * bristle / level
-        if abs(ratio) < 5.0:
-            damping = bristle * math.exp(-ratio * ratio) * distance / (level * h)
+    damping = _faded(par[site + s.BRISTLE], speed, level) * distance / (level * h)
     mean, end = _dahl(force, moved, level, distance, damping, mobility, speed * h)
     return mean, end
 

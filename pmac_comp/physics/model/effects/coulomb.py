@@ -11,13 +11,18 @@ from pmac_comp.physics.model.parameters import parameter
 
 def apply_bristle(vector: FloatArray, site: int, distance: float, ratio: float) -> None:
     """Break distance of a site and the bristle damping that belongs to it."""
+    vector[site + s.BREAK] = distance
+    apply_bristle_damping(vector, site, distance, ratio)
+
+
+def apply_bristle_damping(vector: FloatArray, site: int, distance: float, ratio: float) -> None:
+    """Damping of the bristles of a site from its ratio to the critical one."""
     level = vector[site + s.LEVEL]
     if vector[s.RIGID] > 0.5:
         lead = vector[s.LEAD]
         mass = vector[s.RIGID_MASS] * (1.0 if site == s.GUIDE else lead**2)
     else:
         mass = vector[{s.GUIDE: s.M_TABLE, s.NUT: s.J_SCREW, s.MOTOR: s.J_MOTOR}[site]]
-    vector[site + s.BREAK] = distance
     vector[site + s.BRISTLE] = 2.0 * ratio * math.sqrt(max(level, 0.0) / distance * mass)
 
 

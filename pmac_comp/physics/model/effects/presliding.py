@@ -13,7 +13,8 @@ from pmac_comp.physics.model.parameters import ParameterSpec, parameter
 _DAMPING_RATIO = 0.05
 
 
-def _damping(name: str, description: str) -> ParameterSpec:
+def damping_parameter(name: str, description: str) -> ParameterSpec:
+    """Ratio of the damping of bristles to the critical one."""
     return parameter(name, "1", _DAMPING_RATIO, (0.0, 1.0), description=description)
 
 
@@ -37,8 +38,8 @@ _ROTARY = parameter(
 )
 
 
-_DAMPING = _damping("damping_ratio", "damping of the bristles over critical damping")
-_ROTARY_DAMPING = _damping("rotary_damping_ratio", "the same for nut and motor")
+DAMPING = damping_parameter("damping_ratio", "damping of the bristles over critical damping")
+_ROTARY_DAMPING = damping_parameter("rotary_damping_ratio", "the same for nut and motor")
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
@@ -56,7 +57,7 @@ def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None
 
 EFFECT = Effect(
     name="presliding",
-    parameters=(_DISTANCE, _DAMPING),
+    parameters=(_DISTANCE, DAMPING),
     apply=_apply,
     where="guide, nut, motor, nut and motor (rotary), or all of them with a distance of each kind",
     source=(
@@ -74,7 +75,7 @@ EFFECT = Effect(
     look_alikes=("backlash", "stribeck", "post_reversal_dip"),
     places=("guide", "nut", "motor", "rotary"),
     joint_places=("all",),
-    place_parameters={"all": (_DISTANCE, _ROTARY, _DAMPING, _ROTARY_DAMPING)},
+    place_parameters={"all": (_DISTANCE, _ROTARY, DAMPING, _ROTARY_DAMPING)},
     starts=({"distance_m": 3e-6}, {"distance_m": 10e-6}, {"distance_m": 40e-6}),
     hides_behind=("coulomb.guide_N", "coulomb.nut_Nm", "coulomb.motor_Nm"),
 )

@@ -5,6 +5,8 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
+from pmac_comp.physics.model.effects.coulomb import apply_bristle_damping
+from pmac_comp.physics.model.effects.presliding import DAMPING
 from pmac_comp.physics.model.parameters import parameter
 
 # A virgin curve 1 - exp(-d) has elements of break distance d with density d exp(-d): eighths of it.
@@ -17,6 +19,7 @@ def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None
     for i, (share, distance) in enumerate(zip(_SHARES, _DISTANCES, strict=True)):
         vector[s.GMS + 2 * i] = share
         vector[s.GMS + 2 * i + 1] = distance * values["distance_m"]
+    apply_bristle_damping(vector, s.GUIDE, values["distance_m"], values["damping_ratio"])
 
 
 EFFECT = Effect(
@@ -31,12 +34,13 @@ EFFECT = Effect(
             description="travel from rest to 63 % of the level",
             by_root=True,
         ),
+        DAMPING,
     ),
     apply=_apply,
     where="guide",
     source=(
         "Ball-screw facts 2.3: GMS; element strengths so that the virgin curve is 1 - "
-        "exp(-d/distance)"
+        "exp(-d/distance), elements that stick damped as LuGre's bristles are"
     ),
     signature="as presliding, but inner loops close: memory of earlier reversals",
     separating_experiment=(
