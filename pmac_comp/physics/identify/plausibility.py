@@ -7,6 +7,7 @@ Every bound here is far outside what friction, elasticity and tolerances can do.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,6 +30,7 @@ _FEW_STEPS = 200
 _FAR_COUNTS = 50  # steps longer than this say little about the count
 _OFF_LATTICE = 0.05
 _DIFFERENT, _OFTEN = 5, 10  # so many multiples, each so often
+_STUCK_SAMPLES, _STUCK_COUNTS = 20, 20
 _NO_LAG_m_per_m_per_s2 = 0.2e-6
 
 
@@ -55,6 +57,7 @@ def require_plausible(captures: Sequence[Capture], bench: Bench) -> None:
             continue
         _require_fresh_samples(capture, name)
         _require_motor_follows(capture, bench, name)
+        _require_live_scale(capture, bench, name)
         _require_table_follows(capture, name)
         _require_whole_torque(capture, bench, name)
         _require_signs(capture, bench, name)
@@ -145,6 +148,28 @@ def _require_motor_follows(capture: Capture, bench: Bench, name: str) -> None:
         what = f"the motor moved {ratio:.4g} times what was commanded"
         hint = "Check units, pitch_mm and counts_per_rev of the motor channel."
     raise CaptureError(f"{name}: {what}.", code="PC-IDN-042", hint=hint)
+
+
+def _require_live_scale(capture: Capture, bench: Bench, name: str) -> None:
+    """No stretch in which the scale's reading stands still and the motor moves on."""
+    table, motor = capture.table_position_m, capture.motor_position_m
+    if table is None or float(np.ptp(table[capture.mask])) == 0.0:
+        return
+    far_m = max(_MOVES_m, _STUCK_COUNTS * (bench.scale_resolution_m or 0.0))
+    changes = np.flatnonzero((np.diff(table) != 0.0) | ~capture.mask[1:] | ~capture.mask[:-1])
+    edges = np.concatenate(([0], changes + 1, [capture.n]))
+    for first, end in pairwise(edges):
+        if end - first < _STUCK_SAMPLES or float(np.ptp(motor[first:end])) < far_m:
+            continue
+        begin_s = capture.time_s[first] - capture.time_s[0]
+        raise CaptureError(
+            f"{name}: from {begin_s:.3f} s the reading of the scale stands still for "
+            f"{(end - first) * capture.sample_period_s:.2g} s, while the motor moves "
+            f"{MM_PER_M * float(np.ptp(motor[first:end])):.2g} mm.",
+            code="PC-IDN-048",
+            hint="Look at cable, supply and reading head of the scale and repeat the run, or leave "
+            "those samples out (mark them invalid).",
+        )
 
 
 def _require_table_follows(capture: Capture, name: str) -> None:

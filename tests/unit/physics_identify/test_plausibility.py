@@ -23,6 +23,8 @@ TABLE = RUN.table_position_m
 TORQUE = RUN.torque_command_Nm
 assert TABLE is not None
 assert TORQUE is not None
+ALIVE = np.arange(RUN.n) < RUN.n // 2
+FROZEN = np.asarray(np.where(ALIVE, TABLE, TABLE[RUN.n // 2]), dtype=np.float64)
 
 
 def repeated() -> Capture:
@@ -47,6 +49,9 @@ SPOILT: dict[str, tuple[Capture, str]] = {
     "reversed scale": (replace(RUN, table_position_m=-TABLE), "sign"),
     "scale in um": (replace(RUN, table_position_m=1e3 * TABLE), "units"),
     "dead scale": (replace(RUN, table_position_m=np.full(RUN.n, 0.1)), "connected"),
+    "scale freezes": (
+        replace(RUN, table_position_m=FROZEN), "cable, supply and reading head of the scale"
+    ),
     "torque reversed": (replace(RUN, torque_command_Nm=-TORQUE), "sign"),
     "torque in percent": (replace(RUN, torque_command_Nm=5.0 * TORQUE), "torque_per_dac_Nm"),
     "repeated samples": (repeated(), "rate"),
@@ -84,6 +89,10 @@ def test_f40_readings_between_two_counts_are_told(pitch_mm: float, counts: float
     bench = BENCH.model_copy(update={"screw": screw, "encoder": encoder})
     with pytest.raises(CaptureError, match=r"multiples of 1 um; by the bench file a count is 2 um"):
         require_plausible([RUN], bench)
+
+
+def test_a_frozen_scale_passes_where_its_samples_are_marked() -> None:
+    require_plausible([replace(RUN, table_position_m=FROZEN, valid=ALIVE)], BENCH)
 
 
 def test_readings_without_counts_pass() -> None:
