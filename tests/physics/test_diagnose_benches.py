@@ -58,8 +58,12 @@ def test_a_known_external_force_is_not_taken_for_an_effect():
 def test_a_gap_is_found_beside_a_known_external_force():
     found = judged(runs(BENCH, {"backlash": {"gap_um": 4.0}}, push()), BENCH)
     assert found.named == ("backlash",)
-    # Slow motion beside a swelling force: friction takes up to a tenth of the gap.
-    assert found.estimates[0].value == pytest.approx(4.0, rel=0.1)
+    gap = found.estimates[0]
+    # Reversals beside a swelling force are few, and friction's share in them is open: the estimate
+    # has to say so itself, and to be right within that.
+    assert abs(gap.value - 4.0) < 3.0 * gap.std
+    assert gap.std < 0.1 * gap.value
+    assert found.gap_after_um < 0.3 * found.gap_before_um
 
 
 @pytest.mark.parametrize("share", [0.5, 1.5])

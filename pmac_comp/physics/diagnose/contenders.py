@@ -12,7 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import Start, relieved, started
-from pmac_comp.physics.diagnose.lookalikes import alike
+from pmac_comp.physics.diagnose.lookalikes import alike, justified
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
 from pmac_comp.physics.diagnose.screen import Screened, Screening
@@ -32,6 +32,10 @@ ELEMENTARY = frozenset({"coulomb", "viscous"})
 _CLOSE = 0.9
 # Share of the best gain from which on the second is worth a refit of everything.
 _OPEN = 0.25
+# A promise of so much chi-square per sample that a refit with few new columns does not keep to this
+# share is refitted further with columns of its own.
+_ROUNDS, _MORE_ROUNDS = 4, 8
+_LARGE, _KEPT = 0.2, 0.5
 # Effects that change the stability of the loop or act in events; from how many values they start
 # anew.
 _FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
@@ -146,6 +150,13 @@ def leaders(
         close = item.fit_gain > 0.2 * top.fit_gain
         if name not in names and close and alike(name, top.start.effect, library):
             chosen.append(item)
+            names.add(name)
+    # No linear step foretells these; where one of a pair leads, the other is tried all the same.
+    chosen += [
+        s
+        for s in screening.ranked
+        if s.start.effect in _FRESH - names and justified(s.start.effect, top.start.effect)
+    ]
     second = screening.starts[top.start.effect][1:2]
     return [*chosen, *(s for s in second if s.fit_gain > 0.5 * top.fit_gain)]
 
@@ -178,13 +189,25 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
     """Full joint refit of one candidate; nothing where no simulation stays finite."""
     part = ground.bench.fitting_bench()
-    try:
-        model = _model_at(ground.before.model, item.start, item.step, ground.library)
-        fitted = refit(part, evaluate(part, model), frozen=frozen, rounds=4)
-        whole = evaluate(ground.bench, fitted.model)
-    except ModelError:
+    before = evaluate(part, ground.before.model)
+    begun = []
+    # What the candidate takes over, the others must give up: both at once, unless that went too far
+    # for a linear step.
+    for own in (item.own_SI, {}):
+        try:
+            moved = ground.before.model.with_parameters(own)
+            model = _model_at(moved, item.start, item.step, ground.library)
+            begun.append(evaluate(part, model))
+        except ModelError:
+            continue
+    if not begun:
         return []
-    return [judged(ground, item, whole)]
+    fitted = refit(part, min(begun, key=lambda b: b.chi2), frozen=frozen, rounds=_ROUNDS)
+    rows_fit = float(ground.rows[ground.fitting].sum())
+    promised, kept = item.fit_gain, before.chi2 - fitted.chi2
+    if promised > _LARGE * rows_fit and kept < _KEPT * promised:
+        fitted = refit(part, fitted, rounds=_MORE_ROUNDS)
+    return [judged(ground, item, evaluate(ground.bench, fitted.model))]
 
 
 def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:

@@ -5,7 +5,7 @@ this package below ``growth``.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +15,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import Start, own_directions, starts_of
 from pmac_comp.physics.diagnose.flexible import flexible_columns
 from pmac_comp.physics.diagnose.gram import Prior, Solution
-from pmac_comp.physics.diagnose.refit import Fitted, Frozen
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, moved_values
 from pmac_comp.physics.diagnose.spectra import peaks_of
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, combined, prior_of
 from pmac_comp.physics.model.effect import Effect
@@ -41,12 +41,15 @@ class Screened:
         Drop of chi-square on judging samples.
     step : tuple of float
         Size along the start's directions.
+    own_SI : Mapping of str to float
+        Where the model's own parameters move meanwhile.
     """
 
     start: Start
     fit_gain: float
     heldout_gain: float
     step: tuple[float, ...]
+    own_SI: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def gain(self) -> float:
@@ -298,6 +301,7 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
                 base.chi2 - solution.chi2,
                 float(judged.sum()),
                 tuple(solution.step[n_own:].tolist()),
+                moved_values(point.model, seen.own, solution.step[:n_own].tolist()),
             )
         )
     starts = {k: tuple(sorted(v, key=lambda s: -s.gain)) for k, v in found.items()}

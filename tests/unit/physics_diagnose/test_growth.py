@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from pmac_comp.physics.diagnose import growth
+from pmac_comp.physics.diagnose import contenders, growth
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.words import _size
+from pmac_comp.physics.model.effect import effect_library
 
 
 @pytest.mark.parametrize("effect", ["coulomb", "viscous"])
@@ -23,3 +24,31 @@ def test_elementary_friction_is_never_taken_out_again(effect):
 def test_a_size_that_the_runs_leave_open_is_not_told_as_a_figure(std, told):
     estimate = Estimate("friction_asymmetry.fraction", -0.3, "1", std, -1.0, 1.0)
     assert _size(estimate) == told
+
+
+def _screened(name: str, gain: float) -> SimpleNamespace:
+    return SimpleNamespace(start=SimpleNamespace(effect=name), fit_gain=gain, heldout_gain=0.0)
+
+
+def test_a_late_current_loop_is_tried_where_a_delay_leads_although_no_linear_step_foretells_it():
+    ranked = [
+        _screened("actuator_delay", 5000.0),
+        _screened("stribeck", 900.0),
+        _screened("torque_saturation", -10.0),
+        _screened("current_bandwidth", -8000.0),
+    ]
+    screening = SimpleNamespace(
+        ranked=ranked, starts={item.start.effect: (item,) for item in ranked}
+    )
+    chosen = contenders.leaders(screening, 1000.0, effect_library(), growth.Rules())  # type: ignore[arg-type]
+    names = [item.start.effect for item in chosen]
+    assert names == ["actuator_delay", "stribeck", "current_bandwidth"]
+
+
+def test_the_partner_is_not_tried_where_neither_of_the_pair_leads():
+    ranked = [_screened("stribeck", 900.0), _screened("current_bandwidth", -8000.0)]
+    screening = SimpleNamespace(
+        ranked=ranked, starts={item.start.effect: (item,) for item in ranked}
+    )
+    chosen = contenders.leaders(screening, 1000.0, effect_library(), growth.Rules())  # type: ignore[arg-type]
+    assert [item.start.effect for item in chosen] == ["stribeck"]
