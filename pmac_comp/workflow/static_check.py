@@ -46,15 +46,36 @@ class Approaches:
         Targets in rising order.
     up_m, down_m : ndarray, shape (runs, p)
         Deviation of each run, approached upwards and downwards.
+    motor_up_m, motor_down_m : ndarray, shape (runs, p)
+        The motor's part of it: where it came to rest, less where it was to rest.
     """
 
     target_m: FloatArray
     up_m: FloatArray
     down_m: FloatArray
+    motor_up_m: FloatArray
+    motor_down_m: FloatArray
 
     def figures(self) -> Positioning:
         """Figures after ISO 230-2."""
         return positioning(self.up_m, self.down_m)
+
+    def of_motor(self) -> Positioning:
+        """The same figures of the standing error that the servo leaves, e_c at rest."""
+        return positioning(self.motor_up_m, self.motor_down_m)
+
+    def of_mechanics(self) -> Positioning:
+        """The same figures of what lies between motor and table, e_r at rest."""
+        return positioning(self.up_m - self.motor_up_m, self.down_m - self.motor_down_m)
+
+
+# Figures to which the motor's own stop contributes, of each part of the deviation.
+_PARTS = (
+    ("mean reversal: servo at rest", "mean_reversal_m", Approaches.of_motor),
+    ("mean reversal: mechanical", "mean_reversal_m", Approaches.of_mechanics),
+    ("repeatability: servo at rest", "repeatability_m", Approaches.of_motor),
+    ("repeatability: mechanical", "repeatability_m", Approaches.of_mechanics),
+)
 
 
 @dataclass(frozen=True)
@@ -74,7 +95,11 @@ class StaticOutcome:
     def rows(self) -> list[tuple[str, float | None, float | None]]:
         """Figure, before, after; um."""
         before, after = (None if s is None else s.figures() for s in (self.before, self.after))
-        return [(name, _figure_um(before, key), _figure_um(after, key)) for name, key in _FIGURES]
+        rows = [(name, _figure_um(before, key), _figure_um(after, key)) for name, key in _FIGURES]
+        for name, key, part in _PARTS:
+            first, second = (None if s is None else part(s) for s in (self.before, self.after))
+            rows.append((name, _figure_um(first, key), _figure_um(second, key)))
+        return rows
 
     def lines(self) -> list[str]:
         """Table for people."""
@@ -116,6 +141,9 @@ def _side_result(side: Approaches) -> dict[str, Any]:
             name: float(getattr(found, key) * UM_PER_M)
             for name, (_, key) in zip(names, _FIGURES, strict=True)
         },
+        "parts_um": {
+            name: float(getattr(part(side), key) * UM_PER_M) for name, key, part in _PARTS
+        },
     }
 
 
@@ -137,10 +165,11 @@ def approaches(captures: Sequence[Capture]) -> Approaches:
         raise CaptureError("The positioning runs have different targets.", code="PC-ISO-002")
     pick = [[[_nearest(side, target) for target in targets[0]] for side in run] for run in runs]
     values = np.asarray(pick)
-    return Approaches(targets[0], values[:, 0, :], values[:, 1, :])
+    up, down = values[:, 0], values[:, 1]
+    return Approaches(targets[0], up[..., 1], down[..., 1], up[..., 2], down[..., 2])
 
 
-Rest = tuple[float, float]  # target and deviation, m
+Rest = tuple[float, float, float]  # target, deviation of the table and of the motor, m
 
 
 def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
@@ -153,6 +182,7 @@ def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
         )
     r = capture.commanded_position_m
     deviation = capture.table_position_m - r
+    standing = capture.motor_position_m - capture.desired_m
     least = round(_LEAST_REST_s / capture.sample_period_s)
     up: list[Rest] = []
     down: list[Rest] = []
@@ -166,15 +196,15 @@ def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
         part = slice(end - max(1, int(_READ_FRAC * (end - first))), end)
         side = up if place > last + _SAME_m else down
         if abs(place - last) > _SAME_m:
-            side.append((place, float(np.mean(deviation[part]))))
+            side.append((place, float(deviation[part].mean()), float(standing[part].mean())))
         last = place
     return up, down
 
 
 def _targets(up: Sequence[Rest], down: Sequence[Rest]) -> FloatArray:
     """Places that were approached from both sides, rising."""
-    low = np.asarray([place for place, _ in down])
-    both = [place for place, _ in up if low.size and np.min(np.abs(low - place)) < _SAME_m]
+    low = np.asarray([place for place, _, _ in down])
+    both = [place for place, _, _ in up if low.size and np.min(np.abs(low - place)) < _SAME_m]
     if not both:
         raise CaptureError(
             "No target is approached from both sides.",
@@ -184,8 +214,8 @@ def _targets(up: Sequence[Rest], down: Sequence[Rest]) -> FloatArray:
     return np.sort(np.asarray(both))
 
 
-def _nearest(side: Sequence[Rest], target: float) -> float:
-    return min(side, key=lambda rest: abs(rest[0] - target))[1]
+def _nearest(side: Sequence[Rest], target: float) -> Rest:
+    return min(side, key=lambda rest: abs(rest[0] - target))
 
 
 def is_static(capture: Capture) -> bool:

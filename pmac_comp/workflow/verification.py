@@ -13,6 +13,7 @@ from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.static_check import StaticOutcome
 
+_MOSTLY = 0.7  # share of the repeatability that is the motor's own
 _GREW = 1.2  # the reversal value of so few targets scatters
 
 
@@ -169,11 +170,22 @@ def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
     """What the positioning test shows beside its figures."""
     if static is None or static.before is None or static.after is None:
         return ()
-    before, after = (s.figures().reversal_value_m for s in (static.before, static.after))
-    if after <= _GREW * before:
-        return ()
-    return (
-        f"the reversal value at rest grew from {before * UM_PER_M:.2f} to {after * UM_PER_M:.2f} "
-        "um: the correction holds the screw's wind-up, which rest does not relieve; what is left "
-        "is the motor's own stop within its friction, which had cancelled the wind-up before",
-    )
+    out: list[str] = []
+    before, after = (s.figures() for s in (static.before, static.after))
+    if after.reversal_value_m > _GREW * before.reversal_value_m:
+        out.append(
+            f"the reversal value at rest grew from {before.reversal_value_m * UM_PER_M:.2f} to "
+            f"{after.reversal_value_m * UM_PER_M:.2f} um: the correction holds the screw's "
+            "wind-up, which rest does not relieve; what is left is the motor's own stop within its "
+            "friction, which had cancelled the wind-up before"
+        )
+    servo, mechanical = static.after.of_motor(), static.after.of_mechanics()
+    if servo.repeatability_m > _MOSTLY * after.repeatability_m:
+        out.append(
+            f"of the repeatability R = {after.repeatability_m * UM_PER_M:.2f} um with compensation "
+            f"the motor itself has {servo.repeatability_m * UM_PER_M:.2f} um and what lies between "
+            f"motor and table {mechanical.repeatability_m * UM_PER_M:.2f} um: the axis stops "
+            "within its friction where the last of its motion and the integrator leave it; no "
+            "offset or table reaches that, the servo's gains and the encoder's steps decide it"
+        )
+    return tuple(out)

@@ -1,5 +1,7 @@
 """Positioning after ISO 230-2 and ringing, from runs whose figures are known beforehand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from pmac_comp.workflow.motions import Motion, check_motion, parse_motion
 from pmac_comp.workflow.pvt import pvt_program
 from pmac_comp.workflow.ringing import ringing_of
 from pmac_comp.workflow.static_check import StaticOutcome, approaches, is_static
+from pmac_comp.workflow.verification import static_remarks
 
 BENCH = load_bench("paper")
 STAIRS = positioning_motion(BENCH)
@@ -70,6 +73,30 @@ def test_before_and_after_side_by_side() -> None:
     assert result["before"]["runs"] == 2
     assert any("wants 5 runs" in line for line in found.lines())
     assert is_static(staircase_run(0.0, 0.0, 0.0))
+
+
+def test_what_the_motor_leaves_at_rest_is_told_from_the_mechanics() -> None:
+    rng = np.random.default_rng(3)
+    r = STAIRS.position_m
+    still = np.abs(np.diff(r, prepend=r[0])) < 1e-10
+    rest = np.cumsum(np.diff(still.astype(int), prepend=0) == 1)
+    runs = []
+    for _ in range(4):
+        stop_m = 2e-6 * rng.standard_normal(int(rest[-1]) + 1)[rest]
+        run = staircase_run(0.0, 0.4, 0.0)
+        table = np.asarray(run.table_position_m) + stop_m
+        runs.append(replace(run, motor_position_m=r + stop_m, table_position_m=table))
+    side = approaches(runs)
+    assert side.of_mechanics().repeatability_m * 1e6 == pytest.approx(0.4, abs=1e-3)
+    assert side.of_mechanics().mean_reversal_m * 1e6 == pytest.approx(0.4, abs=1e-3)
+    assert side.of_motor().repeatability_m > 4e-6
+    found = StaticOutcome(side, side)
+    names = [name for name, _, _ in found.rows()]
+    assert "repeatability: mechanical" in names
+    (said,) = static_remarks(found)
+    assert "stops within its friction" in said
+    clean = approaches([staircase_run(offset, 0.4, 0.0) for offset in (0.0, 0.3)])
+    assert static_remarks(StaticOutcome(clean, clean)) == ()
 
 
 def test_runs_without_targets_from_both_sides_are_refused() -> None:
