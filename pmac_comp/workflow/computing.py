@@ -228,8 +228,9 @@ def compensate_files(
     tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
-    if route == "law" and share_frac(loaded, compensation.law.every_cycles) > CHEAP_FRAC:
-        offers = cheaper_laws(loaded, without_turn(drive), model_law(compensation.law), progress)
+    law = compensation.law
+    if route == "law" and share_frac(loaded, law.every_cycles, law) > CHEAP_FRAC:
+        offers = cheaper_laws(loaded, without_turn(drive), model_law(law), progress, whole=law)
     return {
         "route": route,
         "file": out,
@@ -238,9 +239,9 @@ def compensate_files(
             *cuts,
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
-            *cost_remarks(loaded, route, compensation.law.every_cycles, offers),
+            *cost_remarks(loaded, route, law.every_cycles, offers, law),
         ],
-        "law": None if route in MOTION_ROUTES else compensation.law.as_mapping(),
+        "law": None if route in MOTION_ROUTES else law.as_mapping(),
     }
 
 

@@ -45,20 +45,25 @@ class CheaperLaw:
     total_um: float
 
 
-def share_frac(bench: Bench, every_cycles: int = 1) -> float:
+def share_frac(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None = None) -> float:
     """Share of the processor's time that PLC 0 takes when it runs every so many servo cycles."""
-    cost_us = law_cost_us(bench.controller.cpu_clock_MHz)
-    return cost_us / (bench.servo_period_s * US_PER_S) / every_cycles
+    return _cost_us(bench, law) / (bench.servo_period_s * US_PER_S) / every_cycles
 
 
-def cost_text(bench: Bench, every_cycles: int = 1) -> str:
+def _cost_us(bench: Bench, law: CompensationLaw | None) -> float:
+    """Time of a pass in us; of a law that has everything where none is given."""
+    per_turn = law is None or law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0
+    gap = law is None or law.gap_half_m > 0.0
+    return law_cost_us(bench.controller.cpu_clock_MHz, per_turn=per_turn, gap=gap)
+
+
+def cost_text(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None = None) -> str:
     """What a pass of the law costs, for people."""
-    cost_us = law_cost_us(bench.controller.cpu_clock_MHz)
     rhythm = "each servo cycle" if every_cycles == 1 else f"every {every_cycles} servo cycles"
-    share = 100.0 * share_frac(bench, every_cycles)
+    share = 100.0 * share_frac(bench, every_cycles, law)
     return (
-        f"PLC 0 takes about {cost_us:.0f} us in {rhythm}, {share:.0f} % of the processor's time "
-        f"at {bench.controller.cpu_clock_MHz:g} MHz"
+        f"PLC 0 takes about {_cost_us(bench, law):.0f} us in {rhythm}, {share:.0f} % of the "
+        f"processor's time at {bench.controller.cpu_clock_MHz:g} MHz"
     )
 
 
@@ -67,9 +72,15 @@ def cheaper_laws(
     model: "DriveModel",
     law: CompensationLaw,
     progress: Callable[[str, float], None] | None = None,
+    *,
+    whole: CompensationLaw | None = None,
 ) -> tuple[CheaperLaw, ...]:
-    """The law as it is, and run every second cycle and as often as a quarter of the time allows."""
-    needed = min(_SLOWEST_CYCLES, max(2, math.ceil(share_frac(bench) / CHEAP_FRAC)))
+    """The law as it is, and run every second cycle and as often as a quarter of the time allows.
+
+    ``whole`` is what will run and is counted, where the law itself is the model's part of it.
+    """
+    counted = law if whole is None else whole
+    needed = min(_SLOWEST_CYCLES, max(2, math.ceil(share_frac(bench, law=counted) / CHEAP_FRAC)))
     loop, latency = model_loop(model), LATENCY_CYCLES["law"]
     offers: list[CheaperLaw] = []
     for every in sorted({law.every_cycles, 2, needed}):
@@ -82,7 +93,7 @@ def cheaper_laws(
         offers.append(
             CheaperLaw(
                 every,
-                share_frac(bench, every),
+                share_frac(bench, every, counted),
                 float(np.sqrt(np.mean([run.e_r_after_um**2 for run in runs]))),
                 float(np.sqrt(np.mean([run.total_after_um**2 for run in runs]))),
             )
@@ -91,13 +102,17 @@ def cheaper_laws(
 
 
 def cost_remarks(
-    bench: Bench, route: str, every_cycles: int = 1, offers: tuple[CheaperLaw, ...] = ()
+    bench: Bench,
+    route: str,
+    every_cycles: int = 1,
+    offers: tuple[CheaperLaw, ...] = (),
+    law: CompensationLaw | None = None,
 ) -> list[str]:
     """What the route costs on the card's processor, and the ways out where that is much."""
     if route != "law":
         return []
-    text = cost_text(bench, every_cycles)
-    if share_frac(bench, every_cycles) <= CHEAP_FRAC:
+    text = cost_text(bench, every_cycles, law)
+    if share_frac(bench, every_cycles, law) <= CHEAP_FRAC:
         return [text]
     slower = [offer for offer in offers if offer.every_cycles > every_cycles]
     here = [offer for offer in offers if offer.every_cycles == every_cycles]

@@ -115,8 +115,11 @@ def preview(
         lines += program_lines(axis, context, compensation.route)
         first = context.block.bank(1)
         lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
-    every = compensation.law.every_cycles
-    text += [f"  {line}" for line in cost_remarks(axis.bench, compensation.route, every)]
+    law = compensation.law
+    text += [
+        f"  {line}"
+        for line in cost_remarks(axis.bench, compensation.route, law.every_cycles, law=law)
+    ]
     text += [_SAVED if persist else _NOT_SAVED]
     text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(

@@ -1,37 +1,44 @@
 """What one pass of PLC 0 costs the card, counted over its own statements."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_install import law_program
 
 
-def operation_count(lines: Sequence[str] | None = None) -> int:
+def operation_count(
+    lines: Sequence[str] | None = None, *, per_turn: bool = True, gap: bool = True
+) -> int:
     """Interpreted operations of one pass of PLC 0: operators, functions, stores and tests.
 
-    Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled).
+    Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
+    a law with or without torque per turn, with or without the gap of a nut.
     """
     body = lines if lines is not None else law_program(LawBlock(), 1).lines
-    return sum(_operations(line) for line in ordinary_pass(body))
+    skipped = set(_SKIPPED)
+    skipped |= set() if gap else {"IF(P7186>0)"}
+    skipped |= set() if per_turn else {"IF(P7187>0)"}
+    return sum(_operations(line) for line in _pass(body, skipped))
 
 
-def ordinary_pass(lines: Sequence[str]) -> list[str]:
-    """Statements that run in an ordinary pass of ``feedforward_law.plc0``."""
-    skipped_tests = {
-        "IF(M7003=1 OR M7004=0)",
-        "IF(P7112>16)",
-        "IF(P7113!=P7001+1)",
-        "IF(P7115=0)",
-        "IF(P7127>0)",
-        "IF(ABS(P7118)>P7174)",
-        "IF(ABS(P7122)>P7004)",
-        "IF(ABS(P7124)>P7181)",
-        "IF(P7005>0)",
-        "IF(P7005=0)",
-        "IF(P7003=0)",
-        "IF(P7003!=P7002)",
-        "IF(P7125!=0 OR P7126!=0)",
-    }
+_SKIPPED = (
+    "IF(M7003=1 OR M7004=0)",
+    "IF(P7112>16)",
+    "IF(P7107!=P7001)",
+    "IF(P7115=0)",
+    "IF(P7127>0)",
+    "IF(ABS(P7118)>P7174)",
+    "IF(ABS(P7122)>P7004)",
+    "IF(ABS(P7124)>P7181)",
+    "IF(P7005!<0)",
+    "IF(P7003=0)",
+    "IF(P7003!=P7002)",
+    "IF(P7108>0)",
+)
+
+
+def _pass(lines: Sequence[str], skipped_tests: Container[str]) -> list[str]:
+    """Statements of ``feedforward_law.plc0`` that run when these tests fail and all others hold."""
     kept: list[str] = []
     live = [True]
     for line in lines:
@@ -54,6 +61,6 @@ def _operations(line: str) -> int:
     return operators + functions + line.count("=") + line.count("AND") + line.count("OR")
 
 
-def law_cost_us(cpu_clock_MHz: float) -> float:
+def law_cost_us(cpu_clock_MHz: float, *, per_turn: bool = True, gap: bool = True) -> float:
     """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual)."""
-    return 3.0 * 80.0 / cpu_clock_MHz * operation_count()
+    return 3.0 * 80.0 / cpu_clock_MHz * operation_count(per_turn=per_turn, gap=gap)

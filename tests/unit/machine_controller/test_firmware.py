@@ -280,6 +280,9 @@ def test_cost_of_the_law_is_counted() -> None:
     assert 60 < operations < 140
     assert law_cost.law_cost_us(80.0) == pytest.approx(3.0 * operations)
     assert law_cost.law_cost_us(160.0) == pytest.approx(1.5 * operations)
+    # What a law does not have is passed over, at the price of a test.
+    plain = law_cost.operation_count(per_turn=False, gap=False)
+    assert plain < 0.85 * operations
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
