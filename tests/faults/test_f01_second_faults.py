@@ -85,7 +85,7 @@ STEEP = CompTable(1, (800,) * 39 + (0,), SPAN_CT, wrap=False)
 def by_hand(bench: CardBench, table: CompTable) -> None:
     """Another program defines a table and switches it on."""
     line = bench.side_port()
-    for text in ("I51=0", "#1DELETE COMP", *table.lines(), "I51=1"):
+    for text in ("I51=0", "#1DELETE COMP", *table.lines, "I51=1"):
         line(text)
 
 

@@ -50,7 +50,7 @@ def on_a_slow_line(bench: CardBench) -> tuple[Commander, SlowLine]:
 def test_a_listing_may_take_longer_than_other_answers(tmp_path: Path, count_runs: Count) -> None:
     bench = make_plc_bench(tmp_path)
     table = new_table(1000)
-    bench.link.write_buffer(table.lines())
+    bench.link.write_buffer(table.lines)
     link, line = on_a_slow_line(bench)
     start_s = bench.clock.now_s()
     assert len(" ".join(link.query("#1LIST COMP")).split()) == 1000

@@ -3,9 +3,11 @@
 import dataclasses
 import math
 import os
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -23,7 +25,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller import upload
 from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.journal import Journal, probe_folder
+from pmac_comp.machine.controller.journal import Journal, Sync
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.numbers import nine_digits, plain
 from pmac_comp.machine.controller.safety import check_law, check_table, limit_table
@@ -208,27 +210,43 @@ def test_f38_read_only_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     def refuse(*_arguments: object) -> int:
         raise PermissionError(13, "Permission denied")
 
+    bench = CardBench(tmp_path)
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(ConfigError, match="Permission denied"):
-        probe_folder(tmp_path)
+        upload.upload_tables(bench.link, bench.context, [ramp(320, 10)])
+    assert bench.n_requests == 0
 
 
-def test_f38_journal_that_cannot_be_written_stops_the_step(
+def test_f38_full_disk_is_seen_before_the_machine_is_touched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = CardBench(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=0))
+    with pytest.raises(ConfigError, match="No space left"):
+        upload.upload_tables(bench.link, bench.context, [ramp(320, 10)])
+    assert bench.n_requests == 0
+
+
+@pytest.mark.parametrize(
+    ("refused", "left"), [("intent", ControllerState.OLD), ("seal", ControllerState.DISABLED)]
+)
+def test_f38_journal_that_cannot_be_written_stops_the_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str, left: ControllerState
 ) -> None:
     bench = CardBench(tmp_path)
     real = Journal.write
 
-    def full(self: Journal, step: str, data: object = None) -> None:
-        if step == "disable":
+    def full(self: Journal, step: str, data: object = None, **options: Sync) -> None:
+        if step == refused:
             raise StorageFull("no room", left=None)
-        real(self, step, data)  # type: ignore[arg-type]
+        real(self, step, data, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Journal, "write", full)
     with pytest.raises(StorageFull) as failure:
         upload.upload_tables(bench.link, bench.context, [ramp(320, 10)])
-    assert failure.value.left is ControllerState.OLD
-    assert bench.values("COMP", 1) is None
+    assert failure.value.left is left
+    assert bench.i51 == 0
+    assert (bench.values("COMP", 1) is None) == (left is ControllerState.OLD)
 
 
 def test_f38_torn_journal_lines_are_ignored(tmp_path: Path) -> None:

@@ -164,7 +164,13 @@ class Commander:
 
     # Text -----------------------------------------------------------------------------------------
 
-    def query(self, text: str, *, timeout_s: float | None = None) -> list[str]:
+    def query(
+        self,
+        text: str,
+        *,
+        timeout_s: float | None = None,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> list[str]:
         """Lines that answer a question; asked again once if the answer is late or garbled.
 
         A line that is not certain to be a question (:func:`is_read`) is sent once only. A listing
@@ -177,6 +183,8 @@ class Commander:
             Command line, at most 255 characters.
         timeout_s : float or None
             Total time in s, repetition included.
+        meanwhile : callable or None
+            Work of the host that is done once while the controller answers.
 
         Raises
         ------
@@ -185,6 +193,9 @@ class Commander:
         ReplyTimeout
             If there was no whole answer in time.
         """
+        if meanwhile is not None:
+            with self._lock, self._link.doing(meanwhile):
+                return self.query(text, timeout_s=timeout_s)
         if timeout_s is None and _LISTING.search(text):
             with self._lock, self._link.longest_pause(self.timeout_s):
                 return self._query(text, LISTING_S)

@@ -11,7 +11,7 @@ values (2 and 1) were set when the session began. The question only reads.
 """
 
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -110,11 +110,24 @@ class BaseLink:
         self.i4 = i4
         self._limit = limit
         self._pause_s: float | None = None
+        self._meanwhile: Callable[[], None] | None = None
 
     def _send(self, data: bytes, deadline: Deadline) -> None:
         self.statistics.requests += 1
         self.statistics.bytes_sent += len(data)
         self.transport.send(data, deadline)
+        if self._meanwhile is not None:
+            work, self._meanwhile = self._meanwhile, None
+            work()
+
+    @contextmanager
+    def doing(self, work: Callable[[], None]) -> Iterator[None]:
+        """Within ``with``, the first thing that is sent has ``work`` done before its answer."""
+        self._meanwhile = work
+        try:
+            yield
+        finally:
+            self._meanwhile = None
 
     def _receive(self, deadline: Deadline) -> bytes:
         if deadline.expired():

@@ -63,7 +63,7 @@ class Table:
 
     def __post_init__(self) -> None:
         motor_base(self.motor)
-        _check_entries(self.entries)
+        object.__setattr__(self, "entries", _checked(self.entries))
         if not 0 < self.span_ct <= SPAN_MAX:
             raise ConfigError(
                 f"A table span of {self.span_ct} counts is not possible.", code="PC-TBL-003"
@@ -98,15 +98,20 @@ class Table:
         """Command that defines the table for its motor."""
         return f"#{self.motor}DEFINE {self.kind.value} {len(self.entries)},{self.span_ct}"
 
-    def lines(self) -> list[str]:
+    @cached_property
+    def lines(self) -> tuple[str, ...]:
         """Lines that define and fill the table, I30 first."""
-        return [f"I30={int(self.wrap)}", self.definition, *entry_lines(self.entries)]
+        return (f"I30={int(self.wrap)}", self.definition, *entry_lines(self.texts))
+
+    @cached_property
+    def texts(self) -> tuple[str, ...]:
+        """Entries as text."""
+        return tuple(map(str, self.entries))
 
     @cached_property
     def canonical(self) -> str:
         """Text that the checksum is taken of: all that the card lists."""
-        values = " ".join(map(str, self.entries))
-        return f"{self.kind.value} {self.motor} {self.span_ct} {values}"
+        return f"{self.kind.value} {self.motor} {self.span_ct} {' '.join(self.texts)}"
 
     @property
     def crc(self) -> int:
@@ -167,8 +172,8 @@ class CompTable(Table):
     @cached_property
     def canonical(self) -> str:
         """Text that the checksum is taken of; the D of the source is not always listed."""
-        values = " ".join(map(str, self.entries))
-        return f"COMP {self.motor} {self.source} {self.target} {self.span_ct} {values}"
+        head = f"COMP {self.motor} {self.source} {self.target} {self.span_ct}"
+        return f"{head} {' '.join(self.texts)}"
 
     def correction_ct(self, position_ct: FloatArray | float) -> FloatArray:
         """Correction in counts of the target at source positions in counts."""
@@ -215,10 +220,15 @@ class TableHeader:
     target: int
     by_desired: bool | None  # None: the card does not say
 
+    def is_of(self, table: Table, listed: str) -> bool:
+        """Whether this header with the entries listed is that table, character by character."""
+        who = f"{self.source} {self.target} " if self.kind is TableKind.COMP else ""
+        canonical = f"{self.kind.value} {self.motor} {who}{self.span_ct} {listed}"
+        return self.n_entries == len(table.entries) and canonical == table.canonical
 
-def entry_lines(entries: Sequence[int]) -> list[str]:
+
+def entry_lines(texts: Sequence[str]) -> list[str]:
     """Entries as lines of blank-separated numbers, each well below the line limit."""
-    texts = list(map(str, entries))
     starts = range(0, len(texts), ENTRIES_PER_LINE)
     return [" ".join(texts[k : k + ENTRIES_PER_LINE]) for k in starts]
 
@@ -296,13 +306,14 @@ def same_on_card(meant: Table, found: Table) -> bool:
     return meant.canonical == found.canonical
 
 
-def _check_entries(entries: tuple[int, ...]) -> None:
+def _checked(entries: tuple[int, ...]) -> tuple[int, ...]:
+    """Entries as plain integers."""
     if not 1 <= len(entries) <= ENTRIES_MAX:
         raise ConfigError(
             f"A table has 1 to {ENTRIES_MAX} entries, not {len(entries)}.", code="PC-TBL-001"
         )
     if set(map(type, entries)) == {int} and min(entries) >= ENTRY_MIN and max(entries) <= ENTRY_MAX:
-        return
+        return tuple(entries)
     for k, value in enumerate(entries, start=1):
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise ConfigError(f"Entry {k} is {value!r}, not an integer.", code="PC-TBL-002")
@@ -311,3 +322,4 @@ def _check_entries(entries: tuple[int, ...]) -> None:
                 f"Entry {k} is {value}; a table word holds {ENTRY_MIN} to {ENTRY_MAX}.",
                 code="PC-TBL-002",
             )
+    return tuple(map(int, entries))

@@ -1,4 +1,4 @@
-"""What we were about to do, on disk before it is done: append-only lines, each synced.
+"""What we were about to do, on disk before it is done: append-only lines, synced.
 
 After a kill the journal and the state of the controller decide together what happened. A line is
 JSON with a checksum; a torn last line is ignored. Imports ``base`` only.
@@ -7,16 +7,27 @@ JSON with a checksum; a torn last line is ignored. Imports ``base`` only.
 import errno
 import json
 import os
+import shutil
 import zlib
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Final
 
 from pmac_comp.base.errors import ConfigError, StorageFull
 
+_NOT_YET: Final = -1
+_ENCODER: Final = json.JSONEncoder(sort_keys=True)
 CLOSING: Final = frozenset({"done", "rolled back"})
+
+
+class Sync(Enum):
+    """When a line has to be on the disk itself and not only in the care of the system."""
+
+    NOW = "now"
+    LATER = "with the next line"
 
 
 @dataclass(frozen=True)
@@ -38,29 +49,52 @@ class Journal:
     """
 
     path: Path
+    _kept: list[int] = field(default_factory=list, compare=False, repr=False)
 
-    def write(self, step: str, data: Mapping[str, object] | None = None) -> None:
+    @contextmanager
+    def kept_open(self) -> Iterator[None]:
+        """Within ``with``, the file that the first entry opens stays open for the next ones."""
+        self._kept.append(_NOT_YET)
+        try:
+            yield
+        finally:
+            fd = self._kept.pop()
+            if fd != _NOT_YET:
+                os.close(fd)
+
+    def write(
+        self, step: str, data: Mapping[str, object] | None = None, *, when: Sync = Sync.NOW
+    ) -> None:
         """Append an entry and sync it; returns only when it is on the disk.
+
+        With ``Sync.LATER`` a kill of this program keeps the entry, a power failure may not: only
+        for one that announces nothing that would have to be undone.
 
         Raises
         ------
         StorageFull
             The entry could not be stored: the step must not be taken.
         """
-        body = json.dumps({"step": step, **(data or {})}, sort_keys=True)
+        body = _ENCODER.encode({"step": step, **(data or {})})
         line = f"{zlib.crc32(body.encode()):08x} {body}\n".encode()
         try:
-            fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-            try:
-                _append(fd, line)
-            finally:
-                os.close(fd)
+            if not self._kept:
+                with self.kept_open():
+                    self._append(line, when)
+            else:
+                self._append(line, when)
         except OSError as error:
             raise StorageFull(
                 f"The journal {self.path} cannot be written: {error.strerror}.",
                 code="PC-JRN-001",
                 hint="Nothing is changed without a journal; free the disk or choose a folder.",
             ) from error
+
+    def _append(self, line: bytes, when: Sync) -> None:
+        if self._kept[-1] == _NOT_YET:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+            self._kept[-1] = os.open(self.path, flags, 0o644)
+        _append(self._kept[-1], line, when)
 
     def entries(self) -> list[Entry]:
         """Intact entries in order; reading stops at the first damaged line."""
@@ -102,12 +136,13 @@ class Journal:
         return bool(steps) and steps[-1] not in CLOSING
 
 
-def _append(fd: int, line: bytes) -> None:
+def _append(fd: int, line: bytes, when: Sync) -> None:
     """Write a line and sync it, or leave the file as it was: what follows a torn line is lost."""
     before = os.fstat(fd).st_size
     try:
         _write_whole(fd, line)
-        os.fsync(fd)
+        if when is Sync.NOW:
+            os.fsync(fd)
     except OSError:
         with suppress(OSError):
             os.ftruncate(fd, before)
@@ -119,28 +154,28 @@ def _write_whole(fd: int, line: bytes) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def probe_folder(folder: Path) -> None:
-    """Prove that files can be made in a folder, before a machine is touched.
+def require_folder(folder: Path) -> None:
+    """Make a folder where it is missing; refuse one without the right or the room to write.
 
-    The first entry of the journal is synced before anything is changed, so this need not be.
+    What this cannot see fails with the first entry, before anything is changed.
 
     Raises
     ------
-    ConfigError
+    OSError
         Missing, read-only or full folder.
     """
-    probe = folder / f".probe-{os.getpid()}"
-    try:
+    if not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True)
-        fd = os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        try:
-            os.write(fd, b"probe")
-        finally:
-            os.close(fd)
-            probe.unlink()
-    except OSError as error:
-        raise ConfigError(
-            f"The folder {folder} cannot be written: {error.strerror}.",
-            code="PC-JRN-002",
-            hint="Choose a folder with room that you may write to; the controller was not touched.",
-        ) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+    if not shutil.disk_usage(folder).free:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def unwritable(folder: Path, error: OSError) -> ConfigError:
+    """What is said of a folder in which no journal can be kept."""
+    return ConfigError(
+        f"The folder {folder} cannot be written: {error.strerror}.",
+        code="PC-JRN-002",
+        hint="Choose a folder with room that you may write to; the controller was not touched.",
+    )

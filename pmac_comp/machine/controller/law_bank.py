@@ -28,7 +28,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
-    w = d T_INV          t = (t + w) / (1.002 + |w|)      the same for the torque, fading at rest
+    w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
     e = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s
     c = e + GH e / (S0 / 5 + |e|) + J0 j                  the flank of a gap goes with the force
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
@@ -38,9 +38,9 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
-step at a reversal arrives with the axis in spite of latency, delay and current loop. The torque's
-state fades within 0.2 s at rest: there friction holds the axis, and a torque that stays on would
-be wound up against by the integrator and be wrong at the next start.
+step at a reversal arrives with the axis in spite of latency, delay and current loop. Both states
+hold at rest, as friction does; PLC 0 and the open servo look at what the integrator wound over a
+rest and begin the next motion from there (``feedforward_law.plc0``).
 """
 
 import zlib

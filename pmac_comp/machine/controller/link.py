@@ -17,8 +17,8 @@ class Link(Protocol):
         """Clock that waits are measured on."""
         ...
 
-    def query(self, text: str) -> list[str]:
-        """Lines that answer a question."""
+    def query(self, text: str, *, meanwhile: Callable[[], None] | None = None) -> list[str]:
+        """Lines that answer a question; ``meanwhile`` runs once while the answer is awaited."""
         ...
 
     def command(self, text: str, *, timeout_s: float | None = None) -> list[str]:

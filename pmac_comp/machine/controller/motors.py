@@ -5,7 +5,7 @@ other conversation's addressing matters. Source: Software Reference Manual p. 28
 382, 401.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from functools import lru_cache
@@ -17,9 +17,12 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import nine_digits
 from pmac_comp.machine.wire.numbers import read_number
 
+Reader = Callable[["Link", Sequence[int]], "dict[int, MotorReading]"]
+"""Reads motors, perhaps together with something else that the caller wants to know then."""
 POLL_s: Final = 0.02
 STATIONARY_SPACING_s: Final = 0.02
-HALF_SPACING_s: Final = 0.5 * STATIONARY_SPACING_s  # before and after a switch
+QUICK_SPACING_s: Final = 0.5 * STATIONARY_SPACING_s  # over a switch, if nothing seems to move
+PART_SPACING_s: Final = 0.125 * STATIONARY_SPACING_s  # of it before the switch, and again after it
 LONGEST_SPACING_s: Final = 0.1  # between two looks
 
 
@@ -230,29 +233,34 @@ def look_again(
     motors: Sequence[int],
     *looks: Standstill | None,
     spacing_s: float = STATIONARY_SPACING_s,
+    reader: Reader | None = None,
 ) -> Rest:
-    """Whether motors are at rest.
+    """Whether motors are at rest; ``reader`` takes the second look.
 
     A motor is at rest if it is killed and its position does not change, or if its trajectory
     stands. Two readings are compared, at least ``spacing_s`` apart; the first may be the earliest
     of ``looks`` that is fresh: over a longer time slow drift would count as motion. After a short
-    spacing a motor that goes faster than a still one may is looked at once more after the full one.
+    spacing a motor that goes faster than a still one may is looked at once more after the full one:
+    a short spacing finds the same speed, from fewer counts.
     """
     begun = next((k for k in looks if k is not None and is_fresh(link, motors, k)), None)
     begun = begun or begin_standstill(link, motors)
-    found = _second_look(link, motors, begun, max(HALF_SPACING_s, spacing_s - begun.watched_s))
+    wait_s = max(PART_SPACING_s, spacing_s - begun.watched_s)
+    found = _second_look(link, motors, begun, wait_s, reader or read_motors)
     share = found.watched_s / STATIONARY_SPACING_s
     if share < 1.0 and any(
         found.travelled_ct[m] > share * _allowed_ct(found.readings[m]) for m in motors
     ):
-        return _second_look(link, motors, begun, STATIONARY_SPACING_s)
+        return _second_look(link, motors, begun, STATIONARY_SPACING_s, reader or read_motors)
     return found
 
 
-def _second_look(link: Link, motors: Sequence[int], begun: Standstill, wait_s: float) -> Rest:
+def _second_look(
+    link: Link, motors: Sequence[int], begun: Standstill, wait_s: float, reader: Reader
+) -> Rest:
     link.clock.sleep_s(max(0.0, wait_s - (link.clock.now_s() - begun.at_s)))
     watched_s = begun.watched_s + link.clock.now_s() - begun.at_s
-    second = read_motors(link, motors)
+    second = reader(link, motors)
     travelled_ct = {
         m: begun.travelled_ct.get(m, 0.0) + abs(second[m].position_ct - begun.first[m].position_ct)
         for m in motors

@@ -140,9 +140,14 @@ def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterat
     except PmacCompError as error:
         if not isinstance(error, LinkError | ProtocolError):
             _take_back_after(link, context, group, error)
-        elif error.left is None:
+        elif error.left is None or _done_before(context, group):
+            # What a part says of itself is not true of an upload whose first parts stand.
             mark_left(error, ControllerState.DISABLED, confirmed=False)
         raise
+
+
+def _done_before(context: Context, group: Journal) -> bool:
+    return any(p.journal.group == group.group and p.closing == DONE for p in _parts(context))
 
 
 def _require_whole(link: Link, context: Context, group: int) -> None:

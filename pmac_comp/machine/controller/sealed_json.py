@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 
-from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.atomic import atomic_write_bytes
 from pmac_comp.base.errors import ConfigError, ControllerState, StorageFull, TableStateError
 
 
@@ -21,15 +21,17 @@ def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
     """
     body = json.dumps(dict(data), sort_keys=True)
     digest = sha256(body.encode()).hexdigest()
+    content = json.dumps({"sha256": digest, "body": body}).encode("utf-8")
     try:
-        atomic_write_text(path, json.dumps({"sha256": digest, "body": body}, indent=1))
+        atomic_write_bytes(path, content)
+        stored = path.read_bytes()
     except OSError as error:
         raise StorageFull(
             f"The backup {path} cannot be written: {error.strerror}.",
             code="PC-TXN-008",
             hint="Nothing is changed without a backup; free the disk or choose a folder.",
         ) from error
-    if read_sealed_json(path) != json.loads(body):
+    if stored != content:
         raise TableStateError(
             f"The file {path} does not read back as written.",
             code="PC-TXN-004",

@@ -36,7 +36,7 @@ def table_to_json(table: Table) -> dict[str, object]:
         "motor": table.motor,
         "span_ct": table.span_ct,
         "wrap": int(table.wrap),
-        "entries": [int(v) for v in table.entries],
+        "entries": table.entries,
     }
     if isinstance(table, CompTable):
         data |= {

@@ -1,6 +1,8 @@
 """What stands on a controller about its tables: manifest, switch and checksum, judged."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from pmac_comp.base.errors import (
     ProtocolError,
@@ -22,6 +24,8 @@ from pmac_comp.machine.controller.table_set import (
     read_tables,
 )
 from pmac_comp.machine.wire.numbers import read_number
+
+HEAD_LINES: Final = 3 + MANIFEST_SIZE + 2 + 1
 
 
 @dataclass(frozen=True)
@@ -49,10 +53,21 @@ class TableStatus:
 
 def read_head(link: Link, context: Context) -> Head:
     """I51, I30, SIZE, manifest, lease and global status in one question."""
+    return parse_head(link.query(head_text(context)))
+
+
+def head_text(context: Context) -> str:
+    """Question for a head; others may stand behind it in the same line."""
     first = context.block.p(Index.MANIFEST)
-    lines = link.query(f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???")
-    if len(lines) != 3 + MANIFEST_SIZE + 2 + 1 or len(lines[-1].strip()) != 12:
-        raise ProtocolError(f"The controller answered {len(lines)} lines to 16 questions.")
+    return f"I51I30SIZEP{first}..{first + MANIFEST_SIZE + 1}???"
+
+
+def parse_head(lines: Sequence[str]) -> Head:
+    """Head from the answer to ``head_text``; raises ProtocolError."""
+    if len(lines) != HEAD_LINES or len(lines[-1].strip()) != 12:
+        raise ProtocolError(
+            f"The controller answered {len(lines)} lines to {HEAD_LINES} questions."
+        )
     values = [float(read_number(v)) for v in lines[:-1]]
     digits = lines[-1].strip()
     return Head(

@@ -1,9 +1,10 @@
 """The spine of every change of a controller: lock, lease, journal, backup, verdict.
 
-Order of steps, each journalled and synced before it is done: begin, intent (old and new), write,
-enable, done. What lives here is what tables, laws and settings share; what is written and how a
-change is judged lives with each kind (``upload``, ``law_upload``, ``settings_upload``). Several
-changes that only make sense together are a group: ``recover`` takes a torn group back whole.
+Order of steps, journalled and synced before they are done: intent (old and new), write, enable,
+done. The first line (begin) announces nothing but the lease and is synced with the intent. What
+lives here is what tables, laws and settings share; what is written and how a change is judged lives
+with each kind (``upload``, ``law_upload``, ``settings_upload``). Several changes that only make
+sense together are a group: ``recover`` takes a torn group back whole.
 """
 
 import os
@@ -26,11 +27,10 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import CLOSING, Journal
+from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
-    read_clock,
     read_lease,
     release_lease,
     renew_lease,
@@ -170,6 +170,7 @@ class Change:
         """Journal of this change, named when it is first needed."""
         if self._journal is None:
             self._journal = Journal(_next_path(self.context, self.transaction))
+            self._stack.enter_context(self._journal.kept_open())
         return self._journal
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
@@ -177,8 +178,8 @@ class Change:
         self.may_go_on()
         if self._is_new:
             head = {"kind": self.kind.value, "group": self.context.group}
-            self.journal.write("begin", {**head, **(data or {})})
-        self._lease = take_lease(self.link, self.context, read_clock(self.link))
+            self.journal.write("begin", {**head, **(data or {})}, when=Sync.LATER)
+        self._lease = take_lease(self.link, self.context)
         self._leased_at_s = self.link.clock.now_s()
 
     def step(self, name: str, data: Mapping[str, object] | None = None) -> None:

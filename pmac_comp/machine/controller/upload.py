@@ -1,8 +1,10 @@
 """The upload of tables as a transaction: old, new or switched off, at every instant.
 
-Order of steps: pre-flight, backup, intent, disable, write, read back, seal, enable, persist. Every
-journal entry is synced before its step. A line is never sent twice: a lost or repeated number
-shifts all later entries, so any doubt ends in DISABLED and ``recover`` begins anew.
+Order of steps: pre-flight, backup, intent, disable, write, read back, seal, enable, persist. Before
+a step the journal holds on the disk that it is going to be taken: one entry announces intent,
+disable and write, the next seal and enable. How far it came is judged by what stands on the
+controller. A line is never sent twice: a lost or repeated number shifts all later entries, so any
+doubt ends in DISABLED and ``recover`` begins anew.
 """
 
 from collections.abc import Sequence
@@ -33,25 +35,33 @@ from pmac_comp.machine.controller.manifest import (
     clear_lines,
 )
 from pmac_comp.machine.controller.motors import (
-    HALF_SPACING_s,
     LONGEST_SPACING_s,
+    PART_SPACING_s,
+    QUICK_SPACING_s,
     Rest,
     Standstill,
     begin_standstill,
-    look_again,
 )
 from pmac_comp.machine.controller.persist import save
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.switching import switch_tables, watch
 from pmac_comp.machine.controller.table_files import table_to_json, write_table_backup
 from pmac_comp.machine.controller.table_set import (
+    POINTERS_TEXT,
     Key,
     TableSet,
     keys_of,
-    read_pointers,
+    parse_pointers,
     read_tables,
 )
-from pmac_comp.machine.controller.table_status import Head, read_head, table_status
+from pmac_comp.machine.controller.table_status import (
+    HEAD_LINES,
+    Head,
+    head_text,
+    parse_head,
+    read_head,
+    table_status,
+)
 from pmac_comp.machine.controller.transaction import (
     DONE,
     ROLLED_BACK,
@@ -61,6 +71,7 @@ from pmac_comp.machine.controller.transaction import (
     mark_left,
 )
 from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, not_at_rest
+from pmac_comp.machine.controller.upload_look import do_and_look
 from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look, step_refusals
 from pmac_comp.machine.controller.variables import batches
 
@@ -168,7 +179,13 @@ class TableUpload:
 
     def _look(self, *, to_the_end: bool) -> UploadPlan:
         with self._change.explained():
-            found = look(self.link, self.context, self._wish, to_the_end=to_the_end)
+            found = look(
+                self.link,
+                self.context,
+                self._wish,
+                to_the_end=to_the_end,
+                meanwhile=lambda: self._change.journal,
+            )
         self._plan, self._i30 = found.plan, found.head.i30
         self._looks = (found.begun,)
         self._prepared_s = self.link.clock.now_s()
@@ -196,11 +213,10 @@ class TableUpload:
             change.begin({"closing": self._closing})
             backup = self._backup(the_plan)
             manifest = self._intend(the_plan, backup)
-            self._require_standstill(the_plan, "Switching off")
             self._disable(the_plan)
             self._write(the_plan)
             self._read_back(the_plan, manifest)
-            self._seal(manifest)
+            self._seal(the_plan, manifest)
             if self._wish.enable_after:
                 self._enable(the_plan)
             if self.persist:
@@ -254,15 +270,25 @@ class TableUpload:
             {
                 "manifest": list(manifest.values()),
                 "backup": backup.name,
+                "steps": ["manifest", "disable", "write", "read back"],
+                "n_lines": len(the_plan.lines),
                 "new": [table_to_json(t) for t in the_plan.new],
                 "enable_after": int(self._wish.enable_after),
                 "closing": self._closing,
             },
         )
         self._change.settle = lambda: self._settle(manifest)
-        self.link.write_buffer(manifest.lines(self.context.block))
-        head = read_head(self.link, self.context)
-        self._require_ours(head, manifest, int(the_plan.enabled_old))
+        found = do_and_look(
+            self.link,
+            self.context,
+            manifest.lines(self.context.block),
+            the_plan.motors,
+            self._looks,
+            spacing_s=PART_SPACING_s,
+        )
+        self._require_ours(found.head, manifest, int(the_plan.enabled_old))
+        self._rest = found.rest
+        raise_all(not_at_rest(found.reasons), "Switching off")
         return manifest
 
     def _settle(self, manifest: Manifest) -> ControllerState:
@@ -304,7 +330,7 @@ class TableUpload:
         )
 
     def _disable(self, the_plan: UploadPlan) -> None:
-        self._change.step("disable")
+        self._change.may_go_on()
         self.context.progress("disable", 0, 1)
         # From here on the answer may be lost while the command acted.
         if the_plan.enabled_old:
@@ -316,16 +342,7 @@ class TableUpload:
         self._looks = (look,)
         self._change.left = ControllerState.DISABLED
 
-    def _require_standstill(self, the_plan: UploadPlan, what: str) -> None:
-        """Motors stood from an earlier look to now; raises MotorNotSafe."""
-        if the_plan.motors:
-            self._rest = look_again(
-                self.link, the_plan.motors, *self._looks, spacing_s=HALF_SPACING_s
-            )
-            raise_all(not_at_rest(self._rest.reasons), what)
-
     def _write(self, the_plan: UploadPlan) -> None:
-        self._change.step("write", {"n_lines": len(the_plan.lines)})
         lines = ["DELETE GATHER", *the_plan.lines, f"I30={self._i30}"]
         parts = list(batches(lines, PACKET_BYTES))
         for k, packet in enumerate(parts):
@@ -350,10 +367,10 @@ class TableUpload:
 
     def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:
         self.context.progress("read back", 0, 1)
-        head = read_head(self.link, self.context)
-        self._require_ours(head, manifest, 0)
-        self._pointers = read_pointers(self.link)
-        found = read_tables(self.link, keys_of(self._pointers))
+        lines = self.link.query(head_text(self.context) + POINTERS_TEXT)
+        self._require_ours(parse_head(lines[:HEAD_LINES]), manifest, 0)
+        self._pointers = parse_pointers(lines[HEAD_LINES:])
+        found = read_tables(self.link, keys_of(self._pointers), the_plan.new)
         if found.crc != the_plan.new.crc:
             raise VerifyMismatch(
                 f"The tables on the controller are not those that were sent: "
@@ -363,29 +380,37 @@ class TableUpload:
             )
         self.context.progress("read back", 1, 1)
 
-    def _seal(self, manifest: Manifest) -> None:
-        self._change.step("seal")
+    def _seal(self, the_plan: UploadPlan, manifest: Manifest) -> None:
+        """Call the new tables whole; if they are to act, look whether they may."""
+        acting = self._wish.enable_after
+        self._change.step("seal", {"steps": ["seal", "enable"] if acting else ["seal"]})
         state = self.context.block.p(Index.MANIFEST) + 1
-        self.link.command(f"P{state}={int(ManifestState.VALID)}")
-        head = read_head(self.link, self.context)
-        self._require_ours(head, manifest, 0)
-        if head.manifest is None or head.manifest.state is not ManifestState.VALID:
+        found = do_and_look(
+            self.link,
+            self.context,
+            [f"P{state}={int(ManifestState.VALID)}"],
+            the_plan.motors if acting else (),
+            self._looks,
+            spacing_s=QUICK_SPACING_s,
+            behind=POINTERS_TEXT,
+        )
+        self._require_ours(found.head, manifest, 0)
+        if found.head.manifest is None or found.head.manifest.state is not ManifestState.VALID:
             raise VerifyMismatch("The manifest could not be sealed.", code="PC-UPL-007")
-
-    def _enable(self, the_plan: UploadPlan) -> None:
-        motors = the_plan.motors
-        if motors:
-            rest = look_again(self.link, motors, *self._looks)
-            refusals = not_at_rest(rest.reasons)
-            refusals += step_refusals(self.context, rest.readings, TableSet(), the_plan.new)
-            raise_all(refusals, "Enabling")
-        if read_pointers(self.link) != self._pointers:
+        refusals = not_at_rest(found.reasons)
+        readings = {} if found.rest is None else found.rest.readings
+        if acting:
+            refusals += step_refusals(self.context, readings, TableSet(), the_plan.new)
+        raise_all(refusals, "Enabling")
+        if parse_pointers(found.behind) != self._pointers:
             raise ForeignChange(
                 "Another client defined or deleted a table after the read-back.",
                 code="PC-UPL-002",
                 context={"was_live": False},
             )
-        self._change.step("enable")
+
+    def _enable(self, the_plan: UploadPlan) -> None:
+        self._change.may_go_on()
         self.context.progress("enable", 0, 1)
         try:
             switch_tables(self.link, 1, the_plan.motors)
@@ -395,7 +420,7 @@ class TableUpload:
         if self._disabled_at_s is not None:
             self._disabled_s = self.link.clock.now_s() - self._disabled_at_s
         self._change.left = ControllerState.NEW
-        watch(self.link, self.context, motors)
+        watch(self.link, self.context, the_plan.motors)
         self.context.progress("enable", 1, 1)
 
     def _persist(self, the_plan: UploadPlan) -> None:

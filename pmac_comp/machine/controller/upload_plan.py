@@ -1,21 +1,35 @@
 """What an upload of tables would do, and all that forbids it; nothing is written here."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.lease import read_clock, refuse_foreign_lease
+from pmac_comp.machine.controller.lease import CLOCK_TEXT, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import (
     MotorReading,
     Standstill,
     begin_standstill,
     executing_moves,
+    parse_readings,
     read_motors,
+    reading_text,
 )
+from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.safety import check_step, check_table
-from pmac_comp.machine.controller.table_set import Key, TableSet, plan, read_tables, with_lookup
-from pmac_comp.machine.controller.table_status import Head, read_head
+from pmac_comp.machine.controller.switching import FEW
+from pmac_comp.machine.controller.table_set import (
+    POINTERS_TEXT,
+    Key,
+    TableSet,
+    keys_of,
+    parse_pointers,
+    plan,
+    read_tables,
+    with_lookup,
+)
+from pmac_comp.machine.controller.table_status import HEAD_LINES, Head, head_text, parse_head
 from pmac_comp.machine.controller.upload_checks import (
     buffer_refusals,
     memory_refusals,
@@ -90,7 +104,14 @@ class Look:
     begun: Standstill
 
 
-def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -> Look:
+def look(
+    link: Link,
+    context: Context,
+    wish: Wish,
+    *,
+    to_the_end: bool = True,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> Look:
     """Everything that can be known before anything is changed.
 
     Parameters
@@ -100,22 +121,29 @@ def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -
     to_the_end : bool
         Whether to wait until slow drift of a motor shows. If not, the caller has to prove
         standstill from ``begun`` before it switches anything.
+    meanwhile : callable
+        Work of the host that is done while the controller answers.
     """
     context.progress("pre-flight", 0, 1)
-    head = read_head(link, context)
-    now = read_clock(link)
-    begun = begin_standstill(link, wish.of(TableSet()).motors)
-    old = with_lookup(read_tables(link), wish.of(TableSet()))
+    checks: dict[Key, list[SafetyRefusal]] = {}
+
+    def work() -> None:
+        _work_out(context, wish, checks)
+        meanwhile()
+
+    first = _first_look(link, context, wish.of(TableSet()).motors, work)
+    head, begun = first.head, first.begun
+    old = with_lookup(read_tables(link, first.keys), wish.of(TableSet()))
     new = wish.of(old)
     motors = tuple(sorted(set(old.motors) | set(new.motors)))
     refusals: list[SafetyRefusal] = []
-    lease = refuse_foreign_lease(head.lease, context.owner, now)
+    lease = refuse_foreign_lease(head.lease, context.owner, first.clock)
     if lease is not None:
         refusals.append(lease)
     refusals += buffer_refusals(head)
     if wish.check_limits:
         changed = [t for t in new if old.get(t.kind, t.motor) != t]
-        refusals += [r for table in changed for r in check_table(table, context.limits)]
+        refusals += [r for table in changed for r in checks[(table.kind, table.motor)]]
     refusals += memory_refusals(head, old, new)
     readings: dict[int, MotorReading] = {}
     if motors and to_the_end:
@@ -139,6 +167,40 @@ def look(link: Link, context: Context, wish: Wish, *, to_the_end: bool = True) -
     )
     context.progress("pre-flight", 1, 1)
     return Look(found, head, begun)
+
+
+@dataclass(frozen=True)
+class _FirstLook:
+    head: Head
+    clock: int
+    begun: Standstill
+    keys: list[Key]
+
+
+def _work_out(context: Context, wish: Wish, checks: dict[Key, list[SafetyRefusal]]) -> None:
+    """What the new tables need of the host: it has time while the controller answers."""
+    for table in wish.of(TableSet()):
+        _ = table.lines, table.canonical
+        if wish.check_limits:
+            checks[(table.kind, table.motor)] = check_table(table, context.limits)
+
+
+def _first_look(
+    link: Link, context: Context, motors: tuple[int, ...], meanwhile: Callable[[], None]
+) -> _FirstLook:
+    """All that can be asked before the tables are known, in one line for a few motors."""
+    group = motors if len(motors) <= FEW else ()
+    text = f"{head_text(context)}{CLOCK_TEXT}{reading_text(group)}{POINTERS_TEXT}"
+    lines = link.query(text, meanwhile=meanwhile)
+    clock, *rest = lines[HEAD_LINES:] or [""]
+    head = parse_head(lines[:HEAD_LINES])
+    n = 4 * len(group)
+    readings = parse_readings(group, rest[:n])
+    begun = Standstill(readings, link.clock.now_s())
+    keys = keys_of(parse_pointers(rest[n:]))
+    if group != motors:
+        begun = begin_standstill(link, motors)
+    return _FirstLook(head, parse_integer(clock), begun, keys)
 
 
 def step_refusals(

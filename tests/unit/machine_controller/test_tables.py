@@ -36,7 +36,7 @@ def test_definition_as_the_manual_writes_it() -> None:
     table = CompTable(2, (0,) * 100, 100000)
     assert table.definition == "#2DEFINE COMP 100,#2,#2,100000"
     cross = CompTable(4, (5, 0), 5000, source=3, target=1, by_desired=True)
-    assert cross.lines() == ["I30=0", "#4DEFINE COMP 2,#3D,#1,5000", "5 0"]
+    assert cross.lines == ("I30=0", "#4DEFINE COMP 2,#3D,#1,5000", "5 0")
     assert BacklashTable(1, (0,), 500).definition == "#1DEFINE BLCOMP 1,500"
     assert TorqueTable(1, (0,), 500).definition == "#1DEFINE TCOMP 1,500"
 
@@ -55,7 +55,7 @@ def test_values_by_hand() -> None:
 
 @given(entries)
 def test_entries_survive_the_text(values: list[int]) -> None:
-    lines = entry_lines(values)
+    lines = entry_lines(list(map(str, values)))
     assert all(len(line) <= 120 for line in lines)
     assert parse_entries(lines) == tuple(values)
 
@@ -122,7 +122,7 @@ def test_the_card_moves_by_what_the_table_says(tmp_path: Path, by_desired: bool)
     bench = CardBench(tmp_path)
     values = [round(160 * np.sin(k / 5)) for k in range(1, 64)]
     table = CompTable(1, (*values, 0), 640000, by_desired=by_desired)
-    bench.link.write_buffer([*table.lines(), "I51=1", "#1J/"])
+    bench.link.write_buffer([*table.lines, "I51=1", "#1J/"])
     for position in (0, 25000, -131000, 77777):
         bench.link.command(f"#1J={position}")
         bench.clock.sleep_s(8.0)
