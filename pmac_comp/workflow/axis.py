@@ -29,6 +29,7 @@ from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.motion import program_status
 from pmac_comp.machine.controller.supervision import SensorWatch
 from pmac_comp.machine.controller.variables import read_many, write_many
 from pmac_comp.workflow.axis_setup import AxisSetup
@@ -43,6 +44,7 @@ _TAIL_s = 0.15  # kept after the last
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _SETTLE_s = 0.3
+_END_s = 0.5  # after the last sample, for a host that ran ahead of the card's clock
 _RUN_UP_m = 1e-3  # far beyond the distance in which friction turns over
 _START_ATTEMPTS = 10
 _SOURCE = "gathered at the servo rate"
@@ -271,6 +273,7 @@ class Axis:
         else:
             result = self._gather_ram(plan, duration_s, start)
         self._check_alive()
+        self._require_end(motion)
         return result
 
     def _start_program(self) -> None:
@@ -340,6 +343,20 @@ class Axis:
                 code="PC-AXI-002",
                 hint="Look at `pmac-comp status`; the motor is left killed.",
             )
+
+    def _require_end(self, motion: Motion) -> None:
+        """Refuse a run whose program takes longer than planned: the samples end before it does."""
+        deadline = Deadline.after(self.link.clock, _END_s)
+        while program_status(self.link).running:
+            if deadline.expired():
+                raise CaptureError(
+                    f"The motion program for {motion.name} was not over when its time was; the "
+                    "axis was stopped and the run is not kept.",
+                    code="PC-AXI-006",
+                    hint="Look at the feed rate override: `pmac-comp terminal URL -c '&1%'` "
+                    "should say 100; `&1%100` sets it.",
+                )
+            self.link.clock.sleep_s(_LOOK_s)
 
     # Gather ---------------------------------------------------------------------------------------
 
