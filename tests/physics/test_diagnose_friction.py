@@ -7,7 +7,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.diagnose import Diagnosis, diagnose
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
-from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.workflow.campaigns import calibration_motions
@@ -77,3 +77,26 @@ def test_a_bench_that_rounding_rules_everywhere_leaves_nothing_out():
 def _back_and_forth() -> np.ndarray:
     time = BENCH.servo_period_s * np.arange(3000)
     return np.asarray(0.01 * (1.0 - np.cos(2 * np.pi * time)))
+
+
+@pytest.mark.parametrize(
+    ("half_m", "frequency_Hz", "least_um", "most_um"),
+    [(0.02, 0.3, 0.0, 0.02), (0.05, 1.0, 0.1, 0.6)],
+)
+def test_wobble_of_the_reading_alone_is_that_of_the_nut_until_the_chain_rings(
+    half_m, frequency_Hz, least_um, most_um
+):
+    time = BENCH.servo_period_s * np.arange(6000)
+    command = half_m * (1.0 - np.cos(2 * np.pi * frequency_Hz * time)) + 0.0123
+    plain = DriveModel.base(BENCH)
+    values = {"amplitude_m": 2e-6, "order_per_rev": 1.0, "phase_rad": 0.7}
+    runs = [
+        simulate(plain.with_effect(f"lead_cyclic@{place}", values), command)
+        for place in ("nut", "reading")
+    ]
+    without = simulate(plain, command)
+    nut, reading = (r.table_position_m - without.table_position_m for r in runs)
+    angle = command / BENCH.lead_m_per_rad
+    assert reading == pytest.approx(2e-6 * np.cos(angle + 0.7), abs=0.3e-6)
+    assert least_um < 1e6 * (nut - reading).std() < most_um
+    assert np.array_equal(runs[1].torque_command_Nm, without.torque_command_Nm)

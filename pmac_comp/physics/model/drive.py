@@ -197,9 +197,10 @@ class DriveModel:
         """Table terms of all effects."""
         found: list[TableTerm] = []
         for name in self.effects:
-            effect, _ = self.effect(name)
-            if effect.terms is not None:
-                found += effect.terms(self.values_of(name), self.bench)
+            effect, place = self.effect(name)
+            make = effect.place_terms.get(place, effect.terms)
+            if make is not None:
+                found += make(self.values_of(name), self.bench)
         return tuple(found)
 
     @property

@@ -49,6 +49,8 @@ class Effect:
     joint_places : tuple of str
         Variants that join several places: a model may name them, a search for a single cause does
         not try them.
+    place_terms : Mapping of str to callable
+        Table terms of the variants that have others than ``terms``.
     starts : tuple of mappings
         Starting values for a search, SI; empty means the nominal ones.
     hides_behind : tuple of str
@@ -78,6 +80,7 @@ class Effect:
     needs_scale: bool = False
     place_parameters: Mapping[str, tuple[ParameterSpec, ...]] = field(default_factory=dict)
     joint_places: tuple[str, ...] = ()
+    place_terms: Mapping[str, MakeTerms] = field(default_factory=dict)
 
     def specs(self, place: str) -> tuple[ParameterSpec, ...]:
         """Parameters of a variant."""
