@@ -3,8 +3,11 @@
 What lives here: the rest of the mechanical and of the total error of captures, after the model,
 the lead map and the torque per turn, and how it widens a promise. What may not: controllers.
 
-What a model does not hold goes through the loop the same way with compensation on as without: the
-rest of runs without compensation is what to expect in runs with it, on top of the model's word.
+How much of what a model does not hold comes back in runs with compensation is open: a force that
+it lacks goes through the loop the same way, while what sticks at reversals is gone where the law
+carries friction across. A promise therefore reaches from the model's word alone to that with the
+largest rest of the captures on top, and names the middle of both in proportion. By how much the
+model's errors are off in size, in the captures, widens it on either side.
 """
 
 import math
@@ -23,6 +26,7 @@ from pmac_comp.physics.compensate.lead import LeadMap
 
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25
+_MOST_OFF = 0.9
 _TURN = ("turn_friction_Nm", "ripple_Nm")
 
 
@@ -34,17 +38,22 @@ class Unmodelled:
     ----------
     mechanical_um, total_um : tuple of three float
         Of table minus motor and of table minus command, sensor noise taken out.
+    off_frac : tuple of two float
+        Two standard deviations of the rms that the model gives these two, relative to what the
+        captures have.
     """
 
     mechanical_um: tuple[float, float, float]
     total_um: tuple[float, float, float]
+    off_frac: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Sequence[float]]) -> "Unmodelled":
         """From what ``as_mapping`` gave, read back from a file."""
         low, mid, high = (float(v) for v in values["mechanical_um"])
         least, typical, most = (float(v) for v in values["total_um"])
-        return cls((low, mid, high), (least, typical, most))
+        mechanical, total = (float(v) for v in values.get("off_frac", (0.0, 0.0)))
+        return cls((low, mid, high), (least, typical, most), (mechanical, total))
 
     def as_mapping(self) -> dict[str, list[float]]:
         """For a file."""
@@ -81,9 +90,30 @@ def unmodelled(
     scale_um = table_step_m / math.sqrt(12.0) * UM_PER_M
     both_um = math.hypot(motor_step_m, table_step_m) / math.sqrt(12.0) * UM_PER_M
     return Unmodelled(
-        _three([mechanical for mechanical, _ in rests], both_um),
-        _three([total for _, total in rests], scale_um),
+        _three([rest.mechanical_um for rest in rests], both_um),
+        _three([rest.total_um for rest in rests], scale_um),
+        (
+            _off([rest.mechanical_sizes_um for rest in rests], both_um),
+            _off([rest.total_sizes_um for rest in rests], scale_um),
+        ),
     )
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """Standard deviations in um of one run: what is left, and the model's and the run's own."""
+
+    mechanical_um: float
+    total_um: float
+    mechanical_sizes_um: tuple[float, float]
+    total_sizes_um: tuple[float, float]
+
+
+def _off(sizes_um: Sequence[tuple[float, float]], floor_um: float) -> float:
+    """Two standard deviations of the model's size over the measured one, less one."""
+    own, measured = np.array(sizes_um).T
+    clean = np.sqrt(np.maximum(measured**2 - floor_um**2, 1e-6))
+    return float(min(_MOST_OFF, 2.0 * np.sqrt(np.mean((own / clean - 1.0) ** 2))))
 
 
 def _three(values_um: Sequence[float], floor_um: float) -> tuple[float, float, float]:
@@ -92,24 +122,27 @@ def _three(values_um: Sequence[float], floor_um: float) -> tuple[float, float, f
     return float(clean.min()), typical, _BEYOND_WORST * float(clean.max())
 
 
-def _rests(
-    law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None
-) -> tuple[float, float]:
-    """Standard deviations in um of what is left of the mechanical and the total error."""
+def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None) -> _Rest:
+    """What is left of the mechanical and the total error of a run."""
     r, period = capture.commanded_position_m, capture.sample_period_s
     per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
     signals = loop(r, None, gripping_torque(law, capture) - per_turn)
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)
-    mechanical = table - capture.motor_position_m - static
-    mechanical = mechanical - (signals.table_position_m - signals.motor_position_m)
+    measured = table - capture.motor_position_m - static
+    simulated = signals.table_position_m - signals.motor_position_m
     own = model_law(law)
     if own != law:
         moved = evaluate_law(law.without_torque(), r, period).correction_m
-        mechanical = mechanical + moved - evaluate_law(own.without_torque(), r, period).correction_m
-    total = table - static - signals.table_position_m
+        simulated = simulated - moved + evaluate_law(own.without_torque(), r, period).correction_m
+    total, expected = table - static - r, signals.table_position_m - r
     use = capture.mask
-    return _std_um(mechanical[use]), _std_um(total[use])
+    return _Rest(
+        _std_um((measured - simulated)[use]),
+        _std_um((total - expected)[use]),
+        (_std_um(simulated[use]), _std_um(measured[use])),
+        (_std_um(expected[use]), _std_um(total[use])),
+    )
 
 
 def _std_um(values: FloatArray) -> float:
@@ -146,19 +179,21 @@ def widened(
     Returns
     -------
     dict
-        Fields of the promise with ``e_r_after`` and ``total_after`` widened by the typical rest,
-        their bounds as ``..._lower_um`` and ``..._upper_um``, and the model's own word as
-        ``model_..._um``.
+        Fields of the promise with ``e_r_after`` and ``total_after`` in the middle between the
+        model's word and that with the typical rest, their bounds as ``..._lower_um`` and
+        ``..._upper_um``, and the model's own word as ``model_..._um``.
     """
     out = asdict(promise)
+    nothing = (0.0, 0.0, 0.0)
     parts = (
-        ("e_r_after", (0.0, 0.0, 0.0) if rest is None else rest.mechanical_um),
-        ("total_after", (0.0, 0.0, 0.0) if rest is None else rest.total_um),
+        ("e_r_after", nothing if rest is None else rest.mechanical_um, 0),
+        ("total_after", nothing if rest is None else rest.total_um, 1),
     )
-    for name, (least, typical, most) in parts:
+    for name, (_, typical, most), side in parts:
         own = float(out[f"{name}_um"])
+        off = 0.0 if rest is None else rest.off_frac[side]
         out[f"model_{name}_um"] = own
-        out[f"{name}_um"] = math.hypot(own, typical, static_um)
-        out[f"{name}_lower_um"] = math.hypot(own, least)
-        out[f"{name}_upper_um"] = math.hypot(own, most, static_um)
+        out[f"{name}_um"] = math.sqrt(own * math.hypot(own, typical, static_um))
+        out[f"{name}_lower_um"] = own * (1.0 - off)
+        out[f"{name}_upper_um"] = math.hypot(own * (1.0 + off), most, static_um)
     return out

@@ -56,6 +56,8 @@ def test_a_fitting_model_leaves_little_and_a_hidden_effect_is_seen() -> None:
     fits, hides = rest_of(0.0), rest_of(0.1)
     assert fits.mechanical_um[1] < 0.15
     assert hides.total_um[1] > 3.0 * fits.total_um[1]
+    assert fits.off_frac[0] < 0.1
+    assert fits.off_frac[1] < 0.1
     assert hides.total_um[0] <= hides.total_um[1] <= hides.total_um[2]
 
 
@@ -64,9 +66,13 @@ def test_a_promise_without_captures_is_the_models_and_else_wider() -> None:
     assert alone["e_r_after_um"] == alone["e_r_after_upper_um"] == pytest.approx(0.2)
     wide = widened(PROMISE, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0)))
     assert wide["model_e_r_after_um"] == 0.2
-    assert wide["e_r_after_um"] == pytest.approx(math.hypot(0.2, 0.2))
+    assert wide["e_r_after_um"] == pytest.approx(math.sqrt(0.2 * math.hypot(0.2, 0.2)))
     assert wide["total_after_lower_um"] < wide["total_after_um"] < wide["total_after_upper_um"]
     assert wide["total_after_upper_um"] == pytest.approx(math.hypot(0.6, 2.0))
+    assert wide["total_after_lower_um"] == pytest.approx(0.6)
+    off = widened(PROMISE, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0), (0.1, 0.2)))
+    assert off["total_after_lower_um"] == pytest.approx(0.48)
+    assert off["total_after_upper_um"] == pytest.approx(math.hypot(0.72, 2.0))
 
 
 def test_the_models_word_is_on_its_own_law() -> None:
@@ -78,5 +84,5 @@ def test_the_models_word_is_on_its_own_law() -> None:
 
 
 def test_a_file_keeps_it() -> None:
-    rest = Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0))
+    rest = Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0), (0.05, 0.1))
     assert Unmodelled.from_mapping(rest.as_mapping()) == rest
