@@ -122,17 +122,36 @@ class Watch:
         self._watch = upload.watch
         upload.watch = self.run  # type: ignore[assignment]
         self.requests = range(0)
+        self.recorded: list[list[object]] = []
         self.spent_s = self.slept_s = 0.0
 
-    def listen(self, recorder: Recorder, clock: CountingClock) -> None:
-        self.recorder, self.clock = recorder, clock
+    def listen(self, clock: CountingClock, recorder: Recorder | None = None) -> None:
+        self.clock, self.recorded = clock, [] if recorder is None else recorder.requests
 
     def run(self, *arguments: object) -> None:
-        first, slept_s, start = len(self.recorder.requests), self.clock.slept_s, time.perf_counter()
+        first, slept_s, start = len(self.recorded), self.clock.slept_s, time.perf_counter()
         self._watch(*arguments)  # type: ignore[arg-type]
-        self.requests = range(first, len(self.recorder.requests))
+        self.requests = range(first, len(self.recorded))
         self.slept_s = self.clock.slept_s - slept_s
         self.spent_s = time.perf_counter() - start - self.slept_s
+
+
+def recorded(
+    port: int, context: Context, watch: Watch, wanted: CompTable
+) -> tuple[list[list[object]], int]:
+    """Requests of an upload and the sizes of their answers, without the watch; how many with it.
+
+    It is not timed: writing down what is sent takes time of its own.
+    """
+    clock = CountingClock()
+    link = Commander.open(f"tcp://127.0.0.1:{port}", clock=clock)
+    recorder = Recorder(link._link.transport)  # noqa: SLF001 - the bench listens in
+    link._link.transport = recorder  # type: ignore[assignment]  # noqa: SLF001
+    watch.listen(clock, recorder)
+    upload_tables(link, context, [wanted])
+    requests = [r for n, r in enumerate(recorder.requests) if n not in watch.requests]
+    link.close()
+    return requests, len(recorder.requests)
 
 
 def table(amplitude: int) -> CompTable:
@@ -185,20 +204,17 @@ def measure(server: Server | Served) -> dict[str, object]:
         context = Context(LawBlock(), limits, Path(folder), server.bench.servo_period_s)
         # The first finds no table to delete: its packets would be refused when replayed.
         for k in range(1 + ROUNDS):
-            clock = CountingClock()
+            requests, n_requests = recorded(server.port, context, watch, table(100 + k))
+            if not k:
+                continue
+            clock, wanted = CountingClock(), table(300 + k)
             link = Commander.open(f"tcp://127.0.0.1:{server.port}", clock=clock)
-            recorder = Recorder(link._link.transport)  # noqa: SLF001 - the bench listens in
-            link._link.transport = recorder  # type: ignore[assignment]  # noqa: SLF001
+            watch.listen(clock)
             synced[0], clock.slept_s = 0.0, 0.0
-            watch.listen(recorder, clock)
-            wanted = table(100 + k)
             start = time.perf_counter()
             upload_tables(link, context, [wanted])
             total_s = time.perf_counter() - start
-            requests = [r for n, r in enumerate(recorder.requests) if n not in watch.requests]
             link.close()
-            if not k:
-                continue
             waited_s = clock.slept_s - watch.slept_s
             upload_s = total_s - synced[0] - watch.slept_s - watch.spent_s
             bare_s = statistics.mean(replay(server.port, requests) for _ in range(2))
@@ -209,7 +225,7 @@ def measure(server: Server | Served) -> dict[str, object]:
                 )
                 + sum(data[1:2] == b"\xc5" for data, _ in requests)
             )  # type: ignore[index]
-            rows.append((total_s, upload_s, bare_s, len(recorder.requests), carrying))
+            rows.append((total_s, upload_s, bare_s, n_requests, carrying))
             aside.append((synced[0], waited_s, watch.slept_s + watch.spent_s))
     os.fsync = fsync
     server.stop()

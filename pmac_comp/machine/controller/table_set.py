@@ -6,7 +6,7 @@ therefore may mean to take others off and to put them back, and this module plan
 """
 
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -115,7 +115,11 @@ def plan(old: TableSet, new: TableSet) -> TablePlan:
 
 
 def read_tables(
-    link: Link, keys: Sequence[Key] | None = None, expected: TableSet | None = None
+    link: Link,
+    keys: Sequence[Key] | None = None,
+    expected: TableSet | None = None,
+    *,
+    meanwhile: Callable[[], None] | None = None,
 ) -> TableSet:
     """All tables on the controller, headers and entries.
 
@@ -127,17 +131,26 @@ def read_tables(
         Tables to look at; those with a start address in the card's pointer words if not given.
     expected : TableSet, optional
         Tables that may well stand there: one that is listed exactly so is not parsed again.
+    meanwhile : callable, optional
+        Work of the host that is done while the first listing is on its way.
     """
     found: list[Table] = []
     for kind, motor in candidates(link) if keys is None else keys:
-        table = read_table(link, kind, motor, expected.get(kind, motor) if expected else None)
+        twin = expected.get(kind, motor) if expected else None
+        table = read_table(link, kind, motor, twin, meanwhile=meanwhile)
+        meanwhile = None
         if table is not None:
             found.append(table)
     return TableSet(tuple(found))
 
 
 def read_table(
-    link: Link, kind: TableKind, motor: int, expected: Table | None = None
+    link: Link,
+    kind: TableKind,
+    motor: int,
+    expected: Table | None = None,
+    *,
+    meanwhile: Callable[[], None] | None = None,
 ) -> Table | None:
     """One table, None if the motor has none (ERR003, p. 341-350)."""
     try:
@@ -147,7 +160,7 @@ def read_table(
             return None
         raise
     header = parse_header(kind, motor, lines)
-    lines = link.query(f"#{motor}LIST {kind.value}")
+    lines = link.query(f"#{motor}LIST {kind.value}", meanwhile=meanwhile)
     if expected is not None and header.is_of(expected, " ".join(" ".join(lines).split())):
         return expected
     return build_table(header, parse_entries(lines))

@@ -133,7 +133,9 @@ def look(
 
     first = _first_look(link, context, wish.of(TableSet()).motors, work)
     head, begun = first.head, first.begun
-    old = with_lookup(read_tables(link, first.keys), wish.of(TableSet()))
+    old = with_lookup(
+        read_tables(link, first.keys, meanwhile=lambda: _put_in_words(wish)), wish.of(TableSet())
+    )
     new = wish.of(old)
     motors = tuple(sorted(set(old.motors) | set(new.motors)))
     refusals: list[SafetyRefusal] = []
@@ -179,10 +181,15 @@ class _FirstLook:
 
 def _work_out(context: Context, wish: Wish, checks: dict[Key, list[SafetyRefusal]]) -> None:
     """What the new tables need of the host: it has time while the controller answers."""
+    _ = context.owner
     for table in wish.of(TableSet()):
-        _ = table.lines, table.canonical
         if wish.check_limits:
             checks[(table.kind, table.motor)] = check_table(table, context.limits)
+
+
+def _put_in_words(wish: Wish) -> None:
+    for table in wish.of(TableSet()):
+        _ = table.lines, table.canonical
 
 
 def _first_look(

@@ -70,6 +70,9 @@ def read_number(text: str) -> int | float:
         If the text is anything else.
     """
     stripped = text.strip()
+    digits = stripped[1:] if stripped.startswith("-") else stripped
+    if digits.isascii() and digits.isdecimal():
+        return int(stripped)
     if _HEXADECIMAL.fullmatch(stripped):
         return int(stripped[1:], 16)
     if not _DECIMAL.fullmatch(stripped):
