@@ -4,7 +4,7 @@
     python tools/acceptance/compensation_table.py --benches paper_x4 --routes law --plants default
 
 The whole job runs on the simulated card in this process: calibration captures, identification of
-the base model (``--friction auto``: of the form of friction that the captures show), law and
+the base model with the form of friction that the captures show (as `identify` does), law and
 tables, upload, fresh runs before and after on motions drawn by a seed. The errors are those of the
 plant's unquantised positions, in the terms of the contract. One line per motion is appended, so
 that an interrupted run goes on where it stopped; the table is printed at the end (``--report``
@@ -185,7 +185,7 @@ def main() -> None:
     parser.add_argument("--plants", nargs="+", default=list(PLANTS), help="names or FILE[:FACTORY]")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--routes", nargs="+", default=list(ROUTES), choices=ROUTES)
-    parser.add_argument("--friction", default="coulomb", choices=("auto", "coulomb"),
+    parser.add_argument("--friction", default="auto", choices=("auto", "coulomb"),
                         help="form of friction of the model, as `identify --friction`")  # fmt: skip
     parser.add_argument("--every", type=int, default=1, help="servo cycles between two passes")
     parser.add_argument("--n", type=int, default=6, help="sinusoids, and as many moves")
