@@ -18,6 +18,12 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.identity import Identity, read_identity
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import (
+    MAGIC,
+    MANIFEST_SIZE,
+    Manifest,
+    ManifestState,
+)
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.recovery import grouped
@@ -144,7 +150,7 @@ def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
     }
     variables |= {
         f"P{n}": v
-        for n, v in backup.pvariables.items()
+        for n, v in _without_past_uploads(backup.pvariables).items()
         # Manifest and lease belong to the upload that runs now.
         if n not in ours and present.pvariables.get(n) != v
     }
@@ -170,3 +176,24 @@ def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
         backup.axes if set(present.axes) != set(backup.axes) else None,
         frozenset(n for n in backup.running if (ProgramKind.PLC, n) in changed),
     )
+
+
+def _without_past_uploads(stored: Mapping[int, str]) -> dict[int, str]:
+    """P-variables without the leases of their time, and without uploads that were under way then.
+
+    They may lie in the block of another bench file: a manifest is known by its own checksum. A
+    lease would keep writers out whom nobody holds up any more, an unfinished upload would have the
+    guard PLC switch the tables off.
+    """
+    values = dict(stored)
+    for first in [n for n, v in stored.items() if v == str(MAGIC)]:
+        span = range(first, first + MANIFEST_SIZE)
+        if not all(n in stored for n in span):
+            continue
+        manifest = Manifest.from_values([float(read_number(stored[n])) for n in span])
+        if manifest is None:
+            continue
+        gone = [first + MANIFEST_SIZE]
+        gone += [] if manifest.state is ManifestState.VALID else span
+        values |= {n: "0" for n in gone if n in stored}
+    return values
