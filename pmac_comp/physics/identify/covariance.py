@@ -4,6 +4,8 @@ What lives here: the sandwich over blocks with what steady rows alone would say.
 simulation, steps. Imports ``problem`` and ``normal_equations``.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import solve_triangular
 
@@ -14,6 +16,9 @@ from pmac_comp.physics.identify.problem import Problem
 # A block that decides a direction alone says nothing about its own scatter: beyond this share of
 # the information its score is not enlarged further.
 _MAX_LEVERAGE = 0.7
+_LEAST_OF_PRIOR = 1e-2  # counted as information, so that the equations can be solved
+# Scatter over information from which on blocks disagree, over the most that so few show by chance.
+_DISAGREE = 3.0
 _BASE = ("chain", "coulomb", "viscous")
 
 
@@ -28,6 +33,42 @@ def covariance_of(problem: Problem, theta: FloatArray, final: Normal) -> FloatAr
         shift = _shift_on_steady_rows(problem, theta, *final.steady)
         covariance = covariance + np.outer(shift, shift)
     return np.asarray(covariance)
+
+
+def tempered(problem: Problem, final: Normal) -> Normal:
+    """The same equations, weaker in directions in which blocks of time disagree.
+
+    What a model or rounding gets wrong at low frequency counts in whitened residuals as if it were
+    known to their noise: against the prior it would win by what it claims, not by what it knows.
+    In the directions in which the scores of blocks scatter more than the Hessian says (and more
+    than so few blocks can by chance), Hessian and scores are scaled to that scatter.
+
+    Source: curvature adjustment of composite likelihoods (Ribatet, Cooley and Davison 2012).
+    """
+    p = final.gradient.size
+    prior = np.diag(problem.weight)
+    scores = _jackknifed(final, np.asarray(np.linalg.inv(final.hessian + prior)))
+    least = _LEAST_OF_PRIOR * prior + 1e-9 * np.diag(np.diag(final.hessian))
+    root = np.linalg.cholesky(final.hessian + least)
+    seen = solve_triangular(root, scores.T, lower=True)
+    scatter, turn = np.linalg.eigh(seen @ seen.T)
+    by_chance = (1.0 + np.sqrt(p / max(scores.shape[0], 1))) ** 2
+    share = 1.0 / np.maximum(scatter / (_DISAGREE * by_chance), 1.0)
+    left = root @ turn
+    right = turn.T @ solve_triangular(root, np.eye(p), lower=True)
+    whole, half = (left * share) @ right, (left * np.sqrt(share)) @ right
+    steady = final.steady
+    if steady is not None:
+        steady = (half @ steady[0] @ half.T, whole @ steady[1])
+    return replace(
+        final,
+        hessian=half @ final.hessian @ half.T,
+        gradient=whole @ final.gradient,
+        scores=scores @ whole.T,
+        block_hessians=np.zeros_like(final.block_hessians),  # the scores are enlarged already
+        prior_scores=whole @ final.prior_scores @ whole.T,
+        steady=steady,
+    )
 
 
 def _shift_on_steady_rows(

@@ -159,6 +159,18 @@ def cost_at(problem: Problem, theta: FloatArray, filters: list[list[Whitener]]) 
     return float(gram[0, 0] - gram[0, 1:] @ rest) + prior_cost(problem, theta)
 
 
+def channel_costs(
+    problem: Problem, residuals: list[FloatArray], filters: list[list[Whitener]]
+) -> list[FloatArray]:
+    """Misfit of each channel of each record, shape (c,), nuisances taken out."""
+    cleaned = without_nuisances(problem, residuals, linear_part(problem, residuals, filters))
+    parts = iter(_whitened_residuals(problem, cleaned, filters))
+    return [
+        np.array([float(np.sum(next(parts)[:, 0] ** 2)) for _ in record.channels])
+        for record in problem.records
+    ]
+
+
 def linear_part(
     problem: Problem, residuals: list[FloatArray], filters: list[list[Whitener]]
 ) -> FloatArray:

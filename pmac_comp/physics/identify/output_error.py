@@ -18,9 +18,10 @@ from scipy.optimize import lsq_linear
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.covariance import covariance_of
+from pmac_comp.physics.identify.covariance import covariance_of, tempered
 from pmac_comp.physics.identify.normal_equations import (
     Normal,
+    channel_costs,
     coloured_filters,
     cost_at,
     linear_part,
@@ -60,8 +61,8 @@ _DAMPING_TRIES = 6
 _QUANTISED_GAINS = (1.0, 1.0, 0.5, 0.33, 0.25, 0.2)
 _ALL_ROUNDS = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(_QUANTISED_GAINS)
 _QUANTISED_DONE = 1.0  # of a standard deviation, after the second round
-# The mean of four roundings leaves a quarter of their scatter: so much more misfit is normal.
-_CHAOS = 1.5
+# The mean of four roundings leaves a quarter of their scatter: more misfit than that is chaos.
+_CHAOS = 1.25
 _ROUGH = 1.1
 
 
@@ -264,19 +265,18 @@ def _with_rounding(
 ) -> tuple[FloatArray, Normal | None, int, float]:
     """Point, normal equations, rounds and last step with what rounding does on average.
 
-    Rounding in the loop can be chaos (a motor that hunts between two counts): where the rounding
-    simulations fit clearly worse than the smooth one, or a step makes them so, they are not
-    followed; without normal equations the smooth ones hold.
+    Rounding in the loop can be chaos (a motor that hunts between two counts): channels of records
+    whose rounding simulations fit clearly worse than the smooth one, and steps that make them so,
+    are not followed; without normal equations the smooth ones hold.
     """
     theta, step = at_start.theta, at_start.step
-    smooth = cost_at(problem, theta, filters) - prior_cost(problem, theta)
+    rounded = _foreseeable(problem, theta, filters)
     best = None
     tried = theta
     slopes = _slopes_near(problem, at_start)  # hardly change over the few deviations moved here
     for i, gain in enumerate(_QUANTISED_GAINS):
-        at = normal_equations(problem, filters, problem.quantised_residuals(tried), slopes)
-        if best is None and at.cost > _CHAOS * smooth:
-            return theta, None, i + 1, step
+        left = problem.mixed_residuals(tried, rounded)
+        at = tempered(problem, normal_equations(problem, filters, left, slopes))
         if best is not None and at.cost > _ROUGH * best.cost:
             tried = 0.5 * (theta + tried)
             continue
@@ -288,6 +288,15 @@ def _with_rounding(
         if i > 0 and step < _QUANTISED_DONE:
             return tried, at, i + 1, step
     return theta, best, len(_QUANTISED_GAINS), step
+
+
+def _foreseeable(
+    problem: Problem, theta: FloatArray, filters: list[list[Whitener]]
+) -> list[BoolArray]:
+    """Per record the channels, shape (c,), whose rounding simulations are no chaos."""
+    smooth = channel_costs(problem, problem.residuals(theta), filters)
+    rough = channel_costs(problem, problem.quantised_residuals(theta), filters)
+    return [b <= _CHAOS * a for a, b in zip(smooth, rough, strict=True)]
 
 
 def _finished(problem: Problem, theta: FloatArray, final: Normal, rounds: int, step: float) -> Fit:

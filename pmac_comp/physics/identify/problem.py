@@ -104,6 +104,14 @@ class Problem:
         k = len(self.records)
         return [r.measured - np.stack(done[i::k]).mean(axis=0) for i, r in enumerate(self.records)]
 
+    def mixed_residuals(self, theta: FloatArray, rounded: Sequence[BoolArray]) -> list[FloatArray]:
+        """Residuals, of rounding simulations in the channels (per record, shape (c,)) marked."""
+        smooth = self.residuals(theta)
+        if not any(marks.any() for marks in rounded):
+            return smooth
+        rough = self.quantised_residuals(theta)
+        return [np.where(m, b, a) for a, b, m in zip(smooth, rough, rounded, strict=True)]
+
     def many(self, thetas: Sequence[FloatArray], substeps: int) -> list[list[FloatArray]]:
         """Residuals at several places, all simulated at once."""
         models = [self.model_at(theta) for theta in thetas]
