@@ -1,11 +1,14 @@
 """Do the 95 % intervals of ``identify`` hold the truth 93-97 % of the time?
 
     python tools/acceptance/identify_coverage.py --benches 500 --out coverage.jsonl
+    python tools/acceptance/identify_coverage.py --friction lugre --benches 40 --out lugre.jsonl
 
 Each simulated bench has its own true quantities, drawn within the tolerances of the bench file, and
 the plant is not the model that is fitted. One line per bench is appended, so that an interrupted
-run goes on where it stopped. The last lines give coverage per parameter and pooled, with its own
-95 % interval (Wilson).
+run goes on where it stopped. With ``--friction lugre`` the guide of the plant has presliding and
+Stribeck friction of a size of its own, the captures are the default campaign, and ``identify``
+chooses the form. The last lines give coverage per parameter and pooled, with its own 95 % interval
+(Wilson).
 """
 
 import argparse
@@ -19,11 +22,13 @@ import numpy as np
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify import identify
+from pmac_comp.physics.identify import identify, identify_with_friction
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid, triangle
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import DriveTruth
+from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.workflow.campaigns import calibration_motions
 
 
 def truth_si(truth: DriveTruth) -> dict[str, float]:
@@ -67,24 +72,48 @@ def motions(bench: Bench, seed: int) -> list[Trajectory]:
     ]  # fmt: skip
 
 
-def captures_of(bench: Bench, seed: int) -> tuple[list[Capture], dict[str, float]]:
+def captures_of(
+    bench: Bench, seed: int, friction: str = "coulomb"
+) -> tuple[list[Capture], dict[str, float]]:
     """Captures of one simulated bench and its truth."""
-    plant = make_plant(bench, effects={}, seed=seed)
-    runs = [closed_loop_capture(bench, plant, run.position_m) for run in motions(bench, seed)]
-    return runs, truth_si(plant.truth)
+    effects, more = lugre(seed) if friction == "lugre" else ({}, {})
+    plant = make_plant(bench, effects=effects, seed=seed)
+    wanted = motions(bench, seed) if friction == "coulomb" else calibration_motions(bench)
+    runs = [closed_loop_capture(bench, plant, run.position_m) for run in wanted]
+    return runs, {**truth_si(plant.truth), **more}
 
 
-def trial(bench: Bench, seed: int) -> dict[str, object]:
+def lugre(seed: int) -> tuple[PlantEffects, dict[str, float]]:
+    """Presliding and Stribeck friction at the guide drawn by a seed, and their truth in SI."""
+    rng = np.random.default_rng([seed, 11])
+    distance_um, ratio = float(rng.uniform(5.0, 30.0)), float(rng.uniform(0.01, 0.1))
+    excess_N, speed = float(rng.uniform(8.0, 25.0)), float(rng.uniform(0.003, 0.01))
+    effects: PlantEffects = {
+        "presliding": {"distance_um": distance_um, "damping_ratio": ratio},
+        "stribeck": {"excess_N": excess_N, "speed_m_per_s": speed},
+    }
+    return effects, {
+        "presliding.distance_m": distance_um * 1e-6,
+        "presliding.damping_ratio": ratio,
+        "stribeck.excess_N": excess_N,
+        "stribeck.speed_m_per_s": speed,
+    }
+
+
+def trial(bench: Bench, seed: int, friction: str = "coulomb") -> dict[str, object]:
     """One bench: per parameter the error in standard deviations and whether the interval holds."""
-    runs, truth = captures_of(bench, seed)
+    runs, truth = captures_of(bench, seed, friction)
     start = time.perf_counter()
     try:
-        found = identify(runs, bench)
+        work = identify if friction == "coulomb" else identify_with_friction
+        found = work(runs, bench)
     except ModelError as error:
         return {"seed": seed, "refused": type(error).__name__, "message": error.message}
     rows = {}
     for name, value in truth.items():
-        estimate = found.parameters[name]
+        estimate = found.parameters.get(name)
+        if estimate is None:
+            continue  # of a form that was not chosen
         rows[name] = {
             "z": (estimate.value - value) / estimate.std,
             "inside": bool(estimate.lower95 <= value <= estimate.upper95),
@@ -92,7 +121,8 @@ def trial(bench: Bench, seed: int) -> dict[str, object]:
             "informed": estimate.informed_frac,
         }
     seconds = time.perf_counter() - start
-    return {"seed": seed, "seconds": seconds, "parameters": rows}
+    effects = list(found.model.effects) if found.model is not None else []
+    return {"seed": seed, "seconds": seconds, "effects": effects, "parameters": rows}
 
 
 def wilson(inside: int, total: int) -> tuple[float, float]:
@@ -109,14 +139,14 @@ def summary(path: Path) -> str:
     good = [line for line in lines if "parameters" in line]
     text = [f"{len(good)} benches identified, {len(lines) - len(good)} refused"]
     total_in = total = 0
-    for name in good[0]["parameters"] if good else []:
-        rows = [line["parameters"][name] for line in good]
+    for name in dict.fromkeys(name for line in good for name in line["parameters"]):
+        rows = [line["parameters"][name] for line in good if name in line["parameters"]]
         inside = sum(row["inside"] for row in rows)
         total_in, total = total_in + inside, total + len(rows)
         z = np.array([row["z"] for row in rows])
         std = 100.0 * float(np.median([row["std_frac"] for row in rows]))
         text.append(
-            f"{name:40s} {100 * inside / len(rows):6.1f} %   z mean {z.mean():5.2f} "
+            f"{name:40s} {len(rows):4d} {100 * inside / len(rows):6.1f} %   z mean {z.mean():5.2f} "
             f"std {z.std():5.2f}   std {std:6.2f} % of the truth"
         )
     if total:
@@ -130,6 +160,7 @@ def main() -> None:
     parser.add_argument("--benches", type=int, default=500)
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--bench", default="paper")
+    parser.add_argument("--friction", choices=("coulomb", "lugre"), default="coulomb")
     parser.add_argument("--out", type=Path, default=Path("identify_coverage.jsonl"))
     given = parser.parse_args()
     bench = load_bench(given.bench)
@@ -139,7 +170,7 @@ def main() -> None:
     for seed in range(given.first, given.first + given.benches):
         if seed in done:
             continue
-        row = json.dumps(trial(bench, seed))
+        row = json.dumps(trial(bench, seed, given.friction))
         with given.out.open("a") as stream:
             stream.write(row + "\n")
         print(f"bench {seed} done", flush=True)
