@@ -14,7 +14,7 @@ import paramiko
 import pytest
 
 from pmac_comp.base.clock import Deadline, SystemClock
-from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.base.errors import ControllerState, LinkError, PmacCompError
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.transport.opening import open_transport
@@ -142,3 +142,73 @@ def test_f01_random_cuts_over_real_links(
             seen.add(state_of(bench))
             assert seen <= {ControllerState.OLD, ControllerState.NEW}
     count_runs(runs)
+
+
+class HopCut:
+    """The hop behind the SSH gateway ends in the read-back, after so many bytes of its answers."""
+
+    def __init__(self, card: Card, after: int) -> None:
+        self.card, self.left = card, after
+        self.reading_back = self.done = False
+
+    def serve(self, link: socket.socket) -> None:
+        session = EthernetSession(self.card)
+        written = False
+        try:
+            while data := link.recv(65536):
+                written |= len(data) > 300
+                self.reading_back |= written and b"LIST COMP" in data
+                self.card.run_cycles(CYCLES)
+                for answer in session.answers(data):
+                    link.sendall(self._passed(answer))
+                if self.left < 0 and not self.done:
+                    self.done = True
+                    break
+        finally:
+            session.close()
+
+    def _passed(self, answer: bytes) -> bytes:
+        if not self.reading_back or self.done:
+            return answer
+        passed, self.left = answer[: max(0, self.left)], self.left - len(answer)
+        return passed
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_f01_hop_behind_ssh_ends_in_the_read_back(
+    *, resume: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """The tables stand whole but nobody has seen it: off, and one command from either end."""
+    monkeypatch.setenv("BENCH_SECRET", SECRET)
+    store, keys = tmp_path / "store", tmp_path / "keys"
+    store.mkdir()
+    keys.mkdir()
+    bench = CardBench(store)
+    upload.upload_tables(bench.link, bench.context, [old_table(N)])
+    cuts = (0, 12, 20, 120)  # before, in and behind the header; within the entries
+    for after in cuts:
+        hop = HopCut(bench.card, after)
+        goal = old_table(N) if state_of(bench) is ControllerState.NEW else new_table(N)
+        start = state_of(bench)
+        with peer(hop.serve) as server:
+            front = Gateway(paramiko.ECDSAKey.generate(), reachable={("127.0.0.1", server.port)})
+            known = trusting(keys, front.known_hosts_line)
+            options = f"known_hosts={known}&password_env=BENCH_SECRET"
+            url = f"ssh://{USER}@127.0.0.1:{front.port}/127.0.0.1:{server.port}?{options}"
+            link, _ = connect(url)
+            with pytest.raises(LinkError) as lost:
+                upload.upload_tables(link, bench.context, [goal])
+            with suppress(PmacCompError):
+                link.close()
+            assert lost.value.left is state_of(bench) is ControllerState.DISABLED
+            assert not lost.value.context["confirmed"]
+            assert recovery.left_open(bench.context)
+            link, _ = connect(url)
+            result = recovery.recover(link, bench.context, resume=resume)
+            link.close()
+            front.close()
+        assert result.verdict is (ControllerState.NEW if resume else ControllerState.OLD)
+        ends = {ControllerState.OLD, ControllerState.NEW} - {start}
+        assert state_of(bench) is (ends.pop() if resume else start)
+        assert recovery.left_open(bench.context) == ()
+    count_runs(len(cuts))
