@@ -66,6 +66,14 @@ def test_a_gap_is_found_beside_a_known_external_force():
     assert found.gap_after_um < 0.3 * found.gap_before_um
 
 
+def test_a_bias_is_named_although_a_cable_that_rests_far_away_fits_it_as_well():
+    library = {name: effect_library()[name] for name in ("cable_drag", "bias_force", "payload")}
+    captures = runs(BENCH, {"bias_force": {"force_N": 40.0}})
+    found = diagnose(captures[:2], BENCH, validate=captures[2:], effects=library)
+    assert found.named == ("bias_force",)
+    assert abs(abs(found.estimates[0].value) - 40.0) < 3.0 * found.estimates[0].std
+
+
 @pytest.mark.parametrize("share", [0.5, 1.5])
 def test_other_servo_gains_than_the_typical_ones_lead_to_no_other_name(share):
     given = dict(BENCH.controller.ivariables)

@@ -5,13 +5,13 @@ that closes the gap only as the imitation of another is part of the model and no
 ``growth`` and ``remainder``.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pmac_comp.base.units import MM_PER_M
 from pmac_comp.physics.diagnose.candidates import amplitude_of
 from pmac_comp.physics.diagnose.contenders import Contender, Rules
 from pmac_comp.physics.diagnose.growth import Grown, Round
+from pmac_comp.physics.diagnose.imitations import ONSET, imitation
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.model.drive import DriveModel
@@ -20,66 +20,8 @@ _LEAST_SIGMAS = 3.0
 _WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
 # Of the base model's excess: where less is left, forms that explain the rest are right.
 _OPEN_SHARE = 0.1
-_SHORTEST_DIP_m = 0.15e-3  # dips are half to five millimetres long, presliding 5 to 50 um
-_SHORTEST_PRESLIDING_m = 1e-6
 _TOO_SMALL = "its size cannot be told from nothing"
-_ONSET = "it is so short that the friction is Coulomb friction, which nowhere sets in at once"
-_NO_IMITATIONS = frozenset({_TOO_SMALL, _ONSET})
-
-
-def _far_cable(model: DriveModel) -> str:
-    travel = model.bench.travel
-    reach_m = (travel.max_mm - travel.min_mm) / MM_PER_M
-    middle_m = 0.5 * (travel.max_mm + travel.min_mm) / MM_PER_M
-    if abs(model.parameters["cable_drag.centre_m"] - middle_m) < 1.5 * reach_m:
-        return ""
-    return "its centre lies so far outside the travel that its force is constant: a bias"
-
-
-def _no_ratio(model: DriveModel) -> str:
-    if model.parameters["preload_loss.stiffness_ratio"] > 0.02:
-        return ""
-    return "its soft zone has no stiffness left: a backlash"
-
-
-def _no_mode(model: DriveModel) -> str:
-    if model.parameters["base_mode.damping_ratio"] < 0.7:
-        return ""
-    return "its damping leaves no resonance"
-
-
-def _no_curve(model: DriveModel) -> str:
-    if 0.05 < model.parameters["viscous_nonlinear.exponent"] < 0.95:
-        return ""
-    return "its exponent makes it Coulomb or viscous friction"
-
-
-def _short_dip(model: DriveModel) -> str:
-    if model.parameters["post_reversal_dip.length_m"] > _SHORTEST_DIP_m:
-        return ""
-    return "its length is that of presliding"
-
-
-def _onset(model: DriveModel) -> str:
-    shortest = max(_SHORTEST_PRESLIDING_m, model.bench.motor_resolution_m)
-    return "" if model.parameters["presliding.distance_m"] > shortest else _ONSET
-
-
-# Corners of an effect's range where it is another effect.
-_IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
-    "cable_drag": _far_cable,
-    "preload_loss": _no_ratio,
-    "base_mode": _no_mode,
-    "viscous_nonlinear": _no_curve,
-    "post_reversal_dip": _short_dip,
-    "presliding": _onset,
-}
-
-
-def imitation(effect: str, model: DriveModel) -> str:
-    """What an effect of a model is in truth, in words; nothing where it is itself."""
-    told = _IMITATIONS.get(effect)
-    return "" if told is None else told(model)
+_NO_IMITATIONS = frozenset({_TOO_SMALL, ONSET})
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
 Progress = Callable[[str], None]
+_RULED_OUT = 0.05  # largest p-value at which a look-alike counts as ruled out
 # A second form of presliding for prediction; the diagnosis names the phenomenon once.
 _FORMS = frozenset({"presliding_gms"})
 
@@ -232,6 +233,8 @@ def ruled_out(grown: Grown, library: Mapping[str, Effect]) -> tuple[Rival, ...]:
             if name in tried:
                 lost = tried[name].fitted.blocks - winner.fitted.blocks
                 p_value = sign_flip_p(lost, seed=7)
+                if p_value > _RULED_OUT:
+                    continue
             share = gain / max(gains[winner.effect], 1e-12)
             found.setdefault(name, Rival(name, p_value, share))
     return tuple(found.values())

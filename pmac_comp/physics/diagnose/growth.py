@@ -22,6 +22,7 @@ from pmac_comp.physics.diagnose.contenders import (
     leaders,
     polished,
 )
+from pmac_comp.physics.diagnose.imitations import true_name
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
@@ -38,7 +39,7 @@ from pmac_comp.physics.diagnose.statistics import studentised
 from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.model.effect import Effect
+from pmac_comp.physics.model.effect import Effect, split_name
 
 Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
@@ -165,7 +166,8 @@ def grow(
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        whole, rounds = _widened(bench, done.accepted.fitted, rounds, library, rules, progress)
+        whole, rounds = _renamed(bench, done.accepted.fitted, rounds, library, rules, progress)
+        whole, rounds = _widened(bench, whole, rounds, library, rules, progress)
         whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
         point = evaluate(bench.fitting_bench(), whole.model)
     open_SI: Mapping[str, float] = {}
@@ -174,13 +176,61 @@ def grow(
         part = bench.fitting_bench()
         point, open_SI = settled(part, evaluate(part, point.model))
         grown, kept = evaluate(bench, point.model), rounds
-        whole, rounds = _pruned(bench, grown, kept, library, rules, progress)
-        if len(_accepted(rounds)) < len(_accepted(kept)):
+        whole, rounds = _renamed(bench, grown, kept, library, rules, progress)
+        whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
+        if whole is not grown:
             point, open_SI = settled(part, evaluate(part, whole.model))
     final = evaluate(bench, point.model)
     grew = base is not None and bool(_accepted(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)
+
+
+def _renamed(
+    bench: Workbench,
+    whole: Fitted,
+    rounds: Sequence[Round],
+    library: Mapping[str, Effect],
+    rules: Rules,
+    progress: Progress,
+) -> tuple[Fitted, list[Round]]:
+    """The model with effects in corners of their range replaced by those that they are there.
+
+    A cable whose rest lies far outside the travel is a bias: it would be withheld as a name, and
+    what it stands for has one.
+    """
+    kept = list(rounds)
+    for i, done in enumerate(kept):
+        name = "" if done.accepted is None else true_name(done.accepted.effect, whole.model)
+        present = {split_name(n)[0] for n in whole.model.effects}
+        if done.accepted is None or name not in done.screening.starts or name in present:
+            continue
+        progress(f"{done.accepted.effect} is {name} here: refitting with that")
+        found = _instead(bench, whole, done, name, library)
+        if found is None or not _earned(found[0], found[1], rules):
+            continue
+        tied = tuple(n for n in done.tied if n != name and alike(n, name, library))
+        kept[i] = replace(done, accepted=found[0], tied=tied)
+        whole = found[0].fitted
+    return whole, kept
+
+
+def _instead(
+    bench: Workbench, whole: Fitted, done: Round, name: str, library: Mapping[str, Effect]
+) -> tuple[Contender, Round] | None:
+    """Another effect in the place of a round's, with the round judged against neither of them."""
+    if done.accepted is None:
+        return None
+    part = bench.fitting_bench()
+    bare = whole.model.without_effect(done.accepted.effect)
+    try:
+        less = evaluate(bench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model)
+    except ModelError:
+        return None
+    start = replace(done.screening.starts[name][0], own_SI={})
+    tried = contend(Ground.of(bench, less, library), start, Frozen((), []))
+    gap_um = gap(bench.calm_records, less.model, bench.executor).position_um
+    return (tried[0], replace(done, gap_um=gap_um)) if tried else None
 
 
 def _widened(
@@ -383,6 +433,8 @@ def _tied(
         for other in contenders
         if other.effect != winner.effect
         and alike(other.effect, winner.effect, library)
+        # In that corner of its range it is the winner, not a rival of it.
+        and true_name(other.effect, other.fitted.model) != winner.effect
         and _inseparable(winner, other, rows, rules)
     ]
     tied += [name for name in exact_twins(winner.effect) if name not in tied]

@@ -3,7 +3,7 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.claims import imitation
+from pmac_comp.physics.diagnose.imitations import imitation, true_name
 from pmac_comp.physics.model.drive import DriveModel
 
 BENCH = load_bench("paper")
@@ -32,3 +32,12 @@ def test_an_effect_at_the_corner_of_its_range_is_another_one(effect, own, corner
 
 def test_effects_without_such_a_corner_are_themselves():
     assert imitation("payload", DriveModel.base(BENCH).with_effect("payload")) == ""
+
+
+def test_a_far_cable_is_told_by_its_true_name_and_a_near_one_by_its_own():
+    base = DriveModel.base(BENCH)
+    far = base.with_effect("cable_drag", {"stiffness_N_per_m": -10.0, "centre_m": 10.0})
+    near = base.with_effect("cable_drag", {"stiffness_N_per_m": 250.0, "centre_m": 0.1})
+    assert true_name("cable_drag", far) == "bias_force"
+    assert true_name("cable_drag", near) == ""
+    assert true_name("payload", base.with_effect("payload")) == ""
