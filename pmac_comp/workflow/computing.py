@@ -105,6 +105,8 @@ def compute_compensation(
         provenance=provenance,
         progress=progress,
     )
+    if progress is not None and slow:
+        progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
     lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
     backlash = lead is not None and has_backlash(lead)
@@ -112,6 +114,8 @@ def compute_compensation(
         law = with_unmodelled(bench, law, model, captures, lead)
         return _for_motion(bench, model, route, law, lead, motion, aim, backlash=backlash)
     if captures:
+        if progress is not None:
+            progress("holding the law against the captures", 0.8)
         trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
         trim = {
             name: getattr(trimmed, name) - getattr(law, name)

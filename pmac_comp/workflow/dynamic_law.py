@@ -73,6 +73,8 @@ def dynamic_law(
     )
     if route not in TORQUE_ROUTES or not captures:
         return law
+    if progress is not None:
+        progress("reading friction and cogging from the captures", 0.3)
     law, grip = gripping_law(law, loop, captures)
     delay_s = drive_delay_s(model)
     found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
