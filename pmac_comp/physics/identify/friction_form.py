@@ -191,9 +191,9 @@ def identify_with_friction(
 
     The base model is fitted first. Where it leaves clearly more around reversals than elsewhere,
     presliding at guide, nut and motor with Stribeck friction is fitted to alternate stretches of
-    the captures and judged, like the base model, by table minus motor on the other stretches; then,
-    if reversals still stand out, the same with memory at the guide. What is clearly better, without
-    the parts that came out as nothing, is fitted to everything.
+    the captures and judged, like the base model, by table minus motor on the other stretches; then
+    the same with memory at the guide. What is clearly better, without the parts that came out as
+    nothing, is fitted to everything.
 
     Parameters
     ----------
@@ -245,9 +245,9 @@ def _chosen(
         found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
     errors = trial.errors(found)
     figures["held_out_lugre_um"] = _rms_um(errors)
-    # Memory of the guide's friction can only show where there is presliding at the guide, and is
-    # not looked for where nothing is left that it could explain.
-    if form.guide_m <= _STICK_ZONE_m or not trial.suspects(found):
+    # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
+    # counts can hide what it leaves around reversals: only the held-out samples tell.
+    if form.guide_m <= _STICK_ZONE_m:
         return found
     other = trial.fitted(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
     if other is None:
