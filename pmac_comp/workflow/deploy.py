@@ -30,6 +30,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import require_folder
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
@@ -63,7 +64,7 @@ Progress = Callable[[str, float], None]
 def context_of(axis: Axis, store: Path | None = None, progress: Progress | None = None) -> Context:
     """Limits, folder and names for changes of an axis; without a folder only for looking."""
     if store is not None:
-        store.mkdir(parents=True, exist_ok=True)
+        require_folder(store)
         axis.setup.store = store
 
     def told(step: str, done: int, total: int) -> None:

@@ -31,6 +31,7 @@ from pmac_comp.machine.controller.numbers import nine_digits, plain
 from pmac_comp.machine.controller.safety import check_law, check_table, limit_table
 from pmac_comp.machine.controller.transaction import new_transaction_id
 from pmac_comp.machine.controller.variables import check_value
+from pmac_comp.workflow.deploy import context_of
 from tests.unit.machine_controller.card_bench import LIMITS, CardBench
 
 pytestmark = pytest.mark.faults
@@ -202,6 +203,8 @@ def test_f38_folders_are_probed_before_the_machine_is_touched(
         with pytest.raises(ConfigError, match="cannot be written"):
             upload.upload_tables(bench.link, bench.context, [ramp(320, 10)])
         assert bench.n_requests == before
+        with pytest.raises(ConfigError, match="cannot be written"):
+            context_of(SimpleNamespace(setup=SimpleNamespace()), folder)  # type: ignore[arg-type]
     assert bench.values("COMP", 1) is None
     count_runs(len(folders))
 

@@ -161,15 +161,24 @@ def require_folder(folder: Path) -> None:
 
     Raises
     ------
-    OSError
+    ConfigError
         Missing, read-only or full folder.
     """
+    try:
+        reason = _prepare(folder)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    if reason:
+        raise unwritable(folder, OSError(reason, os.strerror(reason)))
+
+
+def _prepare(folder: Path) -> int:
+    """Make the folder; the number of the error with which writing there would end, 0 for none."""
     if not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
-    if not shutil.disk_usage(folder).free:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return errno.EACCES
+    return 0 if shutil.disk_usage(folder).free else errno.ENOSPC
 
 
 def unwritable(folder: Path, error: OSError) -> ConfigError:

@@ -29,8 +29,8 @@ LEASE_s: Final = 120.0
 def host_lock(context: Context) -> Iterator[None]:
     """Only one writer of this host at a time; raises LeaseHeld, or ConfigError for the folder."""
     path = context.store / f"{context.controller}.lock"
+    require_folder(context.store)
     try:
-        require_folder(context.store)
         release = _lock(path)
     except (Timeout, BlockingIOError) as error:
         raise LeaseHeld(
