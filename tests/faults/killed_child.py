@@ -4,12 +4,15 @@ import os
 import signal
 import socket
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import NoReturn
 
 from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.base.errors import LinkLost, PmacCompError, ReplyTimeout
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.base import Framing
+from pmac_comp.machine.transport.tap import FaultyTransport
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
 
@@ -104,3 +107,41 @@ def serve_child(
     session.close()
     ours.close()
     return os.waitpid(child, 0)[1], received
+
+
+class Killed(BaseException):
+    """Nothing catches it; what a ``finally`` still does reaches neither disk nor card."""
+
+
+@contextmanager
+def dies_after(tap: FaultyTransport, n_bytes: int) -> Iterator[None]:
+    """Within ``with``, this program is dead once so many bytes were sent; ``with`` swallows that.
+
+    For long lists: a fork for each case takes ten times as long. What the system does at the end
+    of a process, closing files and giving locks back, is left to ``finally``.
+    """
+    inner, left = tap.send, n_bytes
+    names = ("open", "write", "fsync", "replace", "unlink", "ftruncate")
+    real = {name: getattr(os, name) for name in names}
+
+    def send(data: bytes, deadline: Deadline) -> None:
+        nonlocal left
+        part, left = data[: max(0, left)], left - len(data)
+        if part:
+            inner(part, deadline)
+        if left < 0:
+            for name in names:
+                setattr(os, name, dead)
+            tap.send = tap.receive = tap.drain = dead  # type: ignore[method-assign]
+            raise Killed
+
+    def dead(*_arguments: object, **_options: object) -> NoReturn:
+        raise Killed
+
+    tap.send = send  # type: ignore[method-assign]
+    try:
+        with suppress(Killed):
+            yield
+    finally:
+        for name, function in real.items():
+            setattr(os, name, function)

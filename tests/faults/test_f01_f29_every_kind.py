@@ -27,7 +27,7 @@ from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.fault_table import all_of
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
-from tests.faults.killed_child import serve_child
+from tests.faults.killed_child import dies_after, serve_child
 from tests.faults.test_f15_f22_controller import LineFault
 from tests.faults.upload_bench import new_table, old_table
 
@@ -234,12 +234,26 @@ def test_f29_sigkill_in_any_change(
     rig.fresh()
     rig.judge(ControllerState.NEW)
     every = range(total - 200)
-    at = all_of(every) if exhaustive else every[:: max(1, total // 2)]
-    for n in at:
+    for n in every[:: max(1, total // (20 if exhaustive else 2))]:
         rig.restart()
         status, _ = killed_change(rig, n)
         if not os.WIFSIGNALED(status):
             continue  # waits are shorter or longer: this one asked less often than the first
         assert os.WTERMSIG(status) == signal.SIGKILL
+        rig.recover(resume=n % 2 == 0)
+        count_runs(1)
+
+
+def test_f29_death_in_any_change(*, rig: ChangeBench, exhaustive: bool, count_runs: Count) -> None:
+    """The same without a process for each case: nothing of the host acts any more after a byte."""
+    rig.restart()
+    rig.scenario.change(rig.bench.link, rig.bench.context)
+    total = rig.bench.tap.sent
+    every = range(total)
+    at = all_of(every) if exhaustive else every[7 :: max(1, total // 4)]
+    for n in at:
+        rig.restart()
+        with dies_after(rig.bench.tap, n):
+            rig.attempt()
         rig.recover(resume=n % 2 == 0)
     count_runs(len(at))
