@@ -56,6 +56,9 @@ class Rules:
         Multiple of ``material`` on fitting samples that need not be as large on judging ones.
     material_gap : float
         Share of the noise floor that a slow effect must take out of the gap instead.
+    material_torque : float
+        Share of the torque's mean square left that it may take out of that instead: a constant
+        force is all in the integrator and hardly in a position.
     widened : float
         Multiple of the gap before beyond which a candidate widens what it should close.
     p_value : float
@@ -77,6 +80,7 @@ class Rules:
     material: float = 0.04
     overwhelming: float = 4.0
     material_gap: float = 0.6
+    material_torque: float = 0.15
     widened: float = 1.1
     p_value: float = 0.01
     tie_z: float = 3.0
@@ -99,6 +103,7 @@ class Contender:
     p_value: float
     bic_gain: float
     gap_um: float
+    torque_Nm: float | None = None
 
     @property
     def gain(self) -> float:
@@ -218,6 +223,7 @@ def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
     size = effective_size(drop) / max(1, drop.size)
     rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
     parameters = len(ground.library[item.start.effect].parameters)
+    left = gap(bench.calm_records, whole.model, bench.executor)
     return Contender(
         item.start.effect,
         item.start.key,
@@ -227,7 +233,8 @@ def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
         float(drop[~ground.fitting].sum()),
         corrected_p(_by_chance(ground, whole, parameters), len(ground.library)),
         bic_gain(gain * size, parameters, rows * size),
-        gap(bench.calm_records, whole.model, bench.executor).position_um,
+        left.position_um,
+        left.torque_Nm,
     )
 
 

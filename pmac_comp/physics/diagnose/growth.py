@@ -25,7 +25,7 @@ from pmac_comp.physics.diagnose.contenders import (
 from pmac_comp.physics.diagnose.imitations import true_name
 from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
 from pmac_comp.physics.diagnose.noise import noise_floor_um
-from pmac_comp.physics.diagnose.records import gap
+from pmac_comp.physics.diagnose.records import Gap, gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.screen import (
     Look,
@@ -65,6 +65,11 @@ class Round:
     rows_judge: float
     gap_um: float
     floor_um: float
+    torque_Nm: float | None = None
+
+    def judged_against(self, left: Gap) -> "Round":
+        """The round as if it had begun with such a gap."""
+        return replace(self, gap_um=left.position_um, torque_Nm=left.torque_Nm)
 
 
 @dataclass(frozen=True)
@@ -229,8 +234,8 @@ def _instead(
         return None
     start = replace(done.screening.starts[name][0], own_SI={})
     tried = contend(Ground.of(bench, less, library), start, Frozen((), []))
-    gap_um = gap(bench.calm_records, less.model, bench.executor).position_um
-    return (tried[0], replace(done, gap_um=gap_um)) if tried else None
+    left = gap(bench.calm_records, less.model, bench.executor)
+    return (tried[0], done.judged_against(left)) if tried else None
 
 
 def _widened(
@@ -247,8 +252,8 @@ def _widened(
         if done.accepted is None or not library[done.accepted.effect].joint_places:
             continue
         found = wider(Ground.of(bench, whole, library), done.accepted)
-        gap_um = gap(bench.calm_records, whole.model, bench.executor).position_um
-        if found is None or not _earned(found, replace(done, gap_um=gap_um), rules):
+        left = gap(bench.calm_records, whole.model, bench.executor)
+        if found is None or not _earned(found, done.judged_against(left), rules):
             continue
         progress(f"{done.accepted.effect} acts at further places: {found.key}")
         whole = found.fitted
@@ -308,10 +313,10 @@ def _without(
         less = evaluate(bench, refit(part, fitted, rounds=_MORE_LESS).model)
     except ModelError:
         return None
-    gap_um = gap(bench.calm_records, less.model, bench.executor).position_um
+    left = gap(bench.calm_records, less.model, bench.executor)
     back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
-    needed = gap_um > rules.widened * back.gap_um
-    return None if needed or _earned(back, replace(done, gap_um=gap_um), rules) else less
+    needed = left.position_um > rules.widened * back.gap_um
+    return None if needed or _earned(back, done.judged_against(left), rules) else less
 
 
 def _look_around(
@@ -369,12 +374,23 @@ def _round(
         progress(f"refitting with {item.start.key}")
         tried += [*contend(ground, item, screening.frozen), *afresh(ground, screening, item)]
     contenders = polished(ground, tried)
-    gap_um = gap(bench.calm_records, before.model, bench.executor).position_um
+    left = gap(bench.calm_records, before.model, bench.executor)
     floor_um = noise_floor_um(bench, before.model, calm=True)
     bare = Round(
-        before, screening, tuple(contenders), None, (), rows_fit, rows_judge, gap_um, floor_um
+        before,
+        screening,
+        tuple(contenders),
+        None,
+        (),
+        rows_fit,
+        rows_judge,
+        left.position_um,
+        floor_um,
+        left.torque_Nm,
     )
-    winner = _winner([c for c in contenders if _earned(c, bare, rules)], contenders, gap_um)
+    winner = _winner(
+        [c for c in contenders if _earned(c, bare, rules)], contenders, left.position_um
+    )
     if winner is None:
         return bare
     tied = _tied(winner, contenders, library, rows, rules)
@@ -412,12 +428,22 @@ def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
     # Runs for judging need not excite what the fitting runs show beyond doubt.
     if fit > rules.overwhelming * rules.material and judged > 0.0:
         return True
-    # Slow effects are large in um and small to a whitener that expects slow noise.
+    # Slow effects are large in um, or in the torque that an integrator has to find, and small to a
+    # whitener that expects slow noise.
+    if judged > 0.0 and _torque_closed(winner, done) > rules.material_torque:
+        return True
     closed_um2 = done.gap_um**2 - winner.gap_um**2
     return (
         min(fit, judged) > 0.1 * rules.material
         and closed_um2 > (rules.material_gap * done.floor_um) ** 2
     )
+
+
+def _torque_closed(winner: Contender, done: Round) -> float:
+    """What a candidate closes of the torque's gap on judging runs, over what it leaves, squared."""
+    if done.torque_Nm is None or winner.torque_Nm is None or winner.torque_Nm <= 0.0:
+        return 0.0
+    return (done.torque_Nm / winner.torque_Nm) ** 2 - 1.0
 
 
 def _tied(
