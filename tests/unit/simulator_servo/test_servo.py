@@ -67,10 +67,10 @@ def test_jog_moves_motor_and_scale_and_reports(enabled):
     assert not enabled.in_position(1)
     # 100 counts/ms = 44.2 counts per servo interrupt.
     assert enabled.velocity(1) == pytest.approx(44.2, abs=0.5)
-    enabled.run(4000)
+    # Friction holds the motor short of the end until the integrator has wound up against it.
+    enabled.run(12000)
     assert enabled.commanded(1) == 30000.0
-    # Friction holds the motor until the integrator has wound up against it.
-    assert enabled.position(1) == pytest.approx(30000.0, abs=3.0)
+    assert enabled.position(1) == pytest.approx(30000.0, abs=1.0)
     # The scale has 8 counts per encoder count; lead error and deformation stay below 30 um.
     assert enabled.position(2) == pytest.approx(240000.0, abs=8 * 30)
     assert enabled.in_position(1)
