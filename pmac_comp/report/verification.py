@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table
 from pmac_comp.workflow.outcome import MotionOutcome, error_signals
@@ -28,8 +29,8 @@ def headline(verification: Verification) -> list[tuple[str, str]]:
             out.append((f"{values[0]:.{digits}f} → {values[1]:.{digits}f} um", name))
     out += _true_headline(verification)
     if verification.static is not None and len(verification.static.sides) > 1:
-        _, before_um, after_um = verification.static.rows()[-1]
-        out.append((f"{before_um:.1f} → {after_um:.1f} um", "accuracy A after ISO 230-2"))
+        accuracy = [side.figures().accuracy_m * UM_PER_M for _, side in verification.static.sides]
+        out.append((f"{accuracy[0]:.1f} → {accuracy[1]:.1f} um", "accuracy A after ISO 230-2"))
     return out
 
 

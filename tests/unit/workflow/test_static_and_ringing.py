@@ -8,12 +8,13 @@ import pytest
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.report.verification import headline
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion
 from pmac_comp.workflow.motions import Motion, check_motion, parse_motion
 from pmac_comp.workflow.pvt import pvt_program
 from pmac_comp.workflow.ringing import ringing_of
 from pmac_comp.workflow.static_check import StaticOutcome, approaches, is_static
-from pmac_comp.workflow.verification import static_remarks
+from pmac_comp.workflow.verification import Verification, static_remarks
 
 BENCH = load_bench("paper")
 STAIRS = positioning_motion(BENCH)
@@ -73,6 +74,12 @@ def test_before_and_after_side_by_side() -> None:
     assert result["before"]["runs"] == 2
     assert any("wants 5 runs" in line for line in found.lines())
     assert is_static(staircase_run(0.0, 0.0, 0.0))
+
+
+def test_the_report_begins_with_the_accuracy() -> None:
+    sides = [approaches([staircase_run(o, b, 0.0) for o in (0.0, 0.0)]) for b in (3.0, 0.5)]
+    shown = headline(Verification((), 0.0, simulated=True, static=StaticOutcome(*sides)))
+    assert shown == [("3.0 → 0.5 um", "accuracy A after ISO 230-2")]
 
 
 def test_what_the_motor_leaves_at_rest_is_told_from_the_mechanics() -> None:
