@@ -37,6 +37,7 @@ _WORDS = {
     "stribeck": "Stribeck friction at the guide (stribeck)",
 }
 _CARRIES = ("chain.table_mass_kg", "chain.axial_stiffness_N_per_m")
+_TURNING = ("nut_", "motor_", "rotary")
 _STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for any sensor here
 _NO_ZONE_m = 0.0
 _SIGNIFICANT = 3.0  # standard deviations
@@ -116,9 +117,32 @@ class _Trial:
     progress: Progress | None
     executor: Executor | None
 
+    def outlined(self) -> Identification | None:
+        """The base model fitted to within the noise; None where it cannot be.
+
+        Enough to see whether Coulomb friction does, and to start from. The rest of that fit is for
+        drives that keep to Coulomb friction, and so are the words where it fails.
+        """
+        if DriveModel.base(self.bench).is_rigid:
+            return None
+        try:
+            return self._of(None, None, None, "outline")
+        except ModelError:
+            return None
+
+    def plain(self, outline: Identification | None) -> Identification:
+        """The base model fitted in full, from where its outline ended."""
+        start = None if outline is None else outline.model
+        return self._of(start, None, None, "all" if start is None else "fine")
+
     def fitted(self, start: DriveModel) -> Identification | None:
         """Friction fitted to one half from a start; None where the captures do not carry it."""
         return self._identified(start, _asked(start), self.held_out, "fine")
+
+    def fitted_at_guide(self, start: DriveModel) -> Identification | None:
+        """The same for the guide alone, the turning side as it was."""
+        names = [n for n in _asked(start) if not any(word in n for word in _TURNING)]
+        return self._identified(start, names, self.held_out, "fine")
 
     def shaped(self, start: DriveModel) -> DriveModel:
         """The start with distances and Stribeck's curve fitted to one half, levels as they were.
@@ -141,19 +165,28 @@ class _Trial:
         stages: Stages,
     ) -> Identification | None:
         try:
-            return identify(
-                self.captures,
-                self.bench,
-                model=start,
-                names=names,
-                warm=True,
-                held_out=held_out,
-                stages=stages,
-                progress=self.progress,
-                executor=self.executor,
-            )
+            return self._of(start, names, held_out, stages)
         except ModelError:
             return None
+
+    def _of(
+        self,
+        start: DriveModel | None,
+        names: list[str] | None,
+        held_out: Sequence[BoolArray] | None,
+        stages: Stages,
+    ) -> Identification:
+        return identify(
+            self.captures,
+            self.bench,
+            model=start,
+            names=names,
+            warm=start is not None,
+            held_out=held_out,
+            stages=stages,
+            progress=self.progress,
+            executor=self.executor,
+        )
 
     def suspects(self, found: Identification) -> bool:
         """Whether the misfit of table minus motor grows around reversals."""
@@ -189,11 +222,12 @@ def identify_with_friction(
 ) -> Identification:
     """``identify``, with the form of friction chosen by what the captures show.
 
-    The base model is fitted first. Where it leaves clearly more around reversals than elsewhere,
-    presliding at guide, nut and motor with Stribeck friction is fitted to alternate stretches of
-    the captures and judged, like the base model, by table minus motor on the other stretches; then
-    the same with memory at the guide. What is clearly better, without the parts that came out as
-    nothing, is fitted to everything.
+    The base model is fitted first, to within the noise. Where it leaves clearly more around
+    reversals than elsewhere, presliding at guide, nut and motor with Stribeck friction is fitted to
+    alternate stretches of the captures and judged, like the base model, by table minus motor on the
+    other stretches; then the same with memory at the guide. What is clearly better, without the
+    parts that came out as nothing, is fitted to everything. Otherwise the fit of the base model
+    goes on to its end.
 
     Parameters
     ----------
@@ -211,10 +245,10 @@ def identify_with_friction(
     NotIdentifiable, DidNotConverge, CaptureError
         As ``identify`` raises them for the base model.
     """
-    base = identify(captures, bench, progress=progress, executor=executor)
     trial = _Trial(captures, bench, [_alternate(c) for c in captures], progress, executor)
-    if base.model is None or not trial.suspects(base):
-        return base
+    base = trial.outlined()
+    if base is None or base.model is None or not trial.suspects(base):
+        return trial.plain(base)
     errors = trial.errors(base)
     figures = {"held_out_coulomb_um": _rms_um(errors)}
     best = _chosen(trial, base.model, errors, figures)
@@ -222,6 +256,7 @@ def identify_with_friction(
     if best is not None and best.model is not None:
         final = trial.settled(best.model)
     if final is None or best is None:
+        base = trial.plain(base)
         return replace(base, figures={**base.figures, **figures})
     final = widened_where_apart(final, best)
     said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(trial.errors(best)))
@@ -249,7 +284,7 @@ def _chosen(
     # counts can hide what it leaves around reversals: only the held-out samples tell.
     if form.guide_m <= _STICK_ZONE_m:
         return found
-    other = trial.fitted(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
+    other = trial.fitted_at_guide(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
     if other is None:
         return found
     left = trial.errors(other)

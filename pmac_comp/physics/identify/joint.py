@@ -30,6 +30,7 @@ from pmac_comp.physics.identify.identifiability import (
 from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.identify.output_error import Fit, Stages, refine, require_converged
 from pmac_comp.physics.identify.plausibility import require_plausible
+from pmac_comp.physics.identify.problem import working
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
     CaptureResiduals,
@@ -40,7 +41,7 @@ from pmac_comp.physics.identify.result import (
     estimate,
 )
 from pmac_comp.physics.identify.rigid import force_of, rigid_regression
-from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.drive import DriveModel, Response
 
 Progress = Callable[[str, float], None]
 _STATIC_EFFECTS = ("lead_linear", "lead_cyclic", "encoder_eccentricity", "scale_slope")
@@ -97,10 +98,10 @@ def identify(
         Whether a static lead map is estimated beside the dynamics; ``auto`` does so unless the
         model has lead or sensor errors of its own.
     warm : bool
-        Start from the friction of ``model`` instead of the linear regressions.
+        Start from ``model``, found from the same captures, instead of the linear regressions.
     held_out : sequence of ndarray of bool, or None
         Samples of each capture, shape (n,), that are simulated but not fitted; residuals hold them.
-    stages : "all", "rough" or "fine"
+    stages : "all", "outline", "rough" or "fine"
         See ``output_error.refine``.
     executor : Executor or None
         Where simulations run; None uses threads.
@@ -123,7 +124,8 @@ def identify(
         raise ModelError(
             "No capture was given.", code="PC-IDN-011", hint="Give at least one capture."
         )
-    require_plausible(captures, bench)
+    if not warm:  # else they have been through it
+        require_plausible(captures, bench)
     start = DriveModel.base(bench) if model is None else model
     if start.is_rigid and model is None:
         return _identify_rigid(captures, bench, start, progress)
@@ -176,27 +178,32 @@ def _identify_elastic(
     if names is None and has_scale:
         require_long_enough(records)
     columns, shape = rec.nuisances(records, bench, static_map=free_map)
-    fit = refine(
-        records,
-        columns,
-        start,
-        bench,
-        names=names,
-        weights="white" if start.is_rigid else "coloured",
-        rounding=held_out is None,
-        stages=stages,
-        steady=[rec.steady_rows(r) for r in records] if leave_out == "rest" else None,
-        progress=tell,
-        executor=executor,
-    )
-    if stages != "rough":
+    with working(executor) as workers:
+        fit = refine(
+            records,
+            columns,
+            start,
+            bench,
+            names=names,
+            weights="white" if start.is_rigid else "coloured",
+            rounding=held_out is None,
+            stages=stages,
+            steady=[rec.steady_rows(r) for r in records] if leave_out == "rest" else None,
+            progress=tell,
+            executor=workers,
+        )
+        jobs = [(record, fit.model) for record in records]
+        responses = list(workers.map(_response_of_pair, jobs))
+    if stages in {"all", "fine"}:
         require_converged(fit)
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
         require_identifiable(fit, has_torque=has_torque)
     residuals = tuple(
-        _residuals_of(record, fit, column, i)
-        for i, (record, column) in enumerate(zip(records, columns, strict=True))
+        _residuals_of(record, response, fit, column, i)
+        for i, (record, response, column) in enumerate(
+            zip(records, responses, columns, strict=True)
+        )
     )
     return Identification(
         model=fit.model,
@@ -240,8 +247,13 @@ def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     return found
 
 
-def _residuals_of(record: rec.Record, fit: Fit, nuisance: FloatArray, i: int) -> CaptureResiduals:
-    response = rec.response_of(record, fit.model)
+def _response_of_pair(job: tuple[rec.Record, DriveModel]) -> Response:
+    return rec.response_of(*job)
+
+
+def _residuals_of(
+    record: rec.Record, response: Response, fit: Fit, nuisance: FloatArray, i: int
+) -> CaptureResiduals:
     capture, cut = record.capture, slice(None, None, record.stride)
 
     def left(measured: FloatArray | None, simulated: FloatArray) -> FloatArray | None:

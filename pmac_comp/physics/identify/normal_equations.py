@@ -37,8 +37,13 @@ def normal_equations(
     filters: list[list[Whitener]],
     residuals: Sequence[FloatArray],
     slopes: Sequence[Sequence[FloatArray]],
+    *,
+    scatter: bool = True,
 ) -> Normal:
-    """Weighted equations of residuals and derivatives at one place."""
+    """Weighted equations of residuals and derivatives at one place.
+
+    Without ``scatter`` only what a step needs: nothing of blocks of time and steady rows.
+    """
     parts = []
     for i, record in enumerate(problem.records):
         columns = [-slope[i] for slope in slopes]
@@ -49,11 +54,16 @@ def normal_equations(
             )
             rows = whitener.rows(record.valid)
             parts.append((i, c, np.where(rows[:, None], whitener.apply(stack), 0.0)))
-    whole = _assembled(problem, parts, len(slopes))
+    p = len(slopes)
+    whole, on_slopes = _assembled(problem, [part for _, _, part in parts], p)
+    if not scatter:
+        return whole
+    scores, hessians = _block_scores(problem, parts, on_slopes, whole.nuisance, p)
+    whole = replace(whole, scores=scores, block_hessians=hessians)
     if problem.steady is None:
         return whole
-    kept = [(i, c, part * filters[i][c].rows(problem.steady[i])[:, None]) for i, c, part in parts]
-    some = _assembled(problem, kept, len(slopes))
+    kept = [part * filters[i][c].rows(problem.steady[i])[:, None] for i, c, part in parts]
+    some, _ = _assembled(problem, kept, p)
     return replace(whole, steady=(some.hessian, some.gradient))
 
 
@@ -62,8 +72,9 @@ def _nuisance_of(problem: Problem, i: int, record: Record, c: int) -> FloatArray
     return columns if record.channels[c] == "difference" else np.zeros_like(columns)
 
 
-def _assembled(problem: Problem, parts: list[tuple[int, int, FloatArray]], p: int) -> Normal:
-    gram = _gram([part for _, _, part in parts])
+def _assembled(problem: Problem, parts: Sequence[FloatArray], p: int) -> tuple[Normal, FloatArray]:
+    """Equations of whitened rows without their blocks, and what nuisances take of each slope."""
+    gram = _gram(parts)
     inner = slice(1, 1 + p)
     rest = slice(1 + p, None)
     known = problem.nuisance_information
@@ -73,16 +84,15 @@ def _assembled(problem: Problem, parts: list[tuple[int, int, FloatArray]], p: in
     hessian = gram[inner, inner] - gram[inner, rest] @ on_slopes
     gradient = gram[inner, 0] - gram[inner, rest] @ on_residual
     cost = float(gram[0, 0] - gram[0, rest] @ on_residual)
-    scores, hessians = _block_scores(problem, parts, on_slopes, on_residual, p)
     return Normal(
         hessian=hessian,
         gradient=gradient,
         cost=cost,
-        scores=scores,
-        block_hessians=hessians,
+        scores=np.empty((0, p)),
+        block_hessians=np.empty((0, p, p)),
         prior_scores=on_slopes.T @ (known[:, None] * on_slopes),
         nuisance=np.asarray(on_residual),
-    )
+    ), on_slopes
 
 
 def _gram(parts: Sequence[FloatArray]) -> FloatArray:

@@ -5,10 +5,9 @@ scale offsets and the static lead map are projected out. What lives here: the ro
 may not: simulation (``problem``), weights (``normal_equations``), verdicts and words.
 """
 
-import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -30,13 +29,13 @@ from pmac_comp.physics.identify.normal_equations import (
     white_filters,
     without_nuisances,
 )
-from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of
+from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of, working
 from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.whitening import Whitener
 from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
-Stages = Literal["all", "rough", "fine"]
+Stages = Literal["all", "outline", "rough", "fine"]
 
 _WHITE_ROUNDS = 3
 _COLOURED_ROUNDS = 12
@@ -53,6 +52,7 @@ _OWN_SLOPES_FRAC = 0.05
 # quarter by 2 % (the damping's of bristles by 8): steps go astray by that, where they end does not.
 _SLOPES_COARSER, _COMPARED_COARSER = 2, 4
 _STALLED = 0.7  # of the step before, with old derivatives
+_LITTLE = 3e-3  # of the misfit: too little to change which fit is better
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
 _DAMPING_TRIES = 6
@@ -147,9 +147,10 @@ def refine(
         position near the measured one at all frequencies alike.
     rounding : bool
         Whether the last rounds account for what the encoder's rounding does on average.
-    stages : "all", "rough" or "fine"
-        ``rough`` ends with a few rounds of white weights, for a start of another fit; ``fine``
-        leaves them out: from a start that is near already, they lead away and back.
+    stages : "all", "outline", "rough" or "fine"
+        ``outline`` ends where steps are within the noise and leaves rounding out; ``rough`` ends
+        with a few rounds of white weights, for a start of another fit; ``fine`` leaves those out:
+        from a start that is near already, they lead away and back.
     steady : sequence of ndarray of bool, or None
         Rows of each record that friction in detail does not touch. Where these alone would put the
         base parameters elsewhere, the intervals are widened by the distance.
@@ -165,12 +166,10 @@ def refine(
     NonFinite
         The model is unstable at the start.
     """
+    rounding = rounding and stages in {"all", "fine"}
     coarse = _SLOPES_COARSER if rounding else _COMPARED_COARSER
-    if executor is not None:
-        problem = problem_of(records, nuisance, model, bench, names, executor, steady, coarse)
-        return _refine(problem, weights, progress, rounding=rounding, stages=stages)
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
-        problem = problem_of(records, nuisance, model, bench, names, own, steady, coarse)
+    with working(executor) as workers:
+        problem = problem_of(records, nuisance, model, bench, names, workers, steady, coarse)
         return _refine(problem, weights, progress, rounding=rounding, stages=stages)
 
 
@@ -188,9 +187,13 @@ def _refine(
         at = _stepped(problem, at, filters, _WHITE_ROUNDS, _ROUGHLY_DONE_STEP, tell, exact=False)
     if stages != "rough":
         filters = reweigh(problem, _left_at(problem, at.theta, filters))
-        # A fit that is only compared with others need not settle to the last digit.
-        done = _DONE_STEP if rounding else _ROUGHLY_DONE_STEP
-        at = _stepped(problem, at, filters, _COLOURED_ROUNDS, done, tell, exact=True)
+        # A fit that is only compared with others need not settle to the last digit; one that is to
+        # settle gets near with coarse derivatives first.
+        near = replace(problem, slope_substeps=problem.model.coarser_substeps(_COMPARED_COARSER))
+        at = _stepped(near, at, filters, _COLOURED_ROUNDS, _ROUGHLY_DONE_STEP, tell, exact=False)
+        if rounding:
+            at = replace(at, slopes=None, slopes_at=None)
+            at = _stepped(problem, at, filters, _COLOURED_ROUNDS, _DONE_STEP, tell, exact=True)
     theta = at.theta
     filters = reweigh(problem, _left_at(problem, theta, filters))
     last, rounds, step = None, at.rounds, at.step
@@ -232,8 +235,9 @@ def _stepped(
         tell(f"refining friction and stiffness, round {rounds + 1}", rounds / _ALL_ROUNDS)
         # Settled with old derivatives: once more with new ones.
         moved = float(np.abs(theta - place).max())
-        far = step > _SAME_SLOPES and moved > _SAME_SLOPES_FRAC
-        stalled = old and step > _STALLED * before
+        # Derivatives serve twice at least: a second step with them costs next to nothing.
+        far = old and step > _SAME_SLOPES and moved > _SAME_SLOPES_FRAC
+        stalled = old and (step == 0.0 or step > _STALLED * before)
         before = step
         astray = exact and old and step < done and moved > _OWN_SLOPES_FRAC
         fresh = slopes is None or far or stalled or astray
@@ -243,11 +247,12 @@ def _stepped(
         else:
             residuals = problem.residuals(theta)
         old = not fresh
-        normal = normal_equations(problem, filters, residuals, slopes or [])
-        theta, step = _damped_step(problem, theta, normal, filters)
+        normal = normal_equations(problem, filters, residuals, slopes or [], scatter=False)
+        theta, step, gain = _damped_step(problem, theta, normal, filters)
         rounds += 1
         own = fresh or float(np.abs(theta - place).max()) <= _OWN_SLOPES_FRAC
-        if step < done and (own or not exact):
+        settled = step < done and (fresh or step > 0.0)
+        if (settled and (own or not exact)) or (gain < _LITTLE and not exact):
             break
     return _Point(theta, step, slopes, rounds, place)
 
@@ -319,8 +324,8 @@ def _finished(problem: Problem, theta: FloatArray, final: Normal, rounds: int, s
 
 def _damped_step(
     problem: Problem, theta: FloatArray, at: Normal, filters: list[list[Whitener]]
-) -> tuple[FloatArray, float]:
-    """Next point and the length of the step in standard deviations."""
+) -> tuple[FloatArray, float, float]:
+    """Next point, the step in standard deviations, and the share of the misfit that it takes."""
     prior = np.diag(problem.weight)
     gradient = at.gradient - problem.weight * (theta - problem.centre)
     here = at.cost + prior_cost(problem, theta)
@@ -332,9 +337,10 @@ def _damped_step(
         cost = cost_at(problem, new, filters)
         if cost <= here * (1.0 + 1e-9):
             move = new - theta
-            return new, float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
+            step = float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
+            return new, step, 1.0 - cost / here
         damping = 10.0 * damping if damping > 0.0 else 1e-2
-    return theta, 0.0
+    return theta, 0.0, 0.0
 
 
 def _plain_step(problem: Problem, theta: FloatArray, at: Normal) -> tuple[FloatArray, float]:

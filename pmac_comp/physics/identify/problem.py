@@ -4,8 +4,10 @@ What lives here: scaled parameters with bounds and prior, residuals of the simul
 their derivatives. What may not: weights, steps. Imports ``physics.model`` and ``records``.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Executor
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +27,16 @@ _STEP_FRAC = 2e-3
 # Rounding inside the loop dithers friction and shifts what the loop does on average; the last
 # rounds compare with the mean of rounding simulations at several places of the count.
 _DITHERS = 4
+
+
+@contextmanager
+def working(executor: Executor | None) -> Iterator[Executor]:
+    """The executor that was handed in, or threads on all cores of our own."""
+    if executor is not None:
+        yield executor
+        return
+    with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
+        yield own
 
 
 @dataclass(frozen=True)
@@ -97,6 +109,12 @@ class Problem:
 
     def quantised_residuals(self, theta: FloatArray) -> list[FloatArray]:
         """Measured minus the mean of simulations that round as the sensors do, shape (n, c)."""
+        place = b"rounded" + theta.tobytes()
+        if place not in self.latest:
+            self.latest[place] = self._rounded(theta)
+        return self.latest[place]
+
+    def _rounded(self, theta: FloatArray) -> list[FloatArray]:
         model = self.model_at(theta)
         shifts = (np.arange(_DITHERS) + 0.5) / _DITHERS - 0.5
         jobs = [(r, model, float(s) * self.count_m) for s in shifts for r in self.records]

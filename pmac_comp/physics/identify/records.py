@@ -13,6 +13,7 @@ position is used.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -191,9 +192,14 @@ def thinned(columns: FloatArray, factor: int) -> FloatArray:
     """Columns low-passed without delay and thinned by a factor, shape (ceil(n / factor), c)."""
     if factor == 1:
         return columns
-    taps = firwin(2 * _HALF_TAPS * factor + 1, 1.0 / factor)
+    taps = _low_pass(factor)
     resample: Any = resample_poly  # its stubs know windows by name only
     return np.asarray(resample(columns, 1, factor, axis=0, window=taps, padtype="line"))
+
+
+@cache
+def _low_pass(factor: int) -> FloatArray:
+    return np.asarray(firwin(2 * _HALF_TAPS * factor + 1, 1.0 / factor), dtype=np.float64)
 
 
 def nuisances(
