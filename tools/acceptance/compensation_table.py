@@ -37,6 +37,7 @@ from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, veri
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.identification import Friction, identify_captures
+from pmac_comp.workflow.outcome import sensor_floor_um
 from pmac_comp.workflow.simulated import TruthRecorder, default_servo, embedded
 from pmac_comp.workflow.verify import verify_axis
 
@@ -127,12 +128,12 @@ def rows_of(
         measured = verify_axis(
             axis, context, compensation, motions, drive=model, truth=recorder.truth
         )
-    return [{**outcome.as_result(), "kept": kept(outcome)} for outcome in measured.motions]
+    return [{**outcome.as_result(), "kept": kept(outcome, bench)} for outcome in measured.motions]
 
 
-def kept(outcome: Any) -> bool | None:
-    """Whether the measured result lies within what was promised."""
-    judged = outcome.promise_kept(0.0)
+def kept(outcome: Any, bench: Bench) -> bool | None:
+    """Whether the measured result lies within what was promised, sensor steps apart."""
+    judged = outcome.promise_kept(sensor_floor_um(bench))
     return None if judged is None else bool(judged)
 
 
