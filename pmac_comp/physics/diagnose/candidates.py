@@ -7,11 +7,12 @@ May import ``physics.model``.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.clocks import clock_directions, merged_clocks
 from pmac_comp.physics.diagnose.spectra import Peaks
 from pmac_comp.physics.diagnose.workbench import Direction
 from pmac_comp.physics.model.drive import DriveModel
@@ -54,6 +55,8 @@ class Start:
         One column, or two when a phase is free (cosine and sine).
     linear : bool
         Whether the effect vanishes with its size; others replace a value of the model.
+    clocks : Mapping of int to float
+        When runs began, where that is found along with the effect.
     """
 
     effect: str
@@ -61,6 +64,7 @@ class Start:
     values: Mapping[str, float]
     directions: tuple[Direction, ...]
     linear: bool = True
+    clocks: Mapping[int, float] = field(default_factory=dict)
 
 
 def _bare(name: str) -> str:
@@ -93,7 +97,7 @@ def own_directions(model: DriveModel, *, step_frac: float = STEP_FRAC) -> list[D
         direction = _own_direction(model, spec, step_frac)
         if direction is not None:
             directions.append(direction)
-    return directions
+    return directions + clock_directions(model, step_frac / STEP_FRAC)
 
 
 def _own_direction(model: DriveModel, spec: ParameterSpec, step_frac: float) -> Direction | None:
@@ -184,7 +188,10 @@ def starts_of(effect: Effect, model: DriveModel, bench: Bench, peaks: Peaks) -> 
         library = {effect.name: effect}
         specs = _specs(model.with_effect(key, library=library), effect.name)
         for values in _start_values(effect, specs, peaks, model):
-            found.append(_start(effect, key, specs, values, model))
+            found += [
+                _start(effect, key, specs, values, model, clocks)
+                for clocks in peaks.clocks_for(effect.name, values)
+            ]
     return [start for start in found if start.directions]
 
 
@@ -267,7 +274,9 @@ def _start(
     specs: Sequence[ParameterSpec],
     values: dict[str, float],
     model: DriveModel,
+    clocks: Mapping[int, float],
 ) -> Start:
+    clocks = merged_clocks(model, effect.name, values, clocks)
     size = amplitude_of(effect.name, specs)
     library = {effect.name: effect}
     angle = next((spec.name for spec in specs if spec.period), None)
@@ -282,14 +291,14 @@ def _start(
         Direction(
             owner=effect.name,
             label=f"{key} {i}",
-            model=model.with_effect(key, turned, library=library),
+            model=model.with_effect(key, turned, library=library).with_clocks(clocks),
             step=1.0,
             lower=-math.inf if free_sign else float(exact),
             upper=math.inf if linear else (1.0 if exact else 3.0),
         )
         for i, turned in enumerate(turns)
     )
-    return Start(effect.name, key, values, directions, linear)
+    return Start(effect.name, key, values, directions, linear, clocks)
 
 
 def vanishes(

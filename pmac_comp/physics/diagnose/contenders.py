@@ -12,6 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import Start, relieved, started
+from pmac_comp.physics.diagnose.clocks import free_clocks
 from pmac_comp.physics.diagnose.lookalikes import alike, justified
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
@@ -104,11 +105,12 @@ class Contender:
     bic_gain: float
     gap_um: float
     torque_Nm: float | None = None
+    cost: float = 0.0
 
     @property
     def gain(self) -> float:
-        """What ranks: both gains together."""
-        return self.fit_gain + self.judged_gain
+        """What ranks: both gains together, less what times of their own cost the runs."""
+        return self.fit_gain + self.judged_gain - self.cost
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,8 @@ def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
     gain = float(drop[ground.fitting].sum())
     size = effective_size(drop) / max(1, drop.size)
     rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
-    parameters = len(ground.library[item.start.effect].parameters)
+    times = free_clocks(whole.model) if item.start.clocks else 0
+    parameters = len(ground.library[item.start.effect].parameters) + times
     left = gap(bench.calm_records, whole.model, bench.executor)
     return Contender(
         item.start.effect,
@@ -235,6 +238,7 @@ def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
         bic_gain(gain * size, parameters, rows * size),
         left.position_um,
         left.torque_Nm,
+        times * float(np.log(rows)),
     )
 
 
@@ -265,6 +269,7 @@ def _model_at(
     """The model with the candidate at the size that the linearised refit found."""
     effect = library[start.effect]
     placed = model.with_effect(start.key, start.values, library={start.effect: effect})
+    placed = placed.with_clocks(start.clocks or model.clocks)
     specs = tuple(
         replace(spec, name=spec.name.partition(".")[2])
         for spec in placed.specs

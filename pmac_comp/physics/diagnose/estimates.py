@@ -71,11 +71,24 @@ def _estimate(model: DriveModel, direction: Direction, std: float, moved_SI: flo
     open_ = _tolerance(model, effect, bare)
     if direction.label == "post_reversal_dip.fraction":
         # A fraction of the nut's friction, of which only the sum with the motor's is known.
-        open_ = SPLIT_FRAC * abs(model.parameters[direction.label])
+        open_ = _open_share(model) * abs(model.parameters[direction.label])
     width = abs(spec.to_file(math.hypot(std * direction.unit, open_, moved_SI)))
+    if spec.period:
+        width = min(width, spec.to_file(0.5 * spec.period) / Z95)  # an angle is never more open
     name = f"{effect}.{spec.file_name or bare}"
     unit = spec.file_unit or spec.unit
     return Estimate(name, value, unit, width, value - Z95 * width, value + Z95 * width)
+
+
+def _open_share(model: DriveModel) -> float:
+    """How far the split of nut and motor friction may be off, as a share of the nut's part."""
+    names = [n for n in ("coulomb.nut_Nm", "coulomb.motor_Nm") if n in model.parameters]
+    if len(names) < 2:
+        return 0.0
+    present = [model.parameters[n] for n in names]
+    usual = [model.spec(n).nominal for n in names]
+    shares = [v[0] / sum(v) for v in (present, usual) if v[0] > 0.0]
+    return SPLIT_FRAC / min(shares) if shares else 0.0
 
 
 def _tolerance(model: DriveModel, effect: str, bare: str) -> float:
@@ -185,6 +198,8 @@ def _findings(
     found = []
     held = gram.solve(range(gram.n_columns))
     for i, direction in enumerate(directions):
+        if direction.run is not None:
+            continue
         spec = model.spec(direction.label)
         width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
         value = model.parameters[spec.name]

@@ -9,10 +9,12 @@ The torque command is a known function of command and motor position, so it adds
 its own; its gap is reported.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -33,7 +35,16 @@ _FORGETTING = 6.0
 _REST_m = 1e-12
 _REST_s = 0.02
 _LEAST_REST = 5
+_DATE = "start_utc"
+DATED: Mapping[int, float] = MappingProxyType({-1: 0.0})
+"""Start times of runs that are those of their files' dates."""
+_OVERLAP = 0.7  # of the time that runs take, more than the last of them
 _FORCE_COLUMN = "external_force_N"
+
+
+def is_dated(model: DriveModel) -> bool:
+    """Whether runs begin for a model at the dates of their files."""
+    return not DATED.keys().isdisjoint(model.clocks)
 
 
 @dataclass(frozen=True)
@@ -63,6 +74,12 @@ class Record:
     rest_torque_Nm : float
         What the controller's integrator holds when the run begins: on a real axis it rests
         anywhere within the friction.
+    number : int
+        Place in the order in which the captures were given.
+    following_s : float
+        When the run began if each followed the one before at once.
+    dated_s : float or None
+        When it began by the dates of the files; None where one of them has none.
     """
 
     name: str
@@ -76,11 +93,19 @@ class Record:
     factor: int
     period_s: float
     rest_torque_Nm: float = 0.0
+    number: int = 0
+    following_s: float = 0.0
+    dated_s: float | None = None
 
     @property
     def channels(self) -> int:
         """Number of channels: 1 motor only, 2 with a table."""
         return int(self.measured_m.shape[1])
+
+    @property
+    def begun_s(self) -> float:
+        """Time at which the run began by its own clock."""
+        return float(self.capture.time_s[0])
 
     @property
     def coarse_period_s(self) -> float:
@@ -127,10 +152,14 @@ class Record:
             desired_position_m=self.desired_m,
             torque_feedforward_Nm=torque,
             external_force_N=force,
-            time_origin_s=float(self.capture.time_s[0]),
+            time_origin_s=self._origin_s(model),
             substeps=substeps,
             quantise=quantise,
         )
+
+    def _origin_s(self, model: DriveModel) -> float:
+        own_s = self.begun_s if self.dated_s is None or not is_dated(model) else self.dated_s
+        return model.clocks.get(self.number, own_s)
 
     def channels_of(self, response: Response) -> FloatArray:
         """Simulated channels on the servo grid, shape (n, channels)."""
@@ -175,10 +204,29 @@ def prepare(captures: Sequence[Capture], bench: Bench, *, prefix: str) -> tuple[
         A capture is too short or does not move.
     """
     with_table = all(c.table_position_m is not None for c in captures) and bench.scale is not None
-    return tuple(
+    prepared = [
         _prepare_one(c, bench, f"{prefix} {i + 1}", with_table=with_table)
         for i, c in enumerate(captures)
+    ]
+    ends = np.cumsum([0.0, *(c.n * c.sample_period_s for c in captures)]).tolist()
+    return tuple(
+        replace(r, number=i, following_s=t, dated_s=d)
+        for i, (r, t, d) in enumerate(zip(prepared, ends[:-1], _dated_s(captures), strict=True))
     )
+
+
+def _dated_s(captures: Sequence[Capture]) -> list[float | None]:
+    """Time of every capture in a session that began with the first, by the dates they carry."""
+    try:
+        dates = [datetime.fromisoformat(str(c.attributes[_DATE])) for c in captures]
+        since = [(date - min(dates)).total_seconds() for date in dates]
+    except (KeyError, ValueError, TypeError):
+        return [None] * len(captures)
+    # Runs do not overlap: such dates are those of the files and not of the runs.
+    longest_s = sum(c.n * c.sample_period_s for c in captures)
+    if max(since) < _OVERLAP * longest_s:
+        return [None] * len(captures)
+    return [s + float(c.time_s[0]) for s, c in zip(since, captures, strict=True)]
 
 
 def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool) -> Record:

@@ -13,11 +13,13 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.candidates import STEP_FRAC, own_directions
+from pmac_comp.physics.diagnose.clocks import first_guesses, moved_clocks, needs_clocks
 from pmac_comp.physics.diagnose.gram import Gram, Solution
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, prior_of
 from pmac_comp.physics.model.drive import DriveModel
 
 _HALVINGS = 4
+_CLOCK_ROUNDS = 3
 _ENOUGH = 0.5  # chi-square: below one, no parameter moves by a standard deviation
 _LARGEST_STEPS = 60.0
 _TRUSTED = 0.8
@@ -57,8 +59,17 @@ class Frozen:
 
 def evaluate(bench: Workbench, model: DriveModel) -> Fitted:
     """What a model leaves; raises ModelError as ``simulate`` does."""
-    simulated = bench.simulate([model])[0]
-    return _fitted(bench, model, simulated)
+    if needs_clocks(model):
+        for judge in bench.judges():
+            model = _clocked(judge, model)
+    return _fitted(bench, model, bench.simulate([model])[0])
+
+
+def _clocked(judge: Workbench, model: DriveModel) -> DriveModel:
+    """The model with the time at which a judging run began: no fit of others can tell it."""
+    tried = [evaluate(judge, guess) for guess in first_guesses(model, judge.records[0])]
+    best = min(tried, key=lambda t: t.chi2)
+    return refit(judge, best, rounds=_CLOCK_ROUNDS, clocks_only=True).model
 
 
 def _fitted(bench: Workbench, model: DriveModel, simulated: list[FloatArray]) -> Fitted:
@@ -88,6 +99,7 @@ def refit(
     frozen: Frozen | None = None,
     rounds: int = 4,
     step_frac: float = STEP_FRAC,
+    clocks_only: bool = False,
 ) -> Fitted:
     """Model moved to the least weighted squares on the fitting samples.
 
@@ -104,6 +116,8 @@ def refit(
     step_frac : float
         Size of the differences: wide ones see past the roughness that sticking leaves in the sum
         of squares, narrow ones find the bottom.
+    clocks_only : bool
+        Find when the runs began and leave the drive as it is.
 
     Returns
     -------
@@ -113,7 +127,9 @@ def refit(
     best = start
     held = frozen
     for _ in range(rounds):
-        gram, directions, columns = linearised(bench, best, held, step_frac=step_frac)
+        gram, directions, columns = linearised(
+            bench, best, held, step_frac=step_frac, clocks_only=clocks_only
+        )
         solution = gram.solve(range(gram.n_columns))
         moved = _line_search(bench, best, directions, solution)
         if moved is None:
@@ -158,11 +174,18 @@ def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
 
 
 def linearised(
-    bench: Workbench, point: Fitted, frozen: Frozen | None, *, step_frac: float = STEP_FRAC
+    bench: Workbench,
+    point: Fitted,
+    frozen: Frozen | None,
+    *,
+    step_frac: float = STEP_FRAC,
+    clocks_only: bool = False,
 ) -> tuple[Gram, list[Direction], Columns]:
     """Gram matrices of a model's own directions at a point, with directions and columns."""
     known = {} if frozen is None else {d.label: i for i, d in enumerate(frozen.directions)}
-    directions = own_directions(point.model, step_frac=step_frac)
+    directions = bench.concerned(own_directions(point.model, step_frac=step_frac))
+    if clocks_only:
+        directions = [d for d in directions if d.run is not None]
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
     columns = bench.columns(point.model, fresh)
@@ -187,6 +210,8 @@ def moved_values(
     """Parameters after a step along own directions, inside their bounds."""
     values = {}
     for direction, size in zip(directions, step, strict=True):
+        if direction.run is not None:
+            continue
         spec = model.spec(direction.label)
         value = model.parameters[direction.label] + size * direction.unit
         if spec.period:
@@ -203,9 +228,9 @@ def _line_search(
     share = min(1.0, _LARGEST_STEPS / max(1e-9, float(np.max(np.abs(solution.step), initial=0.0))))
     for _ in range(_HALVINGS):
         try:
-            model = point.model.with_parameters(
-                moved_values(point.model, ordered, (share * solution.step).tolist())
-            )
+            step = (share * solution.step).tolist()
+            model = point.model.with_parameters(moved_values(point.model, ordered, step))
+            model = model.with_clocks(moved_clocks(model, ordered, step))
             tried = evaluate(bench, model)
         except ModelError:
             share *= 0.25

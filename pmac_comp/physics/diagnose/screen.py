@@ -13,6 +13,7 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import Start, own_directions, starts_of
+from pmac_comp.physics.diagnose.clocks import WAVES
 from pmac_comp.physics.diagnose.flexible import flexible_columns
 from pmac_comp.physics.diagnose.gram import Prior, Solution
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, moved_values
@@ -154,7 +155,7 @@ def look(
     -------
     Look
     """
-    own = tuple(own_directions(point.model))
+    own = tuple(bench.concerned(own_directions(point.model)))
     responses = list(bench.executor.map(lambda r: r.response(point.model), bench.records))
     peaks = peaks_of(bench.records, responses, point.model)
     starts = tuple(
@@ -174,8 +175,10 @@ def look(
     return _with_old_columns(bench, point, own, starts, last)
 
 
-def _identity(start: Start) -> tuple[str, tuple[tuple[str, float], ...]]:
-    return start.key, tuple(sorted(start.values.items()))
+def _identity(start: Start) -> tuple[str, tuple[tuple[str, float], ...], tuple[float, ...]]:
+    # Phases found in what is left differ a little from round to round.
+    begun = () if start.effect in WAVES else tuple(start.clocks.values())
+    return start.key, tuple(sorted(start.values.items())), begun
 
 
 def _with_old_columns(

@@ -7,13 +7,15 @@ Below the loop's bandwidth the torque residual mirrors a disturbance torque, and
 shows an error of lead or encoder, whatever the loop does.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.diagnose.records import Record
+from pmac_comp.physics.diagnose.clocks import SLOW, WAVES
+from pmac_comp.physics.diagnose.records import DATED, Record
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response
 
@@ -38,6 +40,11 @@ class Peaks:
         Frequencies in the torque residual.
     largest_torque_Nm : float
         Largest torque that the model asks for: a limit above it leaves no trace.
+    in_phase : Mapping of float to (Mapping of int to float)
+        Per frequency, times in s at which the runs began if one wave goes through all of them.
+    in_sequence : tuple of (Mapping of int to float)
+        The same by the files' dates, and if the runs follow each other without a pause, where their
+        clocks say that each began anew; if their clocks go on, as if each had begun anew.
     """
 
     torque: tuple[float, ...] = ()
@@ -46,6 +53,16 @@ class Peaks:
     reading: tuple[float, ...] = ()
     frequencies_Hz: tuple[float, ...] = ()
     largest_torque_Nm: float = 0.0
+    in_phase: Mapping[float, Mapping[int, float]] = field(default_factory=dict)
+    in_sequence: tuple[Mapping[int, float], ...] = ()
+
+    def clocks_for(
+        self, effect: str, values: Mapping[str, float]
+    ) -> tuple[Mapping[int, float], ...]:
+        """When runs may have begun for an effect: at their own time, or as the data says."""
+        if effect in WAVES:
+            return (self.in_phase.get(values["frequency_Hz"], {}),)
+        return ({}, *self.in_sequence) if effect in SLOW else ({},)
 
 
 def peaks_of(records: Sequence[Record], responses: Sequence[Response], model: DriveModel) -> Peaks:
@@ -80,14 +97,44 @@ def peaks_of(records: Sequence[Record], responses: Sequence[Response], model: Dr
         found = _peaks(_ORDERS, _order_power(series), width=0.3)
         return tuple(dict.fromkeys(_rounded(order) for order in found))
 
+    frequencies = frequency_peaks(records, torque)
     return Peaks(
         orders(torque, "one"),
         orders(torque, "direction"),
         orders(torque, "load"),
         orders(stretch, "one"),
-        tuple(frequency_peaks(records, torque)),
+        tuple(frequencies),
         max(float(np.max(np.abs(p.torque_command_Nm))) for p in responses),
+        {f: _in_phase(records, torque, f) for f in frequencies},
+        _in_sequence(records),
     )
+
+
+def _in_phase(
+    records: Sequence[Record], torque_Nm: Sequence[FloatArray], frequency_Hz: float
+) -> dict[int, float]:
+    """When runs began for a wave that goes on between them: a pump knows of no capture."""
+    turn = 2.0 * np.pi * frequency_Hz
+    phases = []
+    for record, residual in zip(records, torque_Nm, strict=True):
+        time, values = _blocks(record, residual)
+        wave = np.exp(-1j * turn * (time - record.begun_s))
+        phases.append(float(np.angle(wave @ (values - values.mean()))))
+    first = records[0].begun_s
+    return {
+        r.number: first + math.remainder(p - phases[0], 2.0 * np.pi) / turn
+        for r, p in zip(records, phases, strict=True)
+    }
+
+
+def _in_sequence(records: Sequence[Record]) -> tuple[Mapping[int, float], ...]:
+    """Other readings of the runs' clocks: going on where they restart, and the reverse."""
+    if len(records) < 2:
+        return ()
+    if np.ptp([r.begun_s for r in records]) > 0.0:
+        return ({r.number: 0.0 for r in records},)
+    following = {r.number: r.following_s for r in records}
+    return (DATED,) if records[0].dated_s is not None else (following,)
 
 
 def frequency_peaks(records: Sequence[Record], torque_Nm: Sequence[FloatArray]) -> list[float]:

@@ -56,6 +56,8 @@ class Direction:
         Prior of the move.
     unit : float
         Parameter change in SI that one unit of the column stands for; 1 for an effect.
+    run : int or None
+        Number of the only run that it changes.
     """
 
     owner: str
@@ -67,6 +69,7 @@ class Direction:
     centre: float = 0.0
     sigma: float = np.inf
     unit: float = 1.0
+    run: int | None = None
 
 
 def half_substeps(model: DriveModel) -> int:
@@ -189,6 +192,24 @@ class Workbench:
             if not f.all()
         )
 
+    def concerned(self, directions: Sequence[Direction]) -> list[Direction]:
+        """Directions that change one of the records."""
+        numbers = {None, *(r.number for r in self.records)}
+        return [d for d in directions if d.run in numbers]
+
+    def judges(self) -> tuple["Workbench", ...]:
+        """Every record that has no fitting samples, alone, all its samples fitted."""
+        return tuple(
+            Workbench(
+                (record,),
+                (np.ones_like(mask),),
+                self.executor,
+                None if self.noise is None else self.noise.of([i]),
+            )
+            for i, (record, mask) in enumerate(zip(self.records, self.fitting, strict=True))
+            if not mask.any()
+        )
+
     def fitting_bench(self) -> "Workbench":
         """The records that have fitting samples alone: what judges need not be simulated."""
         keep = [i for i, mask in enumerate(self.fitting) if mask.any()]
@@ -242,6 +263,9 @@ class Workbench:
 
         def write(job: tuple[int, int]) -> None:
             i, j = job
+            if directions[j].run not in (None, self.records[i].number):
+                out[i][:, :, places[j]] = 0.0
+                return
             moved = self.records[i].simulated_m(directions[j].model, substeps=needed[j])
             out[i][:, :, places[j]] = (moved - base[i, needed[j]]) / directions[j].step
 

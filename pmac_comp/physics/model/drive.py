@@ -53,6 +53,9 @@ class DriveModel:
         SI values under ``effect.parameter``; what is missing is nominal.
     library : Mapping of str to Effect or None
         Further effects (a user's own).
+    clocks : Mapping of int to float
+        Per run, by its number, the time in s at which it began for the effects that depend on time,
+        where a fit found it; others begin at their own time. No property of the drive: not filed.
 
     Raises
     ------
@@ -66,6 +69,7 @@ class DriveModel:
     effects: tuple[str, ...] = BASE_EFFECTS
     parameters: Mapping[str, float] = field(default_factory=dict)
     library: Mapping[str, Effect] = field(default_factory=dict)
+    clocks: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(self.effects))
@@ -83,6 +87,7 @@ class DriveModel:
             "effects": self.effects,
             "parameters": dict(self.parameters),
             "library": dict(self.library),
+            "clocks": dict(self.clocks),
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -154,6 +159,7 @@ class DriveModel:
             (*self.effects, name),
             {**self.parameters, **given},
             {**self.library, **(library or {})},
+            self.clocks,
         )
 
     def without_effect(self, name: str) -> "DriveModel":
@@ -165,11 +171,15 @@ class DriveModel:
         values = {
             key: value for key, value in self.parameters.items() if not key.startswith(f"{bare}.")
         }
-        return DriveModel(self.bench, kept, values, self.library)
+        return DriveModel(self.bench, kept, values, self.library, self.clocks)
 
     def with_parameters(self, values: Mapping[str, float]) -> "DriveModel":
         """Copy with some parameters (full names, SI) changed."""
         return replace(self, parameters={**self.parameters, **values})
+
+    def with_clocks(self, clocks: Mapping[int, float]) -> "DriveModel":
+        """Copy in which runs began at other times."""
+        return replace(self, clocks=dict(clocks))
 
     def values_of(self, effect: str) -> dict[str, float]:
         """Parameters of one effect under bare names, SI."""

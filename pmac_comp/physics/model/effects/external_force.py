@@ -25,7 +25,10 @@ EFFECT = Effect(
     apply=_apply,
     where="table",
     source="Ball-screw facts 3: -C F_ext",
-    signature="lines in torque and table at a frequency that is fixed in time, not in place",
+    signature=(
+        "lines in torque and table at a frequency that is fixed in time, not in place; the "
+        "phase is that in the first run, others begin when they do"
+    ),
     separating_experiment="stand still and listen: the lines stay",
     look_alikes=("base_mode", "cogging"),
     starts=(
