@@ -16,6 +16,7 @@ from pmac_comp.physics.model.effect import Effect
 # Share of the time, and of the gap, from which on what is left out is told.
 _TOLD = 0.002
 _LESS = 0.8
+_UNCHANGED = 0.97  # of a gap: what closes less of it does not live there
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,9 @@ def statements_of(story: Story) -> tuple[str, ...]:
     ]
     said.append(_worth(story))
     said += _rests(story)
-    before, after = story.before.torque_Nm, story.after.torque_Nm
-    if before is not None and after is not None and story.named:
-        said.append(f"The torque gap goes from {before:.3g} to {after:.3g} N m rms.")
+    torque = _torque(story)
+    if torque is not None and not _in_torque(story):
+        said.append(f"The torque gap goes from {torque[0]:.3g} to {torque[1]:.3g} N m rms.")
     if story.left.visible:
         said += [f"Left: {region.describe()}." for region in story.left.regions[:3]]
     return tuple(said)
@@ -148,6 +149,19 @@ def _rests(story: Story) -> list[str]:
     ]
 
 
+def _torque(story: Story) -> tuple[float, float] | None:
+    """Gap of the torque before and after, where there is one and something is named."""
+    before, after = story.before.torque_Nm, story.after.torque_Nm
+    return (before, after) if story.named and before is not None and after is not None else None
+
+
+def _in_torque(story: Story) -> bool:
+    """Whether what is named closes a gap of the torque and hardly one of positions."""
+    torque = _torque(story)
+    still = story.after.position_um > _UNCHANGED * story.before.position_um
+    return torque is not None and still and torque[1] < _UNCHANGED * torque[0]
+
+
 def _worth(story: Story) -> str:
     before, after = story.before.position_um, story.after.position_um
     floor = f"the noise floor is {story.left.noise_floor_um:.3g} um"
@@ -157,6 +171,13 @@ def _worth(story: Story) -> str:
         f"With it the gap falls from {before:.3g} to {after:.3g} um rms on runs not used for "
         f"fitting; {floor}"
     )
+    torque = _torque(story)
+    if torque is not None and _in_torque(story):
+        text = (
+            f"It lives in the torque, whose gap falls from {torque[0]:.3g} to {torque[1]:.3g} N m "
+            "rms on runs not used for fitting; positions hardly show it, their gap is "
+            f"{before:.3g} um rms before and {after:.3g} after, and {floor}"
+        )
     if story.rivals:
         text += f"; look-alikes ruled out: {', '.join(r.describe() for r in story.rivals)}"
     return f"{text}."

@@ -22,7 +22,10 @@ EFFECT = Effect(
             (-1e-3, 1e-3),
             scale=2e-6,
             file=("time_us", "us", US_PER_S),
-            description="age of the scale sample against the encoder sample",
+            description=(
+                "age of the scale sample against the encoder sample; positive: the table is read "
+                "late, so that it lags in proportion to speed"
+            ),
         ),
     ),
     apply=_apply,
