@@ -27,7 +27,14 @@ from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.gather import GatherMode, GatherPlan, GatherResult, GatherSource
+from pmac_comp.machine.controller.gather_plan import (
+    GatherMode,
+    GatherPlan,
+    GatherSource,
+    motor_source,
+    output_source,
+)
+from pmac_comp.machine.controller.gather_samples import GatherResult
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.motion import program_status
 from pmac_comp.machine.controller.supervision import SensorWatch
@@ -364,13 +371,13 @@ class Axis:
         """What a run gathers: command, feedback, following error, scale and output."""
         motor = self.motor
         sources: list[GatherSource] = [
-            gather.motor_source("commanded", motor, reg.COMMANDED),
-            gather.motor_source("actual", motor, reg.ACTUAL),
-            gather.motor_source("following_error", motor, reg.FOLLOWING_ERROR),
+            motor_source("commanded", motor, reg.COMMANDED),
+            motor_source("actual", motor, reg.ACTUAL),
+            motor_source("following_error", motor, reg.FOLLOWING_ERROR),
         ]
         if self.bench.scale is not None:
-            sources.append(gather.motor_source("scale", self.bench.scale.motor_number, reg.ACTUAL))
-        sources.append(gather.output_source("output", motor))
+            sources.append(motor_source("scale", self.bench.scale.motor_number, reg.ACTUAL))
+        sources.append(output_source("output", motor))
         ring = self.bench.controller.dpram != "none" and self.link.capabilities.memory
         return GatherPlan(
             tuple(sources),

@@ -24,6 +24,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.capture_log import CaptureLog, recover
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.gather_plan import GatherPlan, bench_sources
 from pmac_comp.machine.controller.supervision import SensorFault, SensorWatch, trips
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
@@ -132,7 +133,7 @@ def test_f24_trip_during_a_run_closes_the_capture(
             reasons[:] = trips(bench.link, [1])
             return not reasons
 
-        plan = gather.GatherPlan(gather.bench_sources(1, 2))
+        plan = GatherPlan(bench_sources(1, 2))
         result = gather.gather_ring(
             bench.link, plan, 2.0, bench.bench.servo_period_s, log=log, keep_going=keep_going
         )

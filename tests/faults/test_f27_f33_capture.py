@@ -15,10 +15,17 @@ from hypothesis import strategies as st
 from pmac_comp.base.errors import GatherOverflow, SampleGap, StorageFull
 from pmac_comp.machine.controller import gather
 from pmac_comp.machine.controller.capture_log import MAGIC, CaptureLog, recover
-from pmac_comp.machine.controller.gather import (
+from pmac_comp.machine.controller.gather import RingReader
+from pmac_comp.machine.controller.gather_plan import (
+    GatherMode,
     GatherPlan,
+    GatherSource,
+    bench_sources,
+    motor_source,
+)
+from pmac_comp.machine.controller.gather_samples import (
+    Gap,
     GatherResult,
-    RingReader,
     Unwrapper,
     unwrap_word,
 )
@@ -69,7 +76,7 @@ def test_f27_gathering_is_stopped_on_the_card(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
     log = CaptureLog.create(tmp_path / "full.log", {}, clock=bench.clock)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    plan = GatherPlan(gather.bench_sources(1, 2))
+    plan = GatherPlan(bench_sources(1, 2))
     resource.setrlimit(resource.RLIMIT_FSIZE, (30000, hard))
     try:
         with pytest.raises(StorageFull):
@@ -143,7 +150,7 @@ def test_f28_any_truncation_or_flip_leaves_whole_blocks(tmp_path: Path, count_ru
 
 
 def ring(bench: CardBench, *names: str) -> GatherPlan:
-    sources = [gather.motor_source(name, 1, 0x0B) for name in names]
+    sources = [motor_source(name, 1, 0x0B) for name in names]
     return GatherPlan(tuple(sources))
 
 
@@ -177,8 +184,8 @@ def test_f31_reader_stalls_for_a_ring_and_one_sample(tmp_path: Path, extra: int)
 
 def test_f31_ring_runs_for_a_long_time_without_a_gap(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    sources = (*gather.bench_sources(1, 2), gather.motor_source("error", 1, 0x11),
-               gather.GatherSource("word", 0x4010F8))  # fmt: skip
+    sources = (*bench_sources(1, 2), motor_source("error", 1, 0x11),
+               GatherSource("word", 0x4010F8))  # fmt: skip
     plan = GatherPlan(sources)
     bench.link.command("#1J:20000")
     result = gather.gather_ring(bench.link, plan, 5.0, bench.bench.servo_period_s).require_whole()
@@ -213,12 +220,12 @@ def test_f32_every_chunk_dropped_or_doubled(fault: str, count_runs: Count) -> No
 
 
 def test_f32_gap_is_written_into_the_result() -> None:
-    plan = GatherPlan((gather.GatherSource("word", 0x4010F8),))
+    plan = GatherPlan((GatherSource("word", 0x4010F8),))
     result = GatherResult(
         {"word": np.zeros(4, dtype=np.int64)},
         np.array([1, 2, 5, 6]),
-        (gather.Gap(1, 2),),
-        GatherPlan(plan.sources, mode=gather.GatherMode.RAM),
+        (Gap(1, 2),),
+        GatherPlan(plan.sources, mode=GatherMode.RAM),
     )
     with pytest.raises(SampleGap, match="after sample 1, 2 long"):
         result.require_whole()

@@ -19,6 +19,8 @@ from pmac_comp.machine.controller import (
     motion,
     programs,
 )
+from pmac_comp.machine.controller.gather_plan import GatherPlan, GatherSource, bench_sources
+from pmac_comp.machine.controller.gather_samples import GatherResult
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
@@ -103,7 +105,7 @@ LAW = LawParameters(
 )  # fmt: skip
 
 
-def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
+def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
     time = np.arange(0, 0.8, bench.bench.servo_period_s)
@@ -112,8 +114,8 @@ def run_with_law(bench: CardBench, law: LawParameters) -> gather.GatherResult:
     program = program_of(path, bench.bench)
     bench.link.write_buffer(AXIS_LINES)
     programs.download(bench.link, program)
-    sources = (*gather.bench_sources(1, 2), gather.GatherSource("word", 0x4010F8))
-    ring = gather.GatherPlan(sources)
+    sources = (*bench_sources(1, 2), GatherSource("word", 0x4010F8))
+    ring = GatherPlan(sources)
 
     def go() -> None:
         motion.start(bench.link, program.number)

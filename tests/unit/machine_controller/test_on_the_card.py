@@ -23,6 +23,7 @@ from pmac_comp.machine.controller import (
     variables,
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, TorqueTable
+from pmac_comp.machine.controller.gather_plan import GatherMode, GatherPlan, bench_sources
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from tests.unit.machine_controller.card_bench import CardBench, CycleClock, make_plc_bench
 
@@ -68,14 +69,14 @@ def test_variables_are_written_verified_and_refused(tmp_path: Path) -> None:
 
 def test_ram_gather_equals_ring_gather(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    sources = gather.bench_sources(1, 2)
+    sources = bench_sources(1, 2)
     period = bench.bench.servo_period_s
     bench.link.command("#1J:3000")
     ram = gather.gather_ram(
-        bench.link, gather.GatherPlan(sources, mode=gather.GatherMode.RAM), 0.5, period
+        bench.link, GatherPlan(sources, mode=GatherMode.RAM), 0.5, period
     ).require_whole()
     bench.link.command("#1J:-3000")
-    ring = gather.gather_ring(bench.link, gather.GatherPlan(sources), 0.5, period).require_whole()
+    ring = gather.gather_ring(bench.link, GatherPlan(sources), 0.5, period).require_whole()
     for result in (ram, ring):
         assert np.all(np.diff(result.servo_cycle) == 1)
         error = (result.raw["commanded"] - result.raw["actual"]) / 3072
@@ -88,7 +89,7 @@ def test_ram_gather_equals_ring_gather(tmp_path: Path) -> None:
 
 def test_decimated_gather(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    plan = gather.GatherPlan(gather.bench_sources(1, None), period_cycles=5)
+    plan = GatherPlan(bench_sources(1, None), period_cycles=5)
     result = gather.gather_ring(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
     assert np.all(np.diff(result.servo_cycle) == 5)
 
@@ -103,15 +104,15 @@ class SlowCardClock(CycleClock):
         super().sleep_s(0.5 * duration_s)
 
 
-@pytest.mark.parametrize("mode", [gather.GatherMode.RING, gather.GatherMode.RAM])
+@pytest.mark.parametrize("mode", [GatherMode.RING, GatherMode.RAM])
 def test_a_card_slower_than_the_host_is_gathered_for_its_own_time(
-    tmp_path: Path, mode: gather.GatherMode
+    tmp_path: Path, mode: GatherMode
 ) -> None:
     bench = make_plc_bench(tmp_path)
     bench.clock = SlowCardClock(bench.card)
     bench.connect()
-    plan = gather.GatherPlan(gather.bench_sources(1, 2), mode=mode)
-    way = gather.gather_ring if mode is gather.GatherMode.RING else gather.gather_ram
+    plan = GatherPlan(bench_sources(1, 2), mode=mode)
+    way = gather.gather_ring if mode is GatherMode.RING else gather.gather_ram
     result = way(bench.link, plan, 0.5, bench.bench.servo_period_s).require_whole()
     assert len(result.servo_cycle) >= int(0.5 / bench.bench.servo_period_s)
 
