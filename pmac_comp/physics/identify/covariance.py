@@ -19,11 +19,42 @@ _MAX_LEVERAGE = 0.7
 _LEAST_OF_PRIOR = 1e-2  # counted as information, so that the equations can be solved
 # Scatter over information from which on blocks disagree, over the most that so few show by chance.
 _DISAGREE = 3.0
+_FEW_RUNS = 4
 _BASE = ("chain", "coulomb", "viscous")
 
 
 def covariance_of(problem: Problem, theta: FloatArray, final: Normal) -> FloatArray:
-    """Sandwich covariance of the scaled parameters, prior included, shape (p, p)."""
+    """Covariance of the scaled parameters, prior included, shape (p, p).
+
+    A parameter that no maker's tolerance holds keeps at least the interval that it has without
+    tempering: weights that follow the scatter of blocks promise more than the usual ones, and what
+    blocks get wrong alike is no scatter. With friction in detail it keeps at least the one that
+    whole runs give: a run that repeats its motion meets the same fractions of a count at each
+    reversal, so that its blocks err alike.
+    """
+    covariance = _sandwich(problem, theta, final)
+    least = np.diag(covariance)
+    if final.untempered is not None:
+        least = np.maximum(least, np.diag(_sandwich(problem, theta, final.untempered)))
+    if final.steady is not None:
+        least = np.maximum(least, _between_runs(problem, final))
+    free = np.array([spec.kind != "known" for spec in problem.specs])
+    wider = np.where(free, np.sqrt(least / np.diag(covariance)), 1.0)
+    return np.asarray(covariance * np.outer(wider, wider))
+
+
+def _between_runs(problem: Problem, final: Normal) -> FloatArray:
+    """Variances of the parameters from the scatter of whole runs, shape (p,); few runs: none."""
+    inverse = np.linalg.inv(final.hessian + np.diag(problem.weight))
+    runs = np.unique(final.runs)
+    if runs.size < _FEW_RUNS:
+        return np.zeros(inverse.shape[0])
+    pulls = np.stack([inverse @ final.scores[final.runs == run].sum(axis=0) for run in runs])
+    pulls = pulls - pulls.mean(axis=0)
+    return np.asarray(runs.size / (runs.size - 1) * np.sum(pulls**2, axis=0))
+
+
+def _sandwich(problem: Problem, theta: FloatArray, final: Normal) -> FloatArray:
     prior = np.diag(problem.weight)
     inverse = np.asarray(np.linalg.inv(final.hessian + prior), dtype=np.float64)
     scores = _jackknifed(final, inverse)
@@ -68,6 +99,7 @@ def tempered(problem: Problem, final: Normal) -> Normal:
         block_hessians=np.zeros_like(final.block_hessians),  # the scores are enlarged already
         prior_scores=whole @ final.prior_scores @ whole.T,
         steady=steady,
+        untempered=final,
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.base.errors import NonFinite
 from pmac_comp.physics.identify.problem import Problem
 from pmac_comp.physics.identify.records import Record
@@ -28,8 +28,10 @@ class Normal:
     scores: FloatArray
     block_hessians: FloatArray
     prior_scores: FloatArray
+    runs: IntArray  # number of the record of each block
     nuisance: FloatArray
     steady: tuple[FloatArray, FloatArray] | None = None  # Hessian and gradient of steady rows alone
+    untempered: "Normal | None" = None  # the same before ``covariance.tempered``
 
 
 def normal_equations(
@@ -58,8 +60,8 @@ def normal_equations(
     whole, on_slopes = _assembled(problem, [part for _, _, part in parts], p)
     if not scatter:
         return whole
-    scores, hessians = _block_scores(problem, parts, on_slopes, whole.nuisance, p)
-    whole = replace(whole, scores=scores, block_hessians=hessians)
+    scores, hessians, runs = _block_scores(problem, parts, on_slopes, whole.nuisance, p)
+    whole = replace(whole, scores=scores, block_hessians=hessians, runs=runs)
     if problem.steady is None:
         return whole
     kept = [part * filters[i][c].rows(problem.steady[i])[:, None] for i, c, part in parts]
@@ -91,6 +93,7 @@ def _assembled(problem: Problem, parts: Sequence[FloatArray], p: int) -> tuple[N
         scores=np.empty((0, p)),
         block_hessians=np.empty((0, p, p)),
         prior_scores=on_slopes.T @ (known[:, None] * on_slopes),
+        runs=np.empty(0, dtype=np.int64),
         nuisance=np.asarray(on_residual),
     ), on_slopes
 
@@ -108,8 +111,8 @@ def _block_scores(
     on_slopes: FloatArray,
     on_residual: FloatArray,
     p: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Score and Gauss-Newton matrix of each block of time, all channels of a block together."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Score, Gauss-Newton matrix and record of each block of time, all channels together."""
     scores: dict[tuple[int, int], FloatArray] = {}
     hessians: dict[tuple[int, int], FloatArray] = {}
     for i, _, part in parts:
@@ -120,7 +123,8 @@ def _block_scores(
             rows = slice(start, start + block)
             scores[i, b] = scores.get((i, b), 0.0) + slopes[rows].T @ left[rows]
             hessians[i, b] = hessians.get((i, b), 0.0) + slopes[rows].T @ slopes[rows]
-    return np.stack(list(scores.values())), np.stack(list(hessians.values()))
+    runs = np.array([i for i, _ in scores], dtype=np.int64)
+    return np.stack(list(scores.values())), np.stack(list(hessians.values())), runs
 
 
 def white_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
