@@ -16,6 +16,7 @@ from pmac_comp.physics.model.effect import Effect
 # Share of the time, and of the gap, from which on what is left out is told.
 _TOLD = 0.002
 _LESS = 0.8
+_CLEARLY = 1.5  # times the noise floor
 _UNCHANGED = 0.97  # of a gap: what closes less of it does not live there
 
 
@@ -104,7 +105,7 @@ def statements_of(story: Story) -> tuple[str, ...]:
 
 def _headline(story: Story) -> str:
     if story.verdict == "none":
-        return "Nothing is missing that these runs can show: what is left is noise."
+        return f"Nothing is missing that these runs can show: {_nothing(story)}."
     found = "No effect of the library explains it."
     if story.named:
         found = f"Found: {', '.join(story.named)}."
@@ -117,6 +118,18 @@ def _headline(story: Story) -> str:
         groups = "; ".join(" or ".join(group) for group in story.tied)
         return f"{found} These runs cannot separate {groups}."
     return found
+
+
+def _nothing(story: Story) -> str:
+    """What is left where nothing is missing: noise, or more than repeats would leave."""
+    times = story.after.position_um / max(story.left.noise_floor_um, 1e-12)
+    if times < _CLEARLY:
+        return "what is left is noise"
+    return (
+        f"what is left is {times:.2g} times the noise floor, and no effect or smooth function of "
+        "the motion foretells it on other runs (how friction sets in at stops and how the floor "
+        "differs between motions are open to that extent)"
+    )
 
 
 def _cause(name: str, story: Story) -> str:

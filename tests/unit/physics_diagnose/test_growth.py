@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from pmac_comp.physics.diagnose import contenders, growth
+from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
-from pmac_comp.physics.diagnose.words import _size
+from pmac_comp.physics.diagnose.words import Story, _size, statements_of
 from pmac_comp.physics.model.effect import effect_library
 
 
@@ -52,3 +53,35 @@ def test_the_partner_is_not_tried_where_neither_of_the_pair_leads():
     )
     chosen = contenders.leaders(screening, 1000.0, effect_library(), growth.Rules())  # type: ignore[arg-type]
     assert [item.start.effect for item in chosen] == ["stribeck"]
+
+
+def _told(before: tuple[float, float], after: tuple[float, float], named: tuple[str, ...]) -> str:
+    calm = SimpleNamespace(left_out=0.0)
+    left = SimpleNamespace(noise_floor_um=0.1, visible=False, excess_um=0.0, calm=calm)
+    verdict = "named" if named else "none"
+    story = Story(
+        verdict,
+        named,
+        (),
+        (),
+        (),
+        Gap(*before),
+        Gap(*after),
+        left,
+        (),
+        effect_library(),
+        {},  # type: ignore[arg-type]
+    )
+    return " ".join(statements_of(story))
+
+
+def test_what_lives_in_the_torque_is_told_there():
+    told = _told((0.353, 0.2), (0.353, 0.1), ("bias_force",))
+    assert "torque, whose gap falls from 0.2 to 0.1 N m" in told
+    assert "falls from 0.353" not in told
+    assert "gap falls from 0.353 to 0.1 um" in _told((0.353, 0.2), (0.1, 0.1), ("backlash",))
+
+
+def test_twice_the_noise_floor_is_not_called_noise():
+    assert "what is left is noise" in _told((0.12, 0.1), (0.12, 0.1), ())
+    assert "2.1 times the noise floor" in _told((0.21, 0.1), (0.21, 0.1), ())
