@@ -20,6 +20,7 @@ _LEAST_OF_PRIOR = 1e-2  # counted as information, so that the equations can be s
 # Scatter over information from which on blocks disagree, over the most that so few show by chance.
 _DISAGREE = 3.0
 _FEW_RUNS = 4
+_NO_PRIOR = 1e-12
 _BASE = ("chain", "coulomb", "viscous")
 
 
@@ -28,18 +29,21 @@ def covariance_of(problem: Problem, theta: FloatArray, final: Normal) -> FloatAr
 
     A parameter that no maker's tolerance holds keeps at least the interval that it has without
     tempering: weights that follow the scatter of blocks promise more than the usual ones, and what
-    blocks get wrong alike is no scatter. With friction in detail it keeps at least the one that
-    whole runs give: a run that repeats its motion meets the same fractions of a count at each
-    reversal, so that its blocks err alike.
+    blocks get wrong alike is no scatter. With friction in detail every parameter keeps at least
+    what whole runs give, up to its tolerance: a run that repeats its motion meets the same
+    fractions of a count at each reversal, so that its blocks err alike.
     """
     covariance = _sandwich(problem, theta, final)
     least = np.diag(covariance)
     if final.untempered is not None:
         least = np.maximum(least, np.diag(_sandwich(problem, theta, final.untempered)))
-    if final.steady is not None:
-        least = np.maximum(least, _between_runs(problem, final))
     free = np.array([spec.kind != "known" for spec in problem.specs])
-    wider = np.where(free, np.sqrt(least / np.diag(covariance)), 1.0)
+    least = np.where(free, least, np.diag(covariance))
+    if final.steady is not None:
+        tolerance = np.where(free, np.inf, 1.0 / np.maximum(problem.weight, _NO_PRIOR))
+        between = np.minimum(_between_runs(problem, final), tolerance)
+        least = np.maximum(least, between)
+    wider = np.sqrt(least / np.diag(covariance))
     return np.asarray(covariance * np.outer(wider, wider))
 
 
