@@ -8,9 +8,10 @@ that closes the gap only as the imitation of another is part of the model and no
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.candidates import amplitude_of
 from pmac_comp.physics.diagnose.contenders import Contender, Rules
-from pmac_comp.physics.diagnose.growth import Grown, Round
+from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import ONSET, imitation
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate

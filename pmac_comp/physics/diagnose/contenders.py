@@ -60,6 +60,9 @@ class Rules:
     material_torque : float
         Share of the torque's mean square left that it may take out of that instead: a constant
         force is all in the integrator and hardly in a position.
+    p_certain, material_certain : float
+        What does instead where a mass, a delay or a current loop that the bench file states is
+        off: a smaller drop of chi-square, if chance is out of the question.
     widened : float
         Multiple of the gap before beyond which a candidate widens what it should close.
     p_value : float
@@ -82,6 +85,8 @@ class Rules:
     overwhelming: float = 4.0
     material_gap: float = 0.6
     material_torque: float = 0.15
+    p_certain: float = 1e-20
+    material_certain: float = 0.016
     widened: float = 1.1
     p_value: float = 0.01
     tie_z: float = 3.0

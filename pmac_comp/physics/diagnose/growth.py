@@ -1,7 +1,7 @@
 """The growth loop: screen, refit the leaders, let the best earn its place, go round again.
 
-What lives here: the order of work and the rules by which a candidate is accepted, tied or dropped.
-The rules' figures are collected in ``Rules``. May import the rest of this package.
+What lives here: the order of work. The rules by which a candidate is accepted or tied stand in
+``acceptance``. May import the rest of this package.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +11,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.physics.diagnose.acceptance import Round, best, earned, tied_with
 from pmac_comp.physics.diagnose.contenders import (
     ELEMENTARY,
     Contender,
@@ -23,9 +24,9 @@ from pmac_comp.physics.diagnose.contenders import (
     polished,
 )
 from pmac_comp.physics.diagnose.imitations import true_name
-from pmac_comp.physics.diagnose.lookalikes import alike, exact_twins, justified
+from pmac_comp.physics.diagnose.lookalikes import alike
 from pmac_comp.physics.diagnose.noise import noise_floor_um
-from pmac_comp.physics.diagnose.records import Gap, gap
+from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.screen import (
     Look,
@@ -35,7 +36,6 @@ from pmac_comp.physics.diagnose.screen import (
     refreshed,
     screen,
 )
-from pmac_comp.physics.diagnose.statistics import studentised
 from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
@@ -45,31 +45,10 @@ Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
-_FAR_MORE = 4.0
 # Where a few steps of the others leave so much chi-square per sample, and so much of what an effect
 # explained, more steps do not replace it.
 _FIRST_LESS, _MORE_LESS = 3, 5
 _MISSED, _SLOWLY = 0.5, 0.1
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round of the loop."""
-
-    before: Fitted
-    screening: Screening
-    contenders: tuple[Contender, ...]
-    accepted: Contender | None
-    tied: tuple[str, ...]
-    rows_fit: float
-    rows_judge: float
-    gap_um: float
-    floor_um: float
-    torque_Nm: float | None = None
-
-    def judged_against(self, left: Gap) -> "Round":
-        """The round as if it had begun with such a gap."""
-        return replace(self, gap_um=left.position_um, torque_Nm=left.torque_Nm)
 
 
 @dataclass(frozen=True)
@@ -212,7 +191,7 @@ def _renamed(
             continue
         progress(f"{done.accepted.effect} is {name} here: refitting with that")
         found = _instead(bench, whole, done, name, library)
-        if found is None or not _earned(found[0], found[1], rules):
+        if found is None or not earned(found[0], found[1], rules):
             continue
         tied = tuple(n for n in done.tied if n != name and alike(n, name, library))
         kept[i] = replace(done, accepted=found[0], tied=tied)
@@ -253,7 +232,7 @@ def _widened(
             continue
         found = wider(Ground.of(bench, whole, library), done.accepted)
         left = gap(bench.calm_records, whole.model, bench.executor)
-        if found is None or not _earned(found, done.judged_against(left), rules):
+        if found is None or not earned(found, done.judged_against(left), rules):
             continue
         progress(f"{done.accepted.effect} acts at further places: {found.key}")
         whole = found.fitted
@@ -316,7 +295,7 @@ def _without(
     left = gap(bench.calm_records, less.model, bench.executor)
     back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
     needed = left.position_um > rules.widened * back.gap_um
-    return None if needed or _earned(back, done.judged_against(left), rules) else less
+    return None if needed or earned(back, done.judged_against(left), rules) else less
 
 
 def _look_around(
@@ -388,89 +367,8 @@ def _round(
         floor_um,
         left.torque_Nm,
     )
-    winner = _winner(
-        [c for c in contenders if _earned(c, bare, rules)], contenders, left.position_um
-    )
+    winner = best([c for c in contenders if earned(c, bare, rules)], contenders, left.position_um)
     if winner is None:
         return bare
-    tied = _tied(winner, contenders, library, rows, rules)
+    tied = tied_with(winner, contenders, library, rows, rules)
     return replace(bare, accepted=winner, tied=tied)
-
-
-def _winner(
-    earned: Sequence[Contender], contenders: Sequence[Contender], gap_um: float
-) -> Contender | None:
-    """The best candidate, if it earned its place, or one that closes far more of the gap.
-
-    Slow effects are small to a whitener that expects slow noise; what they close in um is not.
-    """
-    if not earned:
-        return None
-
-    def closed_um2(contender: Contender) -> float:
-        return gap_um**2 - contender.gap_um**2
-
-    widest = max(earned, key=closed_um2)
-    if closed_um2(widest) > _FAR_MORE * max(closed_um2(contenders[0]), 0.0):
-        return widest
-    return contenders[0] if contenders[0] in earned else None
-
-
-def _earned(winner: Contender, done: Round, rules: Rules) -> bool:
-    """Whether a candidate is worth a name: material, held out, and not by chance."""
-    if winner.p_value >= rules.p_value or winner.bic_gain <= 0.0:
-        return False
-    if winner.gap_um > rules.widened * done.gap_um:
-        return False
-    fit, judged = winner.fit_gain / done.rows_fit, winner.judged_gain / done.rows_judge
-    if min(fit, judged) > rules.material:
-        return True
-    # Runs for judging need not excite what the fitting runs show beyond doubt.
-    if fit > rules.overwhelming * rules.material and judged > 0.0:
-        return True
-    # Slow effects are large in um, or in the torque that an integrator has to find, and small to a
-    # whitener that expects slow noise.
-    if judged > 0.0 and _torque_closed(winner, done) > rules.material_torque:
-        return True
-    closed_um2 = done.gap_um**2 - winner.gap_um**2
-    return (
-        min(fit, judged) > 0.1 * rules.material
-        and closed_um2 > (rules.material_gap * done.floor_um) ** 2
-    )
-
-
-def _torque_closed(winner: Contender, done: Round) -> float:
-    """What a candidate closes of the torque's gap on judging runs, over what it leaves, squared."""
-    if done.torque_Nm is None or winner.torque_Nm is None or winner.torque_Nm <= 0.0:
-        return 0.0
-    return (done.torque_Nm / winner.torque_Nm) ** 2 - 1.0
-
-
-def _tied(
-    winner: Contender,
-    contenders: Sequence[Contender],
-    library: Mapping[str, Effect],
-    rows: FloatArray,
-    rules: Rules,
-) -> tuple[str, ...]:
-    """Look-alikes that the data cannot tell from the winner."""
-    tied = [
-        other.effect
-        for other in contenders
-        if other.effect != winner.effect
-        and alike(other.effect, winner.effect, library)
-        # In that corner of its range it is the winner, not a rival of it.
-        and true_name(other.effect, other.fitted.model) != winner.effect
-        and _inseparable(winner, other, rows, rules)
-    ]
-    tied += [name for name in exact_twins(winner.effect) if name not in tied]
-    return tuple(tied)
-
-
-def _inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: Rules) -> bool:
-    lost = other.fitted.blocks - winner.fitted.blocks
-    per_row = float(lost.sum()) / float(rows.sum())
-    if not justified(winner.effect, other.effect):
-        close = other.gain > rules.tie_share * winner.gain
-        return close and per_row < rules.tie_material and studentised(lost) < rules.tie_z
-    return per_row < rules.tie_material or studentised(lost) < rules.tie_z
