@@ -182,10 +182,11 @@ def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
     servo, mechanical = static.after.of_motor(), static.after.of_mechanics()
     if servo.repeatability_m > _MOSTLY * after.repeatability_m:
         out.append(
-            f"of the repeatability R = {after.repeatability_m * UM_PER_M:.2f} um with compensation "
-            f"the motor itself has {servo.repeatability_m * UM_PER_M:.2f} um and what lies between "
-            f"motor and table {mechanical.repeatability_m * UM_PER_M:.2f} um: the axis stops "
-            "within its friction where the last of its motion and the integrator leave it; no "
-            "offset or table reaches that, the servo's gains and the encoder's steps decide it"
+            f"repeatability R with compensation: {after.repeatability_m * UM_PER_M:.2f} um at the "
+            f"table, {servo.repeatability_m * UM_PER_M:.2f} um of the motor itself, "
+            f"{mechanical.repeatability_m * UM_PER_M:.2f} um of motor to table (they need not add "
+            "up): the axis stops within its friction where the last of its motion and the "
+            "integrator leave it; no offset or table reaches that, the servo's gains and the "
+            "encoder's steps decide it"
         )
     return tuple(out)
