@@ -106,21 +106,27 @@ def state_of(bench: CardBench) -> ControllerState:
     return ControllerState.NEW
 
 
-@pytest.mark.parametrize("kind", LINKS)
-def test_f01_random_cuts_over_real_links(
-    *,
-    kind: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    exhaustive: bool,
-    count_runs: Count,
-) -> None:
+@pytest.fixture
+def prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[CardBench, Path]:
+    """A card with the old table, and a folder for the keys of an SSH server before it."""
     monkeypatch.setenv("BENCH_SECRET", SECRET)
     store, keys = tmp_path / "store", tmp_path / "keys"
     store.mkdir()
     keys.mkdir()
     bench = CardBench(store)
     upload.upload_tables(bench.link, bench.context, [old_table(N)])
+    return bench, keys
+
+
+@pytest.mark.parametrize("kind", LINKS)
+def test_f01_random_cuts_over_real_links(
+    *,
+    kind: str,
+    prepared: tuple[CardBench, Path],
+    exhaustive: bool,
+    count_runs: Count,
+) -> None:
+    bench, keys = prepared
     rng = np.random.default_rng(1)
     runs = 200 if exhaustive else 2
     seen = set()
@@ -176,15 +182,10 @@ class HopCut:
 
 @pytest.mark.parametrize("resume", [True, False])
 def test_f01_hop_behind_ssh_ends_in_the_read_back(
-    *, resume: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+    *, resume: bool, prepared: tuple[CardBench, Path], count_runs: Count
 ) -> None:
     """The tables stand whole but nobody has seen it: off, and one command from either end."""
-    monkeypatch.setenv("BENCH_SECRET", SECRET)
-    store, keys = tmp_path / "store", tmp_path / "keys"
-    store.mkdir()
-    keys.mkdir()
-    bench = CardBench(store)
-    upload.upload_tables(bench.link, bench.context, [old_table(N)])
+    bench, keys = prepared
     cuts = (0, 12, 20, 120)  # before, in and behind the header; within the entries
     for after in cuts:
         hop = HopCut(bench.card, after)
