@@ -446,18 +446,18 @@ def ballscrew_step(
             # damping, there to let a stuck axis come to rest, never adds to the level.
             if lugre_m:
                 z_new = (z_m + w_m * dt) / (1.0 + abs(w_m) * dt / end_m)
-                t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
             else:
                 z_new = min(max(z_m + w_m * dt, -end_m), end_m)
-                t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
+            t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
+            if not lugre_m:
                 t_fm = min(max(t_fm, -motor_level), motor_level)
             z_m = z_new
             if lugre_n:
                 z_new = (z_n + w_s * dt) / (1.0 + abs(w_s) * dt / end_n)
-                t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
             else:
                 z_new = min(max(z_n + w_s * dt, -end_n), end_n)
-                t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
+            t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
+            if not lugre_n:
                 t_fn = min(max(t_fn, -nut_level), nut_level)
             z_n = z_new
             f_g = guide_viscous * v
@@ -472,11 +472,12 @@ def ballscrew_step(
             else:
                 if lugre_g:
                     z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
-                    f_g += sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
                 else:
                     z_new = min(max(z_g + v * dt, -end_low), end_high)
-                    rubs = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
-                    f_g += min(max(rubs, -sigma_g * end_low), sigma_g * end_high)
+                rubs = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
+                if not lugre_g:
+                    rubs = min(max(rubs, -sigma_g * end_low), sigma_g * end_high)
+                f_g += rubs
                 z_g = z_new
 
             r1 = torque * ripple + cog - t_k - t_fm - motor_viscous * w_m
