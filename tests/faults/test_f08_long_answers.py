@@ -13,6 +13,7 @@ from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
+from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.sessions import AsciiSession
 from tests.faults.upload_bench import new_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
@@ -61,6 +62,26 @@ def test_a_listing_may_take_longer_than_other_answers(tmp_path: Path, count_runs
         link.query("#1LIST COMP")
     assert bench.clock.now_s() - start_s < 15.0  # two tries, each to its pause, and the marks
     count_runs(2)
+
+
+def test_a_listing_that_stops_is_not_waited_for(tmp_path: Path, count_runs: Count) -> None:
+    """Ten minutes are for an answer that comes; on the packet port, too, a pause ends it."""
+    bench = make_plc_bench(tmp_path)
+    bench.link.write_buffer(new_table(1000).lines)
+    begin = bench.tap.received
+    bench.link.query("#1LIST COMP")
+    total = bench.tap.received - begin
+    places = (1, 700, 1400, 1401, 2100, total - 1)
+    for after in places:
+        bench.reconnect()
+        bench.link.query("I51")
+        fault = Fault(FaultKind.SILENCE, Way.RECEIVE, bench.tap.received + after)
+        bench.tap.schedule([fault])
+        start_s = bench.clock.now_s()
+        with pytest.raises(ReplyTimeout):
+            bench.link.query("#1LIST COMP")
+        assert bench.clock.now_s() - start_s < 10.0, after  # one pause of 1 s, and the marks
+    count_runs(len(places))
 
 
 def test_f19_the_lease_outlives_a_program_of_minutes(tmp_path: Path, count_runs: Count) -> None:

@@ -148,6 +148,11 @@ class BaseLink:
         finally:
             self._pause_s = None
 
+    def _require_within_pause(self, heard_s: float) -> None:
+        """Raise if an answer of unknown length pauses for too long; waiting in steps hides that."""
+        if self._pause_s is not None and self._clock.now_s() - heard_s >= self._pause_s:
+            raise ReplyTimeout(f"{self.transport.name} stopped in the middle of its answer")
+
     def _receive_within(self, wait_s: float, deadline: Deadline) -> bytes:
         """Bytes, or none if none came within ``wait_s``; the deadline still raises."""
         at_s = min(self._clock.now_s() + wait_s, deadline.at_s)
@@ -282,8 +287,12 @@ class PacketLink(BaseLink):
 
     def _read_parts(self, reader: ReplyReader, data: bytes, part: int, deadline: Deadline) -> None:
         asked_early = waiting = False
+        heard_s = self._clock.now_s()
         while not reader.receive(data):
             busy = bool(data) and not data.strip(b"\x00")
+            if data and not busy:
+                heard_s = self._clock.now_s()
+            self._require_within_pause(heard_s)
             if busy:
                 self._clock.sleep_s(_BUSY_POLL_S)
             if data:

@@ -157,11 +157,11 @@ class FaultyTransport:
         self, data: bytes, start: int, way: Way, deadline: Deadline
     ) -> tuple[list[tuple[float, bytes]], bool]:
         """Pieces with the time they are due, and whether the link ends behind them."""
-        out = bytearray()
+        clean = self._untouched(start, way)
+        out = bytearray(data[:clean])
         pieces: list[tuple[float, bytes]] = []
         due_s = self._queue[-1][0] if self._queue else 0.0
-        for offset, value in enumerate(data):
-            position = start + offset
+        for position, value in enumerate(data[clean:], start + clean):
             for fault in self._faults:
                 if fault.way is not way or fault.at != position:
                     continue
@@ -182,6 +182,11 @@ class FaultyTransport:
             out += self._altered(value, position, way)
         pieces.append((due_s, bytes(out)))
         return self._split(pieces, way), False
+
+    def _untouched(self, start: int, way: Way) -> int:
+        """How many bytes from ``start`` on lie before the first fault."""
+        first = (f.at for f in self._faults if f.way is way and f.kind is not FaultKind.SPLIT)
+        return max(0, min(first, default=start + (1 << 62)) - start)
 
     def _pause_s(self, position: int, way: Way) -> float:
         slow = (f for f in self._faults if f.kind is FaultKind.SLOW and f.way is way)
