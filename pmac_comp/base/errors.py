@@ -16,7 +16,8 @@
       InternalError     exit 70  a bug; asks for the journal
 
 What lives here: error classes only. ``message`` says what happened, ``hint`` what to do next,
-``left`` the state in which a mutating call left the controller.
+``left`` the state in which a mutating call left the controller. An error that is raised without a
+hint gives the advice of its class, and one without a code that of its class; codes never change.
 """
 
 from collections.abc import Mapping
@@ -40,9 +41,10 @@ class PmacCompError(Exception):
     message : str
         What happened.
     code : str
-        Stable identifier, e.g. ``PC-TBL-012``.
+        Stable identifier of what happened, e.g. ``PC-TBL-012``; where none is given, that of the
+        class.
     hint : str
-        What to do next.
+        What to do next; where nothing is given, the usual advice of the class is.
     context : Mapping[str, object] or None
         Figures and names for ``--json``.
     left : ControllerState or None
@@ -50,6 +52,8 @@ class PmacCompError(Exception):
     """
 
     exit_code: ClassVar[int] = 70
+    usual_code: ClassVar[str] = "PC-BUG-000"
+    usual_advice: ClassVar[str] = ""
 
     def __init__(
         self,
@@ -62,64 +66,110 @@ class PmacCompError(Exception):
     ) -> None:
         super().__init__(message)
         self.message = message
-        self.code = code
+        self.code = code or self.usual_code
         self.hint = hint
         self.context: dict[str, object] = dict(context or {})
         self.left = left
 
-    def __str__(self) -> str:
-        text = f"{self.message} ({self.code})" if self.code else self.message
+    @property
+    def advice(self) -> str:
+        """What to do next: the hint of this error, or what usually helps with its kind."""
+        return self.hint or self.usual_advice
+
+    def described(self, advice: str) -> str:
+        """What happened, what was left and the advice given, each on a line of its own."""
+        text = f"{self.message} ({self.code})"
         if self.left is not None:
             text += f"\nThe controller was left: {self.left.value}."
-        return f"{text}\n{self.hint}" if self.hint else text
+        return f"{text}\n{advice}" if advice else text
+
+    def __str__(self) -> str:
+        return self.described(self.advice)
 
 
 class ConfigError(PmacCompError):
     """A file or option is wrong: unknown key, missing unit, value out of range."""
 
     exit_code = 2
+    usual_code = "PC-CFG-000"
+    usual_advice = "Correct the file or option named and run the command again."
 
 
 class LinkError(PmacCompError):
     """The connection could not be made or was lost."""
 
     exit_code = 3
+    usual_code = "PC-LNK-000"
+    usual_advice = (
+        "`pmac-comp info URL` tells whether the controller answers; check address, cable and power."
+    )
 
 
 class ConnectFailed(LinkError):
     """Nobody answered at the address, or what answered is not a PMAC."""
 
+    usual_code = "PC-LNK-001"
+
 
 class LinkLost(LinkError):
     """An open connection ended."""
+
+    usual_code = "PC-LNK-002"
+    usual_advice = (
+        "Check cable and power. If the controller was being changed, run `pmac-comp recover`; "
+        "otherwise run the command again."
+    )
 
 
 class ReplyTimeout(LinkError):
     """No complete reply before the deadline."""
 
+    usual_code = "PC-LNK-003"
+    usual_advice = (
+        "`pmac-comp info URL` tells whether the controller still answers. If it was being "
+        "changed, run `pmac-comp recover`."
+    )
+
 
 class HostKeyRefused(LinkError):
     """The SSH host key is unknown or has changed."""
+
+    usual_code = "PC-LNK-004"
 
 
 class ProtocolError(PmacCompError):
     """Bytes that do not belong to the protocol."""
 
     exit_code = 4
+    usual_code = "PC-PRO-000"
+    usual_advice = (
+        "Run the command again with `?record=FILE` behind the URL: the session kept there "
+        "shows what was said."
+    )
 
 
 class LocalProtocolError(ProtocolError):
     """We asked the protocol layer for something that cannot be said."""
 
+    usual_code = "PC-PRO-001"
+    usual_advice = "Correct the line or value; nothing of it was sent."
+
 
 class RemoteProtocolError(ProtocolError):
     """The peer said something that cannot be understood."""
+
+    usual_code = "PC-PRO-002"
 
 
 class CommandRefused(PmacCompError):
     """The controller answered BELL/ERRnnn."""
 
     exit_code = 5
+    usual_code = "PC-ERR-000"
+    usual_advice = (
+        "`pmac-comp status URL` shows the state of motors and buffers that the controller "
+        "refuses it in."
+    )
 
 
 class SafetyRefusal(PmacCompError):
@@ -132,6 +182,8 @@ class SafetyRefusal(PmacCompError):
     """
 
     exit_code = 6
+    usual_code = "PC-SAF-000"
+    usual_advice = "Remove the reason; the limits stand in [safety] and [travel] of the bench file."
 
     def __init__(
         self,
@@ -147,8 +199,9 @@ class SafetyRefusal(PmacCompError):
         self.refusals = refusals
 
     def __str__(self) -> str:
-        own = super().__str__()
-        return "\n".join([own, *(f"  - {refusal}" for refusal in self.refusals)])
+        # With several refusals, each says what is special about it; general advice stands once.
+        each = [f"  - {refusal.described(refusal.hint)}" for refusal in self.refusals]
+        return "\n".join([super().__str__(), *each])
 
 
 class AmplitudeExceeded(SafetyRefusal):
@@ -162,19 +215,32 @@ class SlopeExceeded(SafetyRefusal):
 class MotorNotSafe(SafetyRefusal):
     """A motor concerned moves, is tripped or is in the wrong state."""
 
+    usual_advice = (
+        "`pmac-comp status URL` shows the motors; bring them into the state that is asked for."
+    )
+
 
 class ForeignChange(SafetyRefusal):
     """Somebody else changed what we were about to change."""
 
+    usual_advice = "Find out who else writes to this controller, then run the command again."
+
 
 class LeaseHeld(SafetyRefusal):
     """Another writer holds the lease on this controller."""
+
+    usual_advice = "`pmac-comp status URL` says who holds the lease; wait until that is done."
 
 
 class TableStateError(PmacCompError):
     """The controller does not hold the table or bank that was meant."""
 
     exit_code = 7
+    usual_code = "PC-TBL-000"
+    usual_advice = (
+        "`pmac-comp status URL` shows what stands; `pmac-comp recover` settles an unfinished "
+        "change."
+    )
 
 
 class UploadIncomplete(TableStateError):
@@ -199,6 +265,8 @@ class CaptureError(PmacCompError):
     """A capture is incomplete or could not be stored."""
 
     exit_code = 8
+    usual_code = "PC-CAP-000"
+    usual_advice = "Capture again, or check that the file is the one meant and whole."
 
 
 class GatherOverflow(CaptureError):
@@ -217,6 +285,11 @@ class ModelError(PmacCompError):
     """The data and the model do not give an answer."""
 
     exit_code = 9
+    usual_code = "PC-MOD-000"
+    usual_advice = (
+        "Check that captures, model and bench file belong together; `pmac-comp config check` "
+        "looks at the bench file."
+    )
 
 
 class NotIdentifiable(ModelError):

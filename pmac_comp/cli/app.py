@@ -26,7 +26,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="First try: `pmac-comp demo`. Controllers are named by URL: sim:// tcp://host:1025 "
-    "udp://host:1025 serial:///dev/ttyS0?baud=38400 ssh://user@gateway/host:1025",
+    "udp://host:1025 serial:///dev/ttyS0?baud=38400 ssh://user@gateway/host:1025\n\n"
+    "Exit codes: 0 done, 2 usage or configuration, 3 connection, 4 protocol, 5 command refused, "
+    "6 safety, 7 state of tables, 8 capture, 9 model, 70 bug, 130 interrupted. An error says what "
+    "happened, its code (PC-...) and what to do; with --json it is a document too.",
 )
 for group in (simulation, controller, drive, compensation, tools):
     group.register(app)

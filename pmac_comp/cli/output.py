@@ -221,7 +221,7 @@ def describe_error(error: PmacCompError) -> dict[str, Any]:
         "class": type(error).__name__,
         "code": error.code,
         "message": error.message,
-        "hint": error.hint,
+        "hint": error.advice,
         "exit_code": error.exit_code,
         "left": None if error.left is None else error.left.value,
         "context": plain(error.context),

@@ -82,13 +82,13 @@ def read_model(path: Path | str) -> ModelFile:
     except OSError as error:
         raise ModelError(
             f"The model file {source} cannot be read: {error}.",
-            code="PC-MOD-001",
+            code="PC-MFL-001",
             hint="`pmac-comp identify` writes model files.",
         ) from error
     except (ValidationError, UnicodeDecodeError) as error:
         raise ModelError(
             f"{source.name} is not a model file: {error}",
-            code="PC-MOD-002",
+            code="PC-MFL-002",
             hint="Identify again, or correct the keys named above.",
         ) from error
 

@@ -127,7 +127,7 @@ def _flash(axis: "Axis", backup: Path | None) -> Finding:
             return Finding("ok", "flash", "no error reported; --backup FILE compares values too")
         kept.check_flash(axis.link, kept.load_backup(backup))
     except FlashSuspect as error:
-        return Finding("bad", "flash", f"{error.message} {error.hint}")
+        return Finding("bad", "flash", f"{error.message} {error.advice}")
     return Finding("ok", "flash", f"no error reported, motor variables as in {backup.name}")
 
 

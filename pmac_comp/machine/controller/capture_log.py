@@ -77,7 +77,7 @@ class CaptureLog:
         except OSError as error:
             raise CaptureError(
                 f"The capture log {path} cannot be made: {error.strerror}.",
-                code="PC-CAP-001",
+                code="PC-LOG-001",
                 hint="Choose a new name in a folder that can be written.",
             ) from error
         log._write(MAGIC)
@@ -146,12 +146,12 @@ class CaptureLog:
         if error.errno in _FULL:
             return StorageFull(
                 f"No room left on the disk of {self.path}; {self._n_rows} samples were stored.",
-                code="PC-CAP-002",
+                code="PC-LOG-002",
                 hint=f"Free space, then `pmac-comp convert {self.path.name}` keeps what is there.",
                 context={"rows": self._n_rows},
             )
         return CaptureError(
-            f"The capture log {self.path} cannot be written: {error.strerror}.", code="PC-CAP-003"
+            f"The capture log {self.path} cannot be written: {error.strerror}.", code="PC-LOG-003"
         )
 
 
@@ -195,10 +195,10 @@ def recover(path: Path) -> RecoveredLog:
     """
     data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise CaptureError(f"{path} is no capture log.", code="PC-CAP-004")
+        raise CaptureError(f"{path} is no capture log.", code="PC-LOG-004")
     records, end = _intact_records(data)
     if not records or records[0][0] != RecordKind.HEADER:
-        raise CaptureError(f"{path} holds no intact header.", code="PC-CAP-005")
+        raise CaptureError(f"{path} holds no intact header.", code="PC-LOG-005")
     blocks = [_decode_block(payload) for kind, payload in records if kind == RecordKind.BLOCK]
     gaps = tuple(json.loads(p) for kind, p in records if kind == RecordKind.GAP)
     ends = [json.loads(p)["reason"] for kind, p in records if kind == RecordKind.END]

@@ -77,14 +77,14 @@ def read_identity(link: Link) -> Identity:
     if len(answers) != 5 or not answers[0].isdigit():
         raise ConnectFailed(
             f"What answers is no Turbo PMAC: {answers[:5]!r}.",
-            code="PC-IDN-001",
+            code="PC-CID-001",
             hint="Check the address; the packet port of a Turbo PMAC is 1025.",
         )
     card, firmware, card_type, cpu, free = answers
     if not card_type.upper().startswith("TURBO") or _version(firmware) < OLDEST_FIRMWARE:
         raise ConnectFailed(
             f"{card_type} with firmware {firmware} is not supported.",
-            code="PC-IDN-002",
+            code="PC-CID-002",
             hint=f"A Turbo PMAC with firmware {OLDEST_FIRMWARE} or later is needed.",
         )
     clock = read_many(link, ["I10"])["I10"]

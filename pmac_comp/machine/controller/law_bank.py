@@ -286,7 +286,7 @@ class LawParameters:
             return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
         except ConfigError as error:
             raise VerifyMismatch(
-                f"The bank is sealed but holds no law of this version: {error}",
+                f"The bank is sealed but holds no law of this version: {error.message}",
                 code="PC-LAW-012",
                 hint="Upload the law again.",
             ) from error

@@ -70,14 +70,14 @@ def wait_for_end(
         status = program_status(link, cs)
         if status.run_time_error or status.faults:
             why = ", ".join(status.faults) or "run-time error"
-            raise MotorNotSafe(f"The motion program stopped: {why}.", code="PC-MOV-002")
+            raise MotorNotSafe(f"The motion program stopped: {why}.", code="PC-RUN-002")
         if not status.running:
             return
         if deadline.expired():
             abort(link, cs=cs)
             raise ReplyTimeout(
                 f"The motion program still ran after {timeout_s:g} s and was aborted.",
-                code="PC-MOV-003",
+                code="PC-RUN-003",
             )
         if on_poll is not None:
             on_poll()

@@ -134,7 +134,7 @@ def model_loop(model: "DriveModel") -> LoopRunner:
         if response.table_position_m is None:
             raise ModelError(
                 "The model has no table position.",
-                code="PC-LAW-030",
+                code="PC-DYN-030",
                 hint="Compensation at the table needs a bench with a scale.",
             )
         return LoopSignals(

@@ -145,7 +145,7 @@ class CompensationLaw:
         if not 1 <= self.every_cycles <= _MOST_CYCLES:
             raise ModelError(
                 f"A law cannot run every {self.every_cycles} servo cycles.",
-                code="PC-LAW-021",
+                code="PC-DYN-021",
                 hint=f"Choose 1 to {_MOST_CYCLES}.",
             )
         if self.jerk_limit_m_per_s3 <= 0.0:
@@ -153,13 +153,13 @@ class CompensationLaw:
         if self.gap_half_m < 0.0 or (self.gap_half_m > 0.0 and self.coulomb_m <= 0.0):
             raise ModelError(
                 "A law takes up a gap only with a positive friction term, which tells the flank.",
-                code="PC-LAW-022",
+                code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
-                code="PC-LAW-020",
+                code="PC-DYN-020",
                 hint="Compute the compensation again from a model.",
             )
 

@@ -1,5 +1,6 @@
 """Errors, clocks, arrays and atomic files."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +33,39 @@ def test_error_text_says_what_happened_what_is_left_and_what_to_do():
     ]
 
 
-def test_all_refusals_are_shown_at_once():
-    parts = (errors.AmplitudeExceeded("80 um"), errors.MotorNotSafe("motor 1 moves"))
+def test_all_refusals_are_shown_at_once_and_general_advice_once():
+    parts = (
+        errors.AmplitudeExceeded("80 um"),
+        errors.MotorNotSafe("motor 1 moves", hint="Wait until it stands."),
+    )
     text = str(errors.SafetyRefusal("2 refusals", refusals=parts))
     assert "80 um" in text
-    assert "motor 1 moves" in text
+    assert "motor 1 moves (PC-SAF-000)\nWait until it stands." in text
+    assert text.count(errors.SafetyRefusal.usual_advice) == 1
+
+
+def _kinds(root: type[errors.PmacCompError] = errors.PmacCompError):
+    return [kind for child in root.__subclasses__() for kind in (child, *_kinds(child))]
+
+
+@pytest.mark.parametrize("kind", [k for k in _kinds() if k is not errors.InternalError])
+def test_an_error_raised_with_a_message_alone_still_has_a_code_and_advice(kind):
+    error = kind("It happened.")
+    assert error.code in str(error)
+    assert str(error).endswith(error.usual_advice)
+    assert error.usual_advice
+    assert error.hint == ""  # callers that know better may fill it in
+
+
+def test_a_code_belongs_to_one_package_only():
+    package = Path(errors.__file__).parents[1]
+    found: dict[str, set[str]] = {}
+    for path in package.rglob("*.py"):
+        place = path.relative_to(package).parent.as_posix().removesuffix("/rivals")
+        for code in re.findall(r"code=\"(PC-[A-Z]+-\d{3})\"", path.read_text(encoding="utf-8")):
+            found.setdefault(code, set()).add(place)
+    assert len(found) > 200
+    assert {code: where for code, where in found.items() if len(where) > 1} == {}
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
