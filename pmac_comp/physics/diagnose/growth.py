@@ -26,6 +26,7 @@ from pmac_comp.physics.diagnose.contenders import (
 from pmac_comp.physics.diagnose.imitations import true_name
 from pmac_comp.physics.diagnose.lookalikes import alike
 from pmac_comp.physics.diagnose.noise import noise_floor_um
+from pmac_comp.physics.diagnose.onset import with_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.screen import (
@@ -164,7 +165,8 @@ def grow(
         whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
         if whole is not grown:
             point, open_SI = settled(part, evaluate(part, whole.model))
-    final = evaluate(bench, point.model)
+    progress("looking at how friction sets in")
+    final = with_onset(bench, evaluate(bench, point.model))
     grew = base is not None and bool(_accepted(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)
