@@ -131,7 +131,9 @@ def _assembled(
     claims = claims_of(grown, left, estimates, rules)
     tied = _tied_groups(claims)
     named = _named(claims, tied)
-    verdict = _verdict(named, tied, unknown=left.unexplained or claims.imitated)
+    # What the bench file knows cannot be what the data asks for: a name beside that is a stand-in.
+    unknown = left.unexplained or claims.imitated or bool(findings)
+    verdict = _verdict(named, tied, unknown=unknown)
     where = _where(grown, bench)
     estimates = tuple(e for e in estimates if e.name.partition(".")[0] in claims.effects)
     experiment = _experiment(tied, left, grown, library)

@@ -14,7 +14,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.fine import FinePattern, fine_pattern
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
-from pmac_comp.physics.diagnose.noise import noise_floor_um
+from pmac_comp.physics.diagnose.noise import ambient_m2, noise_floor_um
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.statistics import block_means, corrected_p, sign_flip_p
@@ -22,7 +22,8 @@ from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
 
 _UNEXPLAINED = 0.10  # of the noise variance per sample, earned by flexible rivals on both parts
-_TOLD = 0.02  # of the variance that the grown model removed: the form is right to this
+_TOLD = 0.003  # of the variance that the grown model removed: the form is right to this
+_FORM = 0.15  # the same where it hardly shows in um: no right form leaves so much
 # What two careful integrations of the same drive differ by around reversals, at least; and how
 # many deviations of what the onset of friction leaves open.
 _MODEL_um = 0.08
@@ -115,7 +116,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     material = max(_UNEXPLAINED, _TOLD * removed)
     open_um = max(_MODEL_um, _ONSETS * _onset_um(grown))
     noticeable = excess_um > max(0.3 * floor_um, open_um)
-    by_rivals = fit_share > material and p_value < 0.01 and (noticeable or fit_share > 2 * material)
+    by_rivals = fit_share > material and p_value < 0.01 and (noticeable or fit_share > _FORM)
     base_um = float(np.sqrt(max(0.0, _rms_um(grown, grown.base.model) ** 2 - floor_um**2)))
     worth = max(_EXCESS * floor_um, open_um, 0.25 * base_um)
     explained = excess_um**2 < _HALF * base_um**2
@@ -135,7 +136,11 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
         p_value=p_value,
         floor_um=floor_um,
         calm=Calm(_left_out(grown.bench), _rms_um(grown, grown.base.model), gap_um, floor_um),
-        noise_floor_um=noise_floor_um(grown.bench, grown.final.model),
+        noise_floor_um=noise_floor_um(
+            grown.bench,
+            grown.final.model,
+            ambient_m2=ambient_m2(grown.bench, grown.final.model),
+        ),
         excess_um=excess_um,
         regions=regions,
     )
