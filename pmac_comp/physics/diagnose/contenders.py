@@ -6,6 +6,7 @@ May import the rest of this package below ``growth``.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -41,6 +42,8 @@ _LARGE, _KEPT = 0.2, 0.5
 # anew.
 _FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
 _MOST_FRESH = 2
+# Runs whose largest torques differ by less are not on two sides of a limit; levels between others.
+_APART, _LEVELS = 1.05, 12
 
 
 @dataclass(frozen=True)
@@ -184,7 +187,7 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
     part = ground.bench.fitting_bench()
     nominal = {s.name: s.nominal for s in ground.before.model.specs if s.kind == "known"}
     fresh = ground.before.model.with_parameters(nominal)
-    begun = []
+    begun = _limited(part, fresh, screening) if item.start.effect == "torque_saturation" else []
     for start in screening.starts[item.start.effect]:
         model = _model_at(fresh, start.start, start.step, ground.library)
         try:
@@ -196,6 +199,38 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
         fitted = refit(part, point, rounds=6)
         found.append(judged(ground, start, evaluate(ground.bench, fitted.model)))
     return found
+
+
+def _limited(
+    part: Workbench, fresh: DriveModel, screening: Screening
+) -> list[tuple[Screened, Fitted]]:
+    """Limits beside the friction of the runs that never meet them.
+
+    Runs that met the limit made friction of it. Below it lies what the gentle runs ask for and
+    above it what the others do, as their controllers go on asking: every such division is tried.
+    """
+    peaks = [
+        0.0 if r.torque_Nm is None else float(np.max(np.abs(r.torque_Nm))) for r in part.records
+    ]
+    order = np.argsort(peaks).tolist()
+    start = screening.starts["torque_saturation"][0]
+    name = next(iter(start.start.values))
+    found = []
+    for count, (low, high) in enumerate(pairwise(sorted(peaks)), start=1):
+        if low <= 0.0 or high < _APART * low:
+            continue
+        gentle = part.of(sorted(order[:count]))
+        try:
+            drive = refit(gentle, evaluate(gentle, fresh), rounds=_ROUNDS).model
+        except ModelError:
+            continue
+        for limit in np.geomspace(low, high, _LEVELS):
+            try:
+                limited = drive.with_effect(start.start.key, {name: float(limit)})
+                found.append((start, evaluate(part, limited)))
+            except ModelError:
+                continue
+    return sorted(found, key=lambda f: f[1].chi2)[:_MOST_FRESH]
 
 
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:

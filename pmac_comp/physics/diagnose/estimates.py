@@ -25,6 +25,9 @@ _PINNED = 0.9
 _BEYOND = 3.0
 _LEAST_GROUPS = 4
 _MOST_GROUPS = 12
+# Where leaving out a part takes so much of what is known of a parameter, the rest does not tell how
+# the parts differ: a torque limit is met in one run alone.
+_LOST = 20.0
 _UNDER_WHITENED = 0.7
 _WHOLE_s = 1e6
 
@@ -130,7 +133,7 @@ def jackknife_spread(gram: Gram) -> FloatArray:
 
     What a model lacks pulls its parameters differently in different runs; scores of blocks, which
     sum to zero at the optimum, do not show it. Widened so that 1.96 of it is a 95 % interval of
-    Student's t.
+    Student's t. Parts without which a parameter is hardly known are no witness of its spread.
 
     Source
     ------
@@ -141,13 +144,17 @@ def jackknife_spread(gram: Gram) -> FloatArray:
     if count < _LEAST_GROUPS:
         return np.zeros(gram.n_columns)
     every = range(gram.n_columns)
-    steps = np.array(
-        [
-            gram.solve(every, weights=(gram.fitting & (groups != g)).astype(np.float64)).step
-            for g in range(count)
-        ]
-    )
-    variance = (count - 1) / count * np.sum((steps - steps.mean(axis=0)) ** 2, axis=0)
+    known = np.diag(gram.solve(every).covariance)
+    steps = np.zeros((count, gram.n_columns))
+    told = np.ones((count, gram.n_columns), dtype=np.bool_)
+    for g in range(count):
+        weights = (gram.fitting & (groups != g)).astype(np.float64)
+        solution = gram.solve(every, weights=weights)
+        steps[g] = solution.step
+        told[g] = np.diag(solution.covariance) < _LOST * known
+    parts = np.maximum(told.sum(axis=0), 1)
+    away = np.where(told, steps - np.sum(steps * told, axis=0) / parts, 0.0)
+    variance = (parts - 1) / parts * np.sum(away**2, axis=0)
     return np.asarray(np.sqrt(variance) * student.ppf(0.975, count - 1) / Z95)
 
 

@@ -210,18 +210,18 @@ class Workbench:
             if not mask.any()
         )
 
+    def of(self, keep: Sequence[int]) -> "Workbench":
+        """Some of the records."""
+        noise = None if self.noise is None else self.noise.of(keep)
+        records = tuple(self.records[i] for i in keep)
+        return Workbench(records, tuple(self.fitting[i] for i in keep), self.executor, noise)
+
     def fitting_bench(self) -> "Workbench":
         """The records that have fitting samples alone: what judges need not be simulated."""
         keep = [i for i, mask in enumerate(self.fitting) if mask.any()]
         if len(keep) == len(self.records):
             return self
-        noise = None if self.noise is None else self.noise.of(keep)
-        return Workbench(
-            tuple(self.records[i] for i in keep),
-            tuple(self.fitting[i] for i in keep),
-            self.executor,
-            noise,
-        )
+        return self.of(keep)
 
     def with_noise(self, noise: Noise) -> "Workbench":
         """The same bench with other weights."""
