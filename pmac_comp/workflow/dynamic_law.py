@@ -130,10 +130,10 @@ def nut_gap(model: "DriveModel") -> tuple[float, LoopRunner] | None:
     """
     half_m, rest = 0.0, without_turn(model)
     for name in model.effects:
-        bare = split_name(name)[0]
+        bare, place = split_name(name)
         if bare == "backlash":
             half_m += 0.5 * model.parameters["backlash.gap_m"]
-        elif bare == "preload_loss":
+        elif bare == "preload_loss" and place != "beyond":
             soft = 1.0 - model.parameters["preload_loss.stiffness_ratio"]
             half_m += soft * model.parameters["preload_loss.half_width_m"]
         else:
