@@ -76,7 +76,7 @@ print(json.dumps(out))
 @contextmanager
 def served_card() -> Iterator[int]:
     """Port of a simulated card in a process of its own."""
-    command = [sys.executable, "-m", "pmac_comp.cli.app", "sim", "--tcp", "0", "--speed", "real"]
+    command = [sys.executable, "-m", "pmac_comp", "sim", "--tcp", "0", "--speed", "real"]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         ready = json.loads(server.stdout.readline() if server.stdout else "")

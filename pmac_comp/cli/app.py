@@ -113,7 +113,3 @@ def _as_bug(error: Exception) -> InternalError:
         hint="This is a bug of pmac-comp. Please report it with this line and, after an upload, "
         "the journal.",
     )
-
-
-if __name__ == "__main__":
-    main()

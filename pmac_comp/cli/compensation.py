@@ -7,17 +7,24 @@ import typer
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.cli import output
-from pmac_comp.cli.controller import (
+from pmac_comp.cli.controller import confirmed
+from pmac_comp.cli.options import (
     BenchOption,
+    CompensationArgument,
     DryRunOption,
+    EffectsOption,
+    JournalOption,
+    JsonOption,
+    PersistOption,
+    ReportOption,
+    SeedOption,
     UrlArgument,
     YesOption,
-    confirmed,
 )
-from pmac_comp.cli.output import JsonOption, ProgressLines
+from pmac_comp.cli.output import ProgressLines
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 
 RouteOption = Annotated[str, typer.Option("--route", help="table, law, servo, cam or program")]
-LawArgument = Annotated[Path, typer.Argument(help="Compensation file written by `compensate`")]
 
 
 def register(app: typer.Typer) -> None:
@@ -71,9 +78,7 @@ def compensate(
         int,
         typer.Option("--every", min=1, max=4, help="Servo cycles per pass of the law (route law)"),
     ] = 1,
-    effects: Annotated[
-        Path | None, typer.Option("--effects", help="Python file with effects of your own")
-    ] = None,
+    effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
@@ -109,7 +114,7 @@ def compensate(
 
 def diff(
     url: UrlArgument,
-    new: LawArgument,
+    new: CompensationArgument,
     bench: BenchOption = "paper",
     plot: Annotated[Path | None, typer.Option("--plot", help="SVG or PNG to write")] = None,
     json_target: JsonOption = "",
@@ -142,14 +147,10 @@ def diff(
 
 def upload(
     url: UrlArgument,
-    new: LawArgument,
+    new: CompensationArgument,
     bench: BenchOption = "paper",
-    persist: Annotated[
-        bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
-    ] = False,
-    journal: Annotated[
-        Path, typer.Option("--journal", help="Folder for backup and journal")
-    ] = Path("pmac-comp-journal"),
+    persist: PersistOption = False,
+    journal: JournalOption = DEFAULT_JOURNAL,
     yes: YesOption = False,
     dry_run: DryRunOption = False,
     json_target: JsonOption = "",
@@ -188,9 +189,7 @@ def upload(
 def recover(
     url: UrlArgument,
     bench: BenchOption = "paper",
-    journal: Annotated[
-        Path, typer.Option("--journal", help="Folder for backup and journal")
-    ] = Path("pmac-comp-journal"),
+    journal: JournalOption = DEFAULT_JOURNAL,
     json_target: JsonOption = "",
 ) -> None:
     """Settle what an interrupted upload left; ends in OLD, NEW or DISABLED."""
@@ -207,12 +206,8 @@ def recover(
 def rollback(
     url: UrlArgument,
     bench: BenchOption = "paper",
-    journal: Annotated[
-        Path, typer.Option("--journal", help="Folder for backup and journal")
-    ] = Path("pmac-comp-journal"),
-    persist: Annotated[
-        bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
-    ] = False,
+    journal: JournalOption = DEFAULT_JOURNAL,
+    persist: PersistOption = False,
     yes: YesOption = False,
     json_target: JsonOption = "",
 ) -> None:
@@ -255,14 +250,14 @@ def verify(
         int,
         typer.Option("--static", min=0, help="Runs of ISO 230-2 on each side; 0 leaves it out"),
     ] = 5,
-    seed: Annotated[int, typer.Option("--seed", help="Draws the motions")] = 0,
+    seed: SeedOption = 0,
     refine: Annotated[
         int, typer.Option("--refine", min=0, help="Learning passes on the repeated motion")
     ] = 0,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for captures and result")
     ] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    report: ReportOption = None,
     yes: YesOption = False,
     json_target: JsonOption = "",
 ) -> None:
@@ -316,10 +311,8 @@ def improve(
         "pmac-comp-improve"
     ),
     route: Annotated[str, typer.Option("--route", help="table, law or servo")] = "law",
-    seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
-    effects: Annotated[
-        Path | None, typer.Option("--effects", help="Python file with effects of your own")
-    ] = None,
+    seed: SeedOption = 0,
+    effects: EffectsOption = None,
     yes: YesOption = False,
     json_target: JsonOption = "",
 ) -> None:

@@ -11,19 +11,16 @@ import typer
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.cli import output
-from pmac_comp.cli.output import JsonOption, ProgressLines
-
-UrlArgument = Annotated[
-    str,
-    typer.Argument(help="sim:// tcp://host:1025 udp://host:1025 serial:///dev/ttyS0 ssh://..."),
-]
-BenchOption = Annotated[
-    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
-]
-YesOption = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask")]
-DryRunOption = Annotated[
-    bool, typer.Option("--dry-run", help="Print what would be sent, change nothing")
-]
+from pmac_comp.cli.options import (
+    BenchOption,
+    DryRunOption,
+    JournalOption,
+    JsonOption,
+    UrlArgument,
+    YesOption,
+)
+from pmac_comp.cli.output import ProgressLines
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 
 
 def register(app: typer.Typer) -> None:
@@ -97,9 +94,7 @@ def info(url: UrlArgument, json_target: JsonOption = "") -> None:
 def status(
     url: UrlArgument,
     bench: BenchOption = "paper",
-    journal: Annotated[
-        Path, typer.Option("--journal", help="Folder of uploads from this host")
-    ] = Path("pmac-comp-journal"),
+    journal: JournalOption = DEFAULT_JOURNAL,
     json_target: JsonOption = "",
 ) -> None:
     """Show motors, compensation tables, law bank and what the last upload left."""
@@ -176,6 +171,7 @@ def restore(
         bool,
         typer.Option("--other-card", help="Take a backup of another card, firmware or memory"),
     ] = False,
+    journal: JournalOption = DEFAULT_JOURNAL,
     yes: YesOption = False,
     dry_run: DryRunOption = False,
     json_target: JsonOption = "",
@@ -189,7 +185,9 @@ def restore(
         return
     confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes, can_look=True)
     progress = ProgressLines()
-    result = restore_from_file(url, bench, source, other_card=other_card, progress=progress)
+    result = restore_from_file(
+        url, bench, source, journal=journal, other_card=other_card, progress=progress
+    )
     progress.close()
     output.finish(result, json_target, lambda: output.echo(str(result["summary"])))
 

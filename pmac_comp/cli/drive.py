@@ -8,19 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from pmac_comp.cli import output
-from pmac_comp.cli.output import JsonOption, ProgressLines
-
-BenchOption = Annotated[
-    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
-]
-CapturesArgument = Annotated[list[Path], typer.Argument(help="Captures: .h5 .csv .mat")]
-EffectsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--effects",
-        help="Python file with effects of your own, as configs/effect_worn_stretch.py",
-    ),
-]
+from pmac_comp.cli.options import (
+    BenchOption,
+    CapturesArgument,
+    EffectsOption,
+    JsonOption,
+    ReportOption,
+    ValidateOption,
+)
+from pmac_comp.cli.output import ProgressLines
 
 
 class FrictionChoice(StrEnum):
@@ -63,7 +59,7 @@ def identify(
             "captures show them on samples that were not fitted; coulomb: the base model only",
         ),
     ] = FrictionChoice.auto,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    report: ReportOption = None,
     effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
@@ -158,9 +154,7 @@ def predict(
 def diagnose(
     captures: CapturesArgument,
     bench: BenchOption,
-    validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
-    ] = None,
+    validate: ValidateOption = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="Base model instead of the default one")
     ] = None,
@@ -172,7 +166,7 @@ def diagnose(
             "--base viscous",
         ),
     ] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    report: ReportOption = None,
     effects: EffectsOption = None,
     json_target: JsonOption = "",
 ) -> None:
@@ -208,10 +202,8 @@ def diagnose(
 def compare(
     captures: CapturesArgument,
     bench: BenchOption,
-    validate: Annotated[
-        list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
-    ] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report to write")] = None,
+    validate: ValidateOption = None,
+    report: ReportOption = None,
     json_target: JsonOption = "",
 ) -> None:
     """Fit rival models to the same captures and show what each leaves uncorrected.

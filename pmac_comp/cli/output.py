@@ -12,25 +12,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 
 JSON_STDOUT = "--json=-"
 _WHOLE_BELOW = 1e7  # counts are shown to the last one
 Progress = Callable[[str, float], None]
-
-JsonOption = Annotated[
-    str,
-    typer.Option(
-        "--json",
-        metavar="[FILE]",
-        help="Result as JSON on standard output, or into FILE (a name that ends in .json).",
-        show_default=False,
-    ),
-]
 
 
 def spell_out_json(words: list[str]) -> list[str]:

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from pmac_comp.cli import output
-from pmac_comp.cli.output import JsonOption, ProgressLines
+from pmac_comp.cli.options import BenchOption, JsonOption, SeedOption
+from pmac_comp.cli.output import ProgressLines
 
 PlantOption = Annotated[
     str,
@@ -24,14 +25,12 @@ def demo(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for captures, model and report")
     ] = Path("pmac-comp-demo"),
-    bench: Annotated[
-        str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
-    ] = "paper",
+    bench: BenchOption = "paper",
     plant: PlantOption = "",
     route: Annotated[
         str, typer.Option("--route", help="law, servo, table, cam or program")
     ] = "law",
-    seed: Annotated[int, typer.Option("--seed", help="Draws the verification motions")] = 0,
+    seed: SeedOption = 0,
     json_target: JsonOption = "",
 ) -> None:
     """Run the whole job on the simulated Turbo PMAC and end with a report."""
@@ -62,9 +61,7 @@ def sim(
     ] = None,
     pty: Annotated[bool, typer.Option("--pty", help="Serial line on a pseudo terminal")] = False,
     host: Annotated[str, typer.Option("--host", help="Address to listen on")] = "127.0.0.1",
-    bench: Annotated[
-        str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
-    ] = "paper",
+    bench: BenchOption = "paper",
     plant: PlantOption = "",
     servo: Annotated[
         Path | None, typer.Option("--servo", help="Source of the open servo to run")

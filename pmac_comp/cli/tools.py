@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pmac_comp.cli import output
-from pmac_comp.cli.output import JsonOption
+from pmac_comp.cli.options import BenchArgument, JsonOption
 
 config_app = typer.Typer(name="config", help="Bench files: show, check, example.")
 
@@ -55,7 +55,7 @@ def report(
 
 @config_app.command("show")
 def config_show(
-    bench: Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")],
+    bench: BenchArgument,
     json_target: JsonOption = "",
 ) -> None:
     """Print every key of a bench file, defaults included, and what follows from it."""
@@ -74,7 +74,7 @@ def config_show(
 
 @config_app.command("check")
 def config_check(
-    bench: Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")],
+    bench: BenchArgument,
     json_target: JsonOption = "",
 ) -> None:
     """Check a bench file: keys, values, and whether its figures fit each other."""

@@ -1,9 +1,11 @@
-"""Where the bundled bench files and firmware files are: in a checkout and in an installed wheel."""
+"""Where files lie: bundled bench and firmware files, in a checkout or a wheel, and the journal."""
 
 from pathlib import Path
+from typing import Final
 
 from pmac_comp.base.errors import ConfigError
 
+DEFAULT_JOURNAL: Final = Path("pmac-comp-journal")  # of uploads, below the present folder
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pmac_comp.files.bench import Bench
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -23,7 +24,6 @@ from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.workflow.scales import Scales
 
-DEFAULT_JOURNAL: Final = "pmac-comp-journal"
 UNITS: Final = {"I5190": "1000", "I5113": "0", "I42": "0"}
 """Times of PVT programs in ms, velocities per second (Software Reference Manual, I5x13, I5x90)."""
 
@@ -38,7 +38,7 @@ class AxisSetup:
         Folder of the journal, used only where definitions stand that would be lost.
     """
 
-    store: Path = Path(DEFAULT_JOURNAL)
+    store: Path = DEFAULT_JOURNAL
     _context: Context | None = None
 
     def put_on(self, link: Link, bench: Bench, controller: str) -> None:

@@ -19,6 +19,7 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
     law_arming,
     law_install,
@@ -42,7 +43,6 @@ from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import DEFAULT_JOURNAL
 from pmac_comp.workflow.backlash import take_up_variables
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
@@ -74,7 +74,7 @@ def context_of(axis: Axis, store: Path | None = None, progress: Progress | None 
     return Context(
         block=LawBlock.from_p_block(axis.bench.controller.p_block),
         limits=axis.scales.limits(axis.bench),
-        store=store or Path(DEFAULT_JOURNAL),
+        store=store or DEFAULT_JOURNAL,
         servo_period_s=axis.scales.period_s,
         controller=axis.identity or "controller",
         progress=told,

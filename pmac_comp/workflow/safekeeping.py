@@ -6,6 +6,7 @@ from typing import Any
 
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -75,6 +76,7 @@ def restore_from_file(
     bench: str,
     source: Path,
     *,
+    journal: Path = DEFAULT_JOURNAL,
     other_card: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -85,7 +87,7 @@ def restore_from_file(
             axis.link.write_buffer(["CLOSE", *parsed.commands])
             if parsed.programs:
                 bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
-                context = context_of(axis, Path("pmac-comp-journal"), progress)
+                context = context_of(axis, journal, progress)
                 change_settings(axis.link, context, Settings(programs=bodies), route="program")
         return {
             "summary": f"{source.name}: {len(parsed.commands)} commands sent, "
@@ -93,7 +95,7 @@ def restore_from_file(
         }
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
-        context = context_of(axis, Path("pmac-comp-journal"), progress)
+        context = context_of(axis, journal, progress)
         result, left = restore(
             axis.link, context, stored, other_card=other_card, progress=_steps(progress)
         )

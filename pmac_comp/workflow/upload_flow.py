@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import DEFAULT_JOURNAL
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
 from pmac_comp.workflow.compensation_file import (
     read_compensation,
@@ -60,7 +60,7 @@ def upload_file(
         if persist:
             _save(axis, context, compensation.route)
             said.append(f"motor #{axis.motor} was killed, all of it saved to flash and read again")
-    again = "" if journal == Path(DEFAULT_JOURNAL) else f" --journal {journal}"
+    again = "" if journal == DEFAULT_JOURNAL else f" --journal {journal}"
     return {
         **deployment.as_result(),
         "saved": persist,

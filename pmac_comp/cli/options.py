@@ -1,0 +1,48 @@
+"""Options and arguments that several commands share, so that they read the same everywhere."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+UrlArgument = Annotated[
+    str,
+    typer.Argument(help="sim:// tcp://host:1025 udp://host:1025 serial:///dev/ttyS0 ssh://..."),
+]
+CapturesArgument = Annotated[list[Path], typer.Argument(help="Captures: .h5 .csv .mat")]
+CompensationArgument = Annotated[
+    Path, typer.Argument(help="Compensation file written by `compensate`")
+]
+BenchArgument = Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")]
+BenchOption = Annotated[
+    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+]
+EffectsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--effects",
+        help="Python file with effects of your own, as configs/effect_worn_stretch.py",
+    ),
+]
+ValidateOption = Annotated[
+    list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
+]
+JournalOption = Annotated[Path, typer.Option("--journal", help="Folder for backup and journal")]
+PersistOption = Annotated[
+    bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
+]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="HTML report to write")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Draws the verification motions")]
+YesOption = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask")]
+DryRunOption = Annotated[
+    bool, typer.Option("--dry-run", help="Print what would be sent, change nothing")
+]
+JsonOption = Annotated[
+    str,
+    typer.Option(
+        "--json",
+        metavar="[FILE]",
+        help="Result as JSON on standard output, or into FILE (a name that ends in .json).",
+        show_default=False,
+    ),
+]
