@@ -372,7 +372,6 @@ def translate_open_servo(text: str, *, name: str = "open servo") -> Compiled:
     """
     translator = _Translator()
     number = 0
-    number = 0
     try:
         for at, line in _lines(text):
             number = at
@@ -386,14 +385,13 @@ def translate_open_servo(text: str, *, name: str = "open servo") -> Compiled:
         ) from error
 
 
-def load_open_servo(path: Path) -> Compiled:
-    """Bytecode of an open-servo source file; ConfigError if it cannot be read or translated."""
+def read_open_servo(path: Path) -> str:
+    """Source of an open servo from a file; ConfigError if it cannot be read."""
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"The open servo source {path} cannot be read: {error}.",
             code="PC-OSV-002",
             hint="Give a text file such as firmware_plc/feedforward_servo.txt.",
         ) from error
-    return translate_open_servo(text, name=path.name)

@@ -1,8 +1,7 @@
-"""Servers of the simulated card: packet port over TCP and UDP, ASCII port, pseudo terminal.
+"""The server of the simulated card: what it serves, and how it starts and stops.
 
-One event loop serves all clients and lets simulated time pass between their requests, so a request
-never meets a half-finished servo cycle. Limits per client and per server keep hostile or dead
-clients from taking memory or time (connections, bytes not yet read, half-sent requests).
+One event loop serves all clients (``endpoints``) and lets simulated time pass between their
+requests (``pace``), so a request never meets a half-finished servo cycle.
 
 ``serve`` runs until it is stopped; ``running_server`` runs it in a thread for as long as a ``with``
 block lasts.
@@ -13,77 +12,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import signal
 import sys
 import threading
-import time
-import tty
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from pmac_comp.base.errors import ConfigError, ConnectFailed
 from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.endpoints import DatagramPort, PseudoTerminal, Session, StreamClient
+from pmac_comp.simulator.pace import AS_FAST_AS_FOLLOWED, HostPace, Pace
 from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
 
-MOST_CLIENTS = 32
-MOST_UNSENT_BYTES = 1_000_000
-HALF_REQUEST_TIMEOUT_s = 30.0
-_TICK_s = 0.005
-_SLICE_s = 0.005  # longest time one client is served before others have their turn
-_MAX_CHUNK_CYCLES = 300
-_LONGEST_CHUNK_s = 0.005  # of wall time between two looks at the clients
-_LONGEST_LAG_s = 0.25
-_IDLE_s = 0.0002  # between two looks at what the host grants
-_PTY_READ = 4096
-
-_TOLD_LAG_s = 1.0  # time that slipped before a person is told
 _MOST_NOTICES = 100
-
-Session = EthernetSession | AsciiSession
 
 
 def _to_stderr(text: str) -> None:
     print(f"pmac-comp sim: {text}", file=sys.stderr, flush=True)
-
-
-def _too_slow(factor: float, lost: int, start: int, now: int) -> str:
-    """What is said when time falls behind; `start` has been moved by the lost cycles."""
-    done = now - start - lost
-    share = done / (done + lost)
-    return (
-        f"simulated time falls behind: {share * factor:.2g} of real time instead of {factor:g}. "
-        "A plant written in Python may take longer than a servo period; see tools/bench simulator."
-    )
-
-
-class HostPace:
-    """Servo cycles that the host in the same process has granted; the card never runs ahead.
-
-    A host that shares its interpreter with the card could otherwise be starved by it for longer
-    than the gather ring holds.
-    """
-
-    def __init__(self) -> None:
-        self._granted = 0
-        self._lock = threading.Lock()
-
-    def grant(self, cycles: int) -> None:
-        """Let the card run so many cycles more."""
-        with self._lock:
-            self._granted += cycles
-
-    def take(self, most: int) -> int:
-        """Cycles to run now, at most ``most``."""
-        with self._lock:
-            taken = min(self._granted, most)
-            self._granted -= taken
-            return taken
 
 
 @dataclass(frozen=True)
@@ -118,186 +67,22 @@ class ServeOptions:
 
     @property
     def factor(self) -> float:
-        """Multiple of real time, infinite for ``max``."""
+        """Multiple of real time, infinite for ``max``; ConfigError for any other word."""
         if self.speed == "real":
             return 1.0
         if self.speed == "max":
-            return float("inf")
+            return AS_FAST_AS_FOLLOWED
         try:
             factor = float(self.speed)
-        except ValueError as error:
-            raise ConfigError(f"--speed takes real, max or a factor, not '{self.speed}'") from error
+        except ValueError:
+            factor = 0.0
         if not factor > 0.0:
-            raise ConfigError(f"--speed must be above zero, not '{self.speed}'")
+            raise ConfigError(
+                f"'{self.speed}' is no speed of the simulated card.",
+                code="PC-SIM-002",
+                hint="--speed takes real, max, or a factor above zero such as 10.",
+            )
         return factor
-
-
-class _StreamClient(asyncio.Protocol):
-    """One TCP client of the packet port or of the ASCII port."""
-
-    def __init__(self, server: SimulatorServer, make: Callable[[Card], Session]) -> None:
-        self.server = server
-        self.make = make
-        self.session: Session | None = None
-        self.transport: asyncio.Transport | None = None
-        self.timer: asyncio.TimerHandle | None = None
-        self.late: asyncio.TimerHandle | None = None
-        self.work: deque[Iterator[bytes]] = deque()
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the client, or turn it away when there are too many."""
-        if not isinstance(transport, asyncio.Transport):
-            raise TypeError("stream transport expected")
-        self.transport = transport
-        if len(self.server.clients) >= MOST_CLIENTS:
-            transport.abort()
-            return
-        transport.set_write_buffer_limits(high=MOST_UNSENT_BYTES)
-        self.session = self.make(self.server.card)
-        self.server.clients.add(self)
-
-    def data_received(self, data: bytes) -> None:
-        """Answer what is complete, after what came before it."""
-        if self.session is None:
-            return
-        self.work.append(self.session.answers(data))
-        if len(self.work) == 1:
-            self._serve()
-
-    def _serve(self) -> None:
-        """Answer for one time slice; the rest waits until others had their turn."""
-        transport, loop = self.transport, asyncio.get_running_loop()
-        if transport is None or self.session is None:
-            return
-        until_s = loop.time() + _SLICE_s
-        while self.work:
-            answer = next(self.work[0], None)
-            if answer is None:
-                self.work.popleft()
-                continue
-            delay_s = self.server.card.link_faults.delay_s
-            if delay_s and answer:
-                transport.pause_reading()
-                self.late = loop.call_later(delay_s, self._send_late, answer)
-                return
-            transport.write(answer)  # one send per answer: clients read it with one receive
-            if transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
-                self.work.clear()
-                transport.abort()
-                return
-            if loop.time() > until_s:
-                transport.pause_reading()
-                loop.call_soon(self._serve)
-                return
-        transport.resume_reading()
-        if self.session.closed:
-            if isinstance(self.session, EthernetSession) and self.session.reason:
-                self.server.tell(f"a client's connection was closed: {self.session.reason}")
-            transport.close()
-        self._watch_half_request()
-
-    def _send_late(self, answer: bytes) -> None:
-        """Send an answer that a commanded fault held back, then go on."""
-        if self.transport is not None:
-            self.transport.write(answer)
-            self._serve()
-
-    def _watch_half_request(self) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-        if isinstance(self.session, EthernetSession) and self.session.half_received:
-            loop = asyncio.get_running_loop()
-            self.timer = loop.call_later(HALF_REQUEST_TIMEOUT_s, self._drop)
-
-    def _drop(self) -> None:
-        if self.transport is not None:
-            self.transport.abort()
-
-    def flush_announcements(self) -> None:
-        """Send what programs said meanwhile."""
-        if isinstance(self.session, AsciiSession) and self.transport is not None:
-            said = self.session.pending()
-            if said:
-                self.transport.write(said)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
-        del exc
-        self.work.clear()
-        for handle in (self.timer, self.late):
-            if handle is not None:
-                handle.cancel()
-        if self.session is not None:
-            self.session.close()
-        self.server.clients.discard(self)
-
-
-class _DatagramPort(asyncio.DatagramProtocol):
-    """Packet port over UDP: one request per datagram, addressing kept per peer."""
-
-    def __init__(self, server: SimulatorServer) -> None:
-        self.server = server
-        self.transport: asyncio.DatagramTransport | None = None
-        self.sessions: dict[Any, EthernetSession] = {}
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the socket."""
-        self.transport = cast("asyncio.DatagramTransport", transport)
-
-    def datagram_received(self, data: bytes, addr: Any) -> None:
-        """Answer one datagram; what is no request is dropped."""
-        session = self.sessions.pop(addr, None) or EthernetSession(self.server.card)
-        answers = session.datagram(data)
-        if session.closed:
-            return
-        self.sessions[addr] = session
-        if len(self.sessions) > MOST_CLIENTS:
-            oldest = next(iter(self.sessions))
-            self.sessions.pop(oldest).close()
-        if self.transport is not None:
-            wait_s = self.server.card.link_faults.delay_s
-            for answer in answers:
-                if wait_s:
-                    loop = asyncio.get_running_loop()
-                    loop.call_later(wait_s, self.transport.sendto, answer, addr)
-                else:
-                    self.transport.sendto(answer, addr)
-
-
-class _PseudoTerminal:
-    """Serial line of the card on a pseudo terminal."""
-
-    def __init__(self, card: Card) -> None:
-        self.session = AsciiSession(card)
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave)
-        os.set_blocking(self.master, False)
-        self.path = os.ttyname(self.slave)
-        self.unsent = bytearray()
-
-    def readable(self) -> None:
-        """Take characters from the line."""
-        try:
-            data = os.read(self.master, _PTY_READ)
-        except (BlockingIOError, OSError):
-            return
-        self.send(self.session.receive(data))
-
-    def send(self, data: bytes) -> None:
-        """Put bytes on the line; what nobody reads is dropped beyond the limit."""
-        self.unsent += data
-        del self.unsent[MOST_UNSENT_BYTES:]
-        with contextlib.suppress(BlockingIOError, OSError):
-            while self.unsent:
-                done = os.write(self.master, bytes(self.unsent[:_PTY_READ]))
-                del self.unsent[:done]
-
-    def close(self) -> None:
-        """Give the line back."""
-        self.session.close()
-        os.close(self.master)
-        os.close(self.slave)
 
 
 @dataclass
@@ -316,15 +101,19 @@ class SimulatorServer:
 
     card: Card
     options: ServeOptions
-    clients: set[_StreamClient] = field(default_factory=set)
+    clients: set[StreamClient] = field(default_factory=set)
     endpoints: dict[str, str] = field(default_factory=dict)
     notice: Callable[[str], None] = _to_stderr
-    _chunk_cycles: int = field(default=_MAX_CHUNK_CYCLES, init=False)
+    _terminal: PseudoTerminal | None = field(default=None, init=False)
     _notices: int = field(default=0, init=False)
 
     async def run(self, ready: Callable[[dict[str, str]], None], stop: asyncio.Event) -> None:
         """Serve until `stop` is set; `ready` is called with the endpoints once they listen."""
         loop = asyncio.get_running_loop()
+        options = self.options
+        pace = Pace(
+            self.card, options.factor, options.pace, after_chunk=self._announce, tell=self.tell
+        )
         self._schedule_force()
         warm_up(self.card)
         async with contextlib.AsyncExitStack() as stack:
@@ -332,11 +121,12 @@ class SimulatorServer:
                 await self._open(loop, stack)
             except OSError as error:
                 raise ConnectFailed(
-                    f"cannot listen on {self.options.host}: {error}",
+                    f"The simulated card cannot listen on {options.host}: {error}.",
+                    code="PC-SIM-003",
                     hint="Choose another port, or 0 for any free one.",
                 ) from error
             ready(self.endpoints)
-            pacer = asyncio.create_task(self._pass_time())
+            pacer = asyncio.create_task(pace.run())
             stopper = asyncio.create_task(stop.wait())
             done, _ = await asyncio.wait({pacer, stopper}, return_when=asyncio.FIRST_COMPLETED)
             pacer.cancel()
@@ -359,17 +149,16 @@ class SimulatorServer:
             self.endpoints["ascii"] = f"tcp://{host}:{port}?dialog=ascii"
         if options.udp is not None:
             transport, _ = await loop.create_datagram_endpoint(
-                lambda: _DatagramPort(self), local_addr=(host, options.udp)
+                lambda: DatagramPort(self.card), local_addr=(host, options.udp)
             )
             stack.callback(transport.close)
             port = transport.get_extra_info("sockname")[1]
             self.endpoints["udp"] = f"udp://{host}:{port}"
         if options.pty:
-            terminal = _PseudoTerminal(self.card)
+            terminal = self._terminal = PseudoTerminal(self.card)
             loop.add_reader(terminal.master, terminal.readable)
             stack.callback(terminal.close)
             stack.callback(loop.remove_reader, terminal.master)
-            self.terminal = terminal
             self.endpoints["pty"] = f"serial://{terminal.path}"
 
     async def _listen(
@@ -380,7 +169,10 @@ class SimulatorServer:
         make: Callable[[Card], Session],
     ) -> int:
         server = await loop.create_server(
-            lambda: _StreamClient(self, make), self.options.host, port, backlog=128
+            lambda: StreamClient(self.card, self.clients, make, self.tell),
+            self.options.host,
+            port,
+            backlog=128,
         )
         stack.callback(server.close)
         return int(server.sockets[0].getsockname()[1])
@@ -393,55 +185,17 @@ class SimulatorServer:
             time_s, force_N = np.atleast_1d(table["time_s"]), np.atleast_1d(table["force_N"])
         except (OSError, ValueError, IndexError) as error:
             raise ConfigError(
-                f"The force schedule {self.options.force} needs columns time_s,force_N: {error}."
+                f"The force schedule {self.options.force} cannot be used: {error}.",
+                code="PC-SIM-004",
+                hint="Give a CSV file with the columns time_s,force_N.",
             ) from error
         if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(force_N))):
-            raise ConfigError(f"The force schedule {self.options.force} holds values not finite.")
+            raise ConfigError(
+                f"The force schedule {self.options.force} holds values that are not finite.",
+                code="PC-SIM-005",
+                hint="Each row needs a time in s and a force in N.",
+            )
         self.card.servo.set_force_schedule(time_s, force_N)
-
-    # --- time -----------------------------------------------------------------------------------
-
-    async def _follow(self, pace: HostPace) -> None:
-        while True:
-            cycles = pace.take(self._chunk_cycles)
-            if cycles:
-                self._run_chunk(cycles)
-            self._announce()
-            await asyncio.sleep(0 if cycles else _IDLE_s)
-
-    async def _pass_time(self) -> None:
-        if self.options.pace is not None:
-            await self._follow(self.options.pace)
-        factor = self.options.factor
-        if factor == float("inf"):
-            while True:
-                cycles = min(_MAX_CHUNK_CYCLES, self._allowed())
-                if cycles:
-                    self._run_chunk(cycles)
-                self._announce()
-                await asyncio.sleep(0 if cycles else _IDLE_s)
-        loop = asyncio.get_running_loop()
-        period_s = self.card.bench.servo_period_s / factor
-        start_s, start_cycles = loop.time(), self.card.cycles
-        lost = 0
-        while True:
-            due = int((loop.time() - start_s) / period_s)
-            behind = due - (self.card.cycles - start_cycles)
-            if behind * period_s > _LONGEST_LAG_s:
-                # The machine cannot keep up: time slips rather than clients starve.
-                slipped = behind - int(_LONGEST_LAG_s / period_s)
-                start_cycles -= slipped
-                behind -= slipped
-                if lost * period_s < _TOLD_LAG_s <= (lost + slipped) * period_s:
-                    self.tell(_too_slow(factor, lost + slipped, start_cycles, self.card.cycles))
-                lost += slipped
-            if factor > 1.0 and behind > (allowed := self._allowed()):
-                start_cycles -= behind - allowed
-                behind = allowed
-            if behind > 0:
-                self._run_chunk(behind)
-            self._announce()
-            await asyncio.sleep(0 if behind > self._chunk_cycles else _TICK_s)
 
     def tell(self, text: str) -> None:
         """Tell the person at the server; what comes too often is told no more."""
@@ -449,29 +203,11 @@ class SimulatorServer:
         if self._notices <= _MOST_NOTICES:
             self.notice(text)
 
-    def _allowed(self) -> int:
-        """Cycles that a host which empties the gather ring can follow."""
-        return self.card.ring_hold.allowance(self.card.cycles, time.perf_counter())
-
-    def _run_chunk(self, wanted: int) -> None:
-        """Run at most as many cycles as keep clients waiting for ``_LONGEST_CHUNK_s``.
-
-        A plant written in Python may take 0.1 ms a cycle, the compiled one 1 us: the number of
-        cycles in a chunk follows what the last one took.
-        """
-        cycles = min(wanted, self._chunk_cycles)
-        start_s = time.perf_counter()
-        self.card.run_cycles(cycles)
-        per_cycle_s = (time.perf_counter() - start_s) / cycles
-        affordable = int(_LONGEST_CHUNK_s / per_cycle_s)
-        self._chunk_cycles = max(1, min(_MAX_CHUNK_CYCLES, affordable, 2 * self._chunk_cycles))
-
     def _announce(self) -> None:
         for client in self.clients:
             client.flush_announcements()
-        terminal = getattr(self, "terminal", None)
-        if terminal is not None:
-            terminal.send(terminal.session.pending())
+        if self._terminal is not None:
+            self._terminal.send(self._terminal.session.pending())
 
 
 def warm_up(card: Card) -> None:

@@ -17,6 +17,7 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
+from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation, describe, table_remarks
@@ -181,7 +182,8 @@ def run_demo(
         warm_up(loaded, plant)
         card = make_card(loaded, plant=plant, servo=servo)
         recorder = TruthRecorder(card)
-    from pmac_comp.simulator.server import HostPace, ServeOptions, running_server
+    from pmac_comp.simulator.pace import HostPace
+    from pmac_comp.simulator.server import ServeOptions, running_server
 
     pace = HostPace()
     options = ServeOptions(tcp=0, pace=pace)
@@ -204,9 +206,8 @@ def _whole_job(
     watch: Stopwatch,
     recorder: TruthRecorder,
 ) -> RunResult:
-    with watch.step("setting the axis up"):
-        axis.set_up()
-        axis.enable()
+    with watch.step("comparing the controller with the bench file"):
+        prepare(axis)
     with watch.step("calibrating") as told:
         captures = run_all(axis, calibration_motions(axis.bench), progress=told, what="capture")
         slow = run_all(axis, lead_motions(axis.bench), progress=told, what="lead error")

@@ -22,7 +22,7 @@ from pmac_comp.machine.transport.url import Endpoint
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
-    from pmac_comp.simulator.server import HostPace
+    from pmac_comp.simulator.pace import HostPace
 
 _LOOK_s = 2e-4
 _WARM_UP_s = 0.05
@@ -85,12 +85,13 @@ def make_card(
 ) -> "Card":
     """Card with the drive of a plant file, or the bench's own."""
     from pmac_comp.simulator.card import Card
+    from pmac_comp.simulator.open_servo import read_open_servo
     from pmac_comp.simulator.plant.door import load_plant
 
     return Card(
         bench,
         plant=None if plant is None else load_plant(plant, bench),
-        servo_source=None if servo is None else servo.read_text(encoding="utf-8"),
+        servo_source=None if servo is None else read_open_servo(servo),
         dpram=dpram,
         flash=flash,
         faults=faults,

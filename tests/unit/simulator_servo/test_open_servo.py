@@ -7,9 +7,9 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.simulator import kernel_servo as ks
 from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.open_servo import load_open_servo, translate_open_servo
+from pmac_comp.simulator.open_servo import read_open_servo, translate_open_servo
 
-SHIPPED = load_open_servo(firmware_path("feedforward_servo.txt"))
+SHIPPED = translate_open_servo(read_open_servo(firmware_path("feedforward_servo.txt")))
 
 
 def source(*lines):
@@ -101,6 +101,13 @@ def test_wrong_sources_are_refused_with_their_line(lines):
 def test_sources_without_frame_are_refused(text):
     with pytest.raises(ConfigError):
         translate_open_servo(text)
+
+
+def test_a_file_that_is_no_text_is_refused_by_name(tmp_path):
+    binary = tmp_path / "servo.bin"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"servo\.bin cannot be read"):
+        read_open_servo(binary)
 
 
 def test_runaway_algorithm_kills_its_motor(make_servo):
