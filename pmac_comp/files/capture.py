@@ -1,12 +1,11 @@
 """Captures: one servo-rate run in SI in memory, in mm under the contract's names in files.
 
-What lives here: the ``Capture`` value and its readers and writers (HDF5, CSV, MAT). What may not:
-anything that computes with the data. Imports ``base`` only; h5py and scipy are loaded on use.
+What lives here: the ``Capture`` value, what its columns are called in files, reading and writing by
+suffix. What may not: the formats themselves (``capture_formats``), or anything that computes with
+the data. Imports ``base`` only.
 """
 
-import csv
 import hashlib
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
-from pmac_comp.base.atomic import atomic_write_text, sync_folder
 from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, US_PER_S
+from pmac_comp.files import capture_formats as formats
+from pmac_comp.files.capture_formats import Attribute
 
 SCHEMA_VERSION = 1
-MAX_SAMPLES = 200_000_000
 _GAP_TOLERANCE = 0.5  # of a sample period: a larger departure from the grid is a gap
-Attribute = str | float | int
 
 # Column in files -> (field, unit in files, factor to SI). Order is that of the contract.
 _COLUMNS: dict[str, tuple[str, str, float]] = {
@@ -167,7 +165,7 @@ class Capture:
             missing = round(float(steps[i]) / period_s) - 1
             raise SampleGap(
                 f"Time jumps from {self.time_s[i]:.6f} s to {self.time_s[i + 1]:.6f} s after "
-                f"sample {i}: {missing} samples of {period_s * 1e6:.1f} us are missing "
+                f"sample {i}: {missing} samples of {period_s * US_PER_S:.1f} us are missing "
                 f"({bad.size} such places).",
                 code="PC-CAP-005",
                 hint="Fill the gap with rows marked valid = 0, split the file, or capture again.",
@@ -265,17 +263,19 @@ def _from_columns(columns: Mapping[str, FloatArray], attributes: dict[str, Attri
     return Capture(**known, valid=valid, extra=extra, attributes=attributes)
 
 
-def _to_columns(capture: Capture) -> dict[str, tuple[FloatArray, str]]:
-    columns: dict[str, tuple[FloatArray, str]] = {}
+def _to_columns(capture: Capture) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Columns in the units of files, and these units."""
+    columns: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
     for name, (attribute, unit, factor) in _COLUMNS.items():
         values = getattr(capture, attribute)
         if values is not None:
-            columns[name] = (values / factor, unit)
+            columns[name], units[name] = values / factor, unit
     if capture.valid is not None:
-        columns[_VALID] = (capture.valid.astype(np.float64), "1")
+        columns[_VALID], units[_VALID] = capture.valid.astype(np.float64), "1"
     for name, values in capture.extra.items():
-        columns[name] = (values, _unit_of(name))
-    return columns
+        columns[name], units[name] = values, _unit_of(name)
+    return columns, units
 
 
 def _unit_of(name: str) -> str:
@@ -283,165 +283,31 @@ def _unit_of(name: str) -> str:
 
 
 def _read_hdf5(path: Path) -> Capture:
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            columns = {name: _dataset(file, name) for name in file}
-            attributes = {key: _attribute(value) for key, value in file.attrs.items()}
-    except OSError as error:
-        raise CaptureError(
-            f"not a readable HDF5 file: {error}.",
-            code="PC-CAP-010",
-            hint="If the run was interrupted, `pmac-comp capture --recover` rebuilds it.",
-        ) from error
-    return _from_columns(columns, attributes)
-
-
-def _dataset(file: Any, name: str) -> FloatArray:
-    import h5py
-
-    link = file.get(name, getlink=True)
-    item: Any = file.get(name) if isinstance(link, h5py.HardLink) else None
-    plain = isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
-    if not plain or item.ndim != 1 or item.dtype.kind not in "fiub" or item.size > MAX_SAMPLES:
-        raise CaptureError(
-            f"entry {name!r} is not a plain one-dimensional column of numbers.",
-            code="PC-CAP-011",
-            hint="Links, groups, virtual and external datasets are not read.",
-        )
-    return np.asarray(item[()], dtype=np.float64)
-
-
-def _attribute(value: Any) -> Attribute:
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, np.floating):
-        return float(value)
-    return str(value)
-
-
-def _write_hdf5(path: Path, capture: Capture) -> None:
-    import h5py
-
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
-        for name, (values, unit) in _to_columns(capture).items():
-            dataset = file.create_dataset(name, data=values)
-            dataset.attrs["units"] = unit
-        for key, value in capture.attributes.items():
-            file.attrs[key] = value
-        file.attrs["schema_version"] = SCHEMA_VERSION
-        file.attrs["sample_period_s"] = capture.sample_period_s
-    # Built in memory first: an error of the disk inside h5py cannot then damage the process.
-    temporary = path.with_name(f".{path.name}.partial")
-    try:
-        temporary.write_bytes(buffer.getbuffer())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    return _from_columns(*formats.read_hdf5(path))
 
 
 def _read_csv(path: Path) -> Capture:
-    lines = _text_lines(path)
-    attributes: dict[str, Attribute] = {}
-    while lines and lines[0].startswith("#"):
-        key, _, value = lines.pop(0)[1:].partition("=")
-        attributes[key.strip()] = value.strip()
-    names = [name.strip() for name in next(csv.reader(lines[:1]), [])]
-    if not names or len(set(names)) != len(names):
-        raise CaptureError(
-            "the header line is missing or names a column twice.",
-            code="PC-CAP-012",
-            hint="The first line must name the columns: " + ",".join(_COLUMNS),
-        )
-    rows = _number_rows(lines[1:], len(names))
-    return _from_columns({name: rows[:, i].copy() for i, name in enumerate(names)}, attributes)
-
-
-def _text_lines(path: Path) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise CaptureError(
-            "not a text file in UTF-8.", code="PC-CAP-013", hint="Export the capture as CSV again."
-        ) from error
-
-
-def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
-    body = [line for line in lines if line.strip()]
-    rows = np.empty((len(body), n_columns))
-    for i, row in enumerate(csv.reader(body)):
-        try:
-            rows[i] = [float(cell) for cell in row]
-        except ValueError as error:
-            raise CaptureError(
-                f"data row {i + 1} is not {n_columns} numbers: {','.join(row)[:80]!r}.",
-                code="PC-CAP-014",
-                hint="Each row needs one decimal number (point, no thousands sign) per column.",
-            ) from error
-    return rows
-
-
-def _write_csv(path: Path, capture: Capture) -> None:
-    columns = _to_columns(capture)
-    out = io.StringIO()
-    for key, value in capture.attributes.items():
-        if "\n" not in str(value):  # multi-line attributes such as the bench text stay in HDF5
-            out.write(f"# {key} = {value}\n")
-    out.write(",".join(columns) + "\n")
-    table = np.column_stack([values for values, _ in columns.values()])
-    # 0.1 nm in mm and 0.1 ns in s: far below any resolution, so a round trip loses nothing.
-    np.savetxt(
-        out, table, delimiter=",", fmt=["%.10g" if n != "time_s" else "%.10f" for n in columns]
-    )
-    atomic_write_text(path, out.getvalue())
+    return _from_columns(*formats.read_csv(path))
 
 
 def _read_mat(path: Path) -> Capture:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
+    from pmac_comp.files import emps
 
-    try:
-        data = loadmat(path, squeeze_me=True)
-    except (MatReadError, NotImplementedError, ValueError, TypeError) as error:
-        raise CaptureError(
-            f"not a readable MAT file (version 5): {error}.",
-            code="PC-CAP-015",
-            hint="Save with `save -v7`; version 7.3 files are HDF5: rename them to .h5.",
-        ) from error
-    if {"t", "qg", "qm", "vir", "gtau"} <= data.keys():
-        return _emps_capture(data)
-    columns = {
-        name: np.asarray(value, dtype=np.float64)
-        for name, value in data.items()
-        if not name.startswith("__") and getattr(value, "dtype", np.dtype("O")).kind in "fiu"
-        and np.ndim(value) == 1
-    }  # fmt: skip
-    return _from_columns(columns, {"source": path.name})
+    variables = formats.read_mat(path)
+    if variables.keys() >= emps.VARIABLES:
+        return emps.emps_capture(variables)
+    return _from_columns(formats.columns_of(variables), {"source": path.name})
 
 
-def _emps_capture(data: Mapping[str, Any]) -> Capture:
-    """Capture from the EMPS record.
+def _write_hdf5(path: Path, capture: Capture) -> None:
+    columns, units = _to_columns(capture)
+    attributes = {
+        **capture.attributes,
+        "schema_version": SCHEMA_VERSION,
+        "sample_period_s": capture.sample_period_s,
+    }
+    formats.write_hdf5(path, columns, units, attributes)
 
-    The record has the drive voltage and the force gain; the force is stored at the screw as a
-    torque with the record's lead of 2.5 mm (50 000 counts of 50 nm per revolution).
-    """
-    lead_m = 2.5e-3 / (2.0 * np.pi)
-    voltage_V = np.asarray(data["vir"], dtype=np.float64)
-    return Capture(
-        time_s=np.asarray(data["t"], dtype=np.float64),
-        commanded_position_m=np.asarray(data["qg"], dtype=np.float64),
-        motor_position_m=np.asarray(data["qm"], dtype=np.float64),
-        torque_command_Nm=float(data["gtau"]) * voltage_V * lead_m,
-        extra={"drive_voltage_V": voltage_V},
-        attributes={
-            "source": "EMPS record (Janot, Gautier, Brunot 2019)",
-            "gain_N_per_V": float(data["gtau"]),
-            "lead_m_per_rad": lead_m,
-        },
-    )
+
+def _write_csv(path: Path, capture: Capture) -> None:
+    formats.write_csv(path, _to_columns(capture)[0], capture.attributes)

@@ -22,8 +22,8 @@ from pmac_comp.base.errors import (
     PmacCompError,
 )
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.capture import Attribute, Capture
-from pmac_comp.files.resources import firmware_path
+from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture_formats import Attribute
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
@@ -35,10 +35,8 @@ from pmac_comp.machine.controller.gather_plan import (
     output_source,
 )
 from pmac_comp.machine.controller.gather_samples import GatherResult
-from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.motion import program_status
 from pmac_comp.machine.controller.supervision import SensorWatch
-from pmac_comp.machine.controller.variables import read_many, write_many
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
@@ -93,44 +91,6 @@ class Axis:
     def motor(self) -> int:
         """Number of the motor that closes the loop."""
         return self.bench.encoder.motor_number
-
-    # Set-up ---------------------------------------------------------------------------------------
-
-    def set_up(self) -> None:
-        """Bring registers, conversion, motors and PLC programs of the bench onto the card.
-
-        The motors are killed first; the variables of the bench file are written and read back.
-        """
-        for number in self._motors():
-            motors.kill(self.link, number)
-        block = LawBlock.from_p_block(self.bench.controller.p_block)
-        write_many(self.link, self._writable_variables())
-        for name in ("bench_setup.pmc", "feedforward_law.plc0", "comp_guard.plc"):
-            text = firmware_path(name).read_text(encoding="utf-8")
-            source = programs.parse_source(
-                programs.render(text, motor=self.motor, first_p=block.first)
-            )
-            programs.download_source(self.link, source)
-        self.link.command("ENABLE PLC 0")
-
-    def is_set_up(self) -> bool:
-        """Whether the law program of this version is on the card and position following is on."""
-        text = firmware_path("feedforward_law.plc0").read_text(encoding="utf-8")
-        block = LawBlock.from_p_block(self.bench.controller.p_block)
-        source = programs.parse_source(programs.render(text, motor=self.motor, first_p=block.first))
-        following = read_many(self.link, [f"I{self.motor}06"])[f"I{self.motor}06"]
-        return following == 3.0 and all(
-            programs.is_present(self.link, program) for program in source.programs
-        )
-
-    def _motors(self) -> list[int]:
-        scale = self.bench.scale
-        return [self.motor] + ([scale.motor_number] if scale else [])
-
-    def _writable_variables(self) -> dict[str, float]:
-        """Variables of the bench file that a running card takes (clocks act at power-up only)."""
-        fixed = {"I7000", "I7001", "I7002", "I10"}
-        return {k: v for k, v in self.bench.controller.ivariables.items() if k not in fixed}
 
     # Motion ---------------------------------------------------------------------------------------
 

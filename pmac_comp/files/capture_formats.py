@@ -1,0 +1,173 @@
+"""The file formats of captures: named columns and attributes in HDF5, CSV and MAT files.
+
+What lives here: bytes to columns and back, in the units that the columns' names say, with one clear
+error for each way in which a file can be wrong. What may not: what the columns mean (``capture``).
+Imports ``base`` only; h5py and scipy are loaded on use.
+"""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.atomic import atomic_write_text, sync_folder
+from pmac_comp.base.errors import CaptureError
+
+MAX_SAMPLES = 200_000_000
+Attribute = str | float | int
+Columns = Mapping[str, FloatArray]
+
+
+def read_hdf5(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
+    """Columns and attributes of an HDF5 file; CaptureError where it holds anything else."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            columns = {name: _dataset(file, name) for name in file}
+            attributes = {key: _attribute(value) for key, value in file.attrs.items()}
+    except OSError as error:
+        raise CaptureError(
+            f"not a readable HDF5 file: {error}.",
+            code="PC-CAP-010",
+            hint="If the run was interrupted, `pmac-comp capture --recover` rebuilds it.",
+        ) from error
+    return columns, attributes
+
+
+def _dataset(file: Any, name: str) -> FloatArray:
+    import h5py
+
+    link = file.get(name, getlink=True)
+    item: Any = file.get(name) if isinstance(link, h5py.HardLink) else None
+    plain = isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
+    if not plain or item.ndim != 1 or item.dtype.kind not in "fiub" or item.size > MAX_SAMPLES:
+        raise CaptureError(
+            f"entry {name!r} is not a plain one-dimensional column of numbers.",
+            code="PC-CAP-011",
+            hint="Links, groups, virtual and external datasets are not read.",
+        )
+    return np.asarray(item[()], dtype=np.float64)
+
+
+def _attribute(value: Any) -> Attribute:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, np.floating):
+        return float(value)
+    return str(value)
+
+
+def write_hdf5(
+    path: Path,
+    columns: Columns,
+    units: Mapping[str, str],
+    attributes: Mapping[str, Attribute],
+) -> None:
+    """Write columns as datasets with their unit; OSError leaves the old file as it was."""
+    import h5py
+
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        for name, values in columns.items():
+            file.create_dataset(name, data=values).attrs["units"] = units[name]
+        for key, value in attributes.items():
+            file.attrs[key] = value
+    # Built in memory first: an error of the disk inside h5py cannot then damage the process.
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        temporary.write_bytes(buffer.getbuffer())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
+    """Columns of a CSV file, and attributes of its first lines (``# key = value``)."""
+    lines = _text_lines(path)
+    attributes: dict[str, Attribute] = {}
+    while lines and lines[0].startswith("#"):
+        key, _, value = lines.pop(0)[1:].partition("=")
+        attributes[key.strip()] = value.strip()
+    names = [name.strip() for name in next(csv.reader(lines[:1]), [])]
+    if not names or len(set(names)) != len(names):
+        raise CaptureError(
+            "the header line is missing or names a column twice.",
+            code="PC-CAP-012",
+            hint="The first line must name the columns: time_s,commanded_position_mm,"
+            "motor_position_mm and more.",
+        )
+    rows = _number_rows(lines[1:], len(names))
+    return {name: rows[:, i].copy() for i, name in enumerate(names)}, attributes
+
+
+def _text_lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise CaptureError(
+            "not a text file in UTF-8.", code="PC-CAP-013", hint="Export the capture as CSV again."
+        ) from error
+
+
+def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
+    body = [line for line in lines if line.strip()]
+    rows = np.empty((len(body), n_columns))
+    for i, row in enumerate(csv.reader(body)):
+        try:
+            rows[i] = [float(cell) for cell in row]
+        except ValueError as error:
+            raise CaptureError(
+                f"data row {i + 1} is not {n_columns} numbers: {','.join(row)[:80]!r}.",
+                code="PC-CAP-014",
+                hint="Each row needs one decimal number (point, no thousands sign) per column.",
+            ) from error
+    return rows
+
+
+def write_csv(path: Path, columns: Columns, attributes: Mapping[str, Attribute]) -> None:
+    """Write columns under a header line, one-line attributes before it."""
+    out = io.StringIO()
+    for key, value in attributes.items():
+        if "\n" not in str(value):  # multi-line attributes such as the bench text stay in HDF5
+            out.write(f"# {key} = {value}\n")
+    out.write(",".join(columns) + "\n")
+    table = np.column_stack(list(columns.values()))
+    # 0.1 nm in mm and 0.1 ns in s: far below any resolution, so a round trip loses nothing.
+    np.savetxt(
+        out, table, delimiter=",", fmt=["%.10g" if n != "time_s" else "%.10f" for n in columns]
+    )
+    atomic_write_text(path, out.getvalue())
+
+
+def read_mat(path: Path) -> dict[str, Any]:
+    """Variables of a MAT file of version 5, arrays without dimensions of one."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        return dict(loadmat(path, squeeze_me=True))
+    except (MatReadError, NotImplementedError, ValueError, TypeError) as error:
+        raise CaptureError(
+            f"not a readable MAT file (version 5): {error}.",
+            code="PC-CAP-015",
+            hint="Save with `save -v7`; version 7.3 files are HDF5: rename them to .h5.",
+        ) from error
+
+
+def columns_of(variables: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Those variables of a MAT file that are rows or columns of numbers."""
+    return {
+        name: np.asarray(value, dtype=np.float64)
+        for name, value in variables.items()
+        if not name.startswith("__") and getattr(value, "dtype", np.dtype("O")).kind in "fiu"
+        and np.ndim(value) == 1
+    }  # fmt: skip
