@@ -442,7 +442,7 @@ def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
             slope -= loss
             share = par[s.SOFT_RATIO]
         else:
-            force -= math.copysign(loss * soft, rest)
+            force -= loss * math.copysign(soft, rest)
     softening = par[s.HERTZ]
     if softening > 0.0:
         # F = k d (1 - (k d)^2 / (36 F0^2)) until the stiffness has fallen to k / 2, then that.
