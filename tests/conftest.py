@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
+    count_places,
     count_runs,
     pytest_runtest_logreport,
     pytest_runtest_makereport,

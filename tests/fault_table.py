@@ -1,5 +1,8 @@
 """The table of fault ids after a test run: injections, failures and worst time of each id.
 
+Where a test proves that many places (bytes, mostly) leave the same and injects at one of them,
+the table tells both numbers.
+
 A test belongs to the id in its own name, else to the one its mark or its module names. The table
 is printed whenever a test of the list ran; ``pytest -m faults`` runs exactly those.
 """
@@ -9,6 +12,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import pytest
 
@@ -21,6 +25,7 @@ class Row:
     """One fault id."""
 
     runs: int = 0
+    places: int = 0
     failures: int = 0
     skipped: int = 0
     worst_s: float = 0.0
@@ -28,6 +33,7 @@ class Row:
 
 _rows: dict[str, Row] = defaultdict(Row)
 _share = 1.0
+T = TypeVar("T")
 
 
 def set_share(share: float) -> None:
@@ -36,12 +42,13 @@ def set_share(share: float) -> None:
     _share = share
 
 
-def all_of(points: Sequence[int]) -> Sequence[int]:
+def all_of(points: Sequence[T]) -> Sequence[T]:
     """An exhaustive list, or the random share of it that was asked for, seed fixed."""
     if _share >= 1.0:
         return points
     n = min(len(points), max(2, round(_share * len(points))))
-    return sorted(random.Random(2026).sample(points, n))
+    chosen = sorted(random.Random(2026).sample(range(len(points)), n))
+    return [points[k] for k in chosen]
 
 
 @pytest.fixture
@@ -50,6 +57,16 @@ def count_runs(record_property: Callable[[str, object], None]) -> Callable[[int]
 
     def count(n: int) -> None:
         record_property("fault_runs", n)
+
+    return count
+
+
+@pytest.fixture
+def count_places(record_property: Callable[[str, object], None]) -> Callable[[int], None]:
+    """Says for how many places the injections of a test stand, if not for one each."""
+
+    def count(n: int) -> None:
+        record_property("fault_places", n)
 
     return count
 
@@ -86,10 +103,16 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         return
     row = _rows[fault]
     if report.when == "call" and not report.skipped:
-        row.runs += sum(int(str(n)) for key, n in properties if key == "fault_runs") or 1
+        runs = _sum(properties, "fault_runs") or 1
+        row.runs += runs
+        row.places += _sum(properties, "fault_places") or runs
         row.worst_s = max(row.worst_s, report.duration)
     row.failures += report.failed
     row.skipped += report.skipped
+
+
+def _sum(properties: list[tuple[str, object]], name: str) -> int:
+    return sum(int(str(n)) for key, n in properties if key == name)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -97,8 +120,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if not _rows:
         return
     terminalreporter.section("faults")
-    terminalreporter.write_line(f"{'id':<5}{'runs':>8}{'failures':>10}{'skipped':>9}{'worst s':>9}")
+    terminalreporter.write_line(
+        f"{'id':<5}{'places':>8}{'runs':>8}{'failures':>10}{'skipped':>9}{'worst s':>9}"
+    )
     for name, row in sorted(_rows.items()):
         terminalreporter.write_line(
-            f"{name:<5}{row.runs:>8}{row.failures:>10}{row.skipped:>9}{row.worst_s:>9.2f}"
+            f"{name:<5}{row.places:>8}{row.runs:>8}{row.failures:>10}{row.skipped:>9}"
+            f"{row.worst_s:>9.2f}"
         )

@@ -1,6 +1,5 @@
 """Every kind of change on one simulated card, cut anywhere, judged by what the card then holds."""
 
-import copy
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -15,8 +14,8 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.card import Card
-from tests.fault_table import all_of
-from tests.faults.upload_bench import restore, snapshot
+from tests.faults.same_state import stretches
+from tests.faults.upload_bench import put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 PROGRAM = 710
@@ -76,27 +75,47 @@ class Scenario:
     change: Callable[[Link, Context], object]
 
 
+class SameIds:
+    """Stands in for ``secrets``, so that every run of a change says the same."""
+
+    def __init__(self) -> None:
+        self.first = self.n = 1_000_000_000
+
+    def from_here(self) -> None:
+        """Runs begin with the numbers behind those that were given until now."""
+        self.first = self.n
+
+    def again(self) -> None:
+        self.n = self.first
+
+    def randbelow(self, _end: int) -> int:
+        self.n += 1
+        return self.n
+
+
 class ChangeBench:
     """A card that is put back before each run of a scenario."""
 
-    def __init__(self, folder: Path, scenario: Scenario) -> None:
+    def __init__(self, folder: Path, scenario: Scenario, ids: SameIds | None = None) -> None:
         self.folder = folder
+        self.ids = ids or SameIds()
         self.scenario = scenario
         self.bench = make_plc_bench(folder)
         scenario.prepare(self.bench.link, self.bench.context)
-        self.saved, self.programs = snapshot(self.bench.card), stored(self.bench.card)
+        self.saved = saved(self.bench)
+        self.ids.from_here()
         self.before = standing(self.bench)
         assert self.run() is None
         self.after = standing(self.fresh())
         assert self.after != self.before, "the change changes nothing that is watched"
 
-    def restart(self) -> None:
+    def restart(self) -> CardBench:
         """The card as before the change, with an empty folder."""
-        restore(self.bench.card, self.saved)
-        put_programs(self.bench.card, self.programs)
+        put_back(self.bench, self.saved)
         for path in self.folder.iterdir():
             path.unlink()
-        self.fresh()
+        self.ids.again()
+        return self.fresh()
 
     def fresh(self) -> CardBench:
         self.bench.reconnect()
@@ -136,6 +155,14 @@ class ChangeBench:
         assert found == meant, difference(found, meant)
         assert verdict in {ControllerState.OLD, ControllerState.NEW}
 
+    def places(self, way: Way, kind: FaultKind) -> list[range]:
+        """Every byte of the change, in stretches in which a fault leaves the same."""
+
+        def change() -> None:
+            self.scenario.change(self.bench.link, self.bench.context)
+
+        return stretches(self.restart, change, way, kind=kind)
+
     def edges(self, way: Way) -> list[int]:
         """Byte numbers at which requests (or their answers) end."""
         found: list[int] = [0]
@@ -150,10 +177,8 @@ class ChangeBench:
         return sorted(set(found))
 
 
-def points(ends: list[int], *, exhaustive: bool) -> list[int]:
-    """Every byte, or the edge of every packet and one byte inside the longest."""
-    if exhaustive:
-        return list(all_of(range(ends[-1])))
+def points(ends: list[int]) -> list[int]:
+    """The edge of every packet, and one byte inside the longest."""
     begin, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
     return sorted({*ends[:-1], (begin + end) // 2})
 
@@ -169,34 +194,3 @@ def difference(found: Standing, meant: Standing) -> str:
         for item in fields(Standing)
         if getattr(found, item.name) != getattr(meant, item.name)
     )
-
-
-Buffers = tuple[dict[int, object], dict[int, object], dict[int, dict[int, object]]]
-
-
-def stored(card: Card) -> Buffers:
-    """Copies of all program buffers and axis definitions."""
-    store = card.programs
-    return (
-        {n: _twin(p) for n, p in store.programs.items()},
-        {n: _twin(p) for n, p in store.plcs.items()},
-        {n: dict(system.axes) for n, system in card.systems.items()},
-    )
-
-
-def put_programs(card: Card, saved: Buffers) -> None:
-    store = card.programs
-    motion, plcs, axes = saved
-    for n, system in card.systems.items():
-        system.axes = dict(axes[n])  # type: ignore[assignment]
-    store.programs = {n: _twin(p) for n, p in motion.items()}  # type: ignore[misc]
-    store.plcs = {n: _twin(p) for n, p in plcs.items()}  # type: ignore[misc]
-    store.open_program = store.open_owner = None
-    for number in range(32):
-        card.plcs.reload(number)
-
-
-def _twin(program: object) -> object:
-    twin = copy.copy(program)
-    twin.statements = list(program.statements)  # type: ignore[attr-defined]
-    return twin

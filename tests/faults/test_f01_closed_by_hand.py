@@ -11,7 +11,7 @@ from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import sealed_motion
 from pmac_comp.machine.transport.tap import Way
 from tests.faults.change_bench import PROGRAM, cut
-from tests.faults.upload_bench import restore, snapshot
+from tests.faults.upload_bench import put_back, saved
 from tests.unit.machine_controller.card_bench import AXIS_LINES, CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -39,8 +39,7 @@ def run_by_hand(bench: CardBench) -> float:
 def test_f01_half_a_program_closed_by_hand_moves_nothing(tmp_path: Path, count_runs: Count) -> None:
     bench = make_plc_bench(tmp_path)
     bench.link.write_buffer(list(AXIS_LINES))
-    saved = snapshot(bench.card)
-    bench.reconnect()
+    start = saved(bench)
     bench.tap.sent = 0
     written: list[int] = []
     bench.on_request = lambda _n: written.append(bench.tap.sent)
@@ -49,11 +48,9 @@ def test_f01_half_a_program_closed_by_hand_moves_nothing(tmp_path: Path, count_r
     bench.link.command("&1A")
     half = 0
     for n in written:
-        restore(bench.card, saved)
-        bench.card.programs.programs.pop(PROGRAM, None)
+        put_back(bench, start)
         for path in tmp_path.iterdir():
             path.unlink()
-        bench.reconnect()
         bench.tap.sent = 0
         bench.tap.schedule(list(cut(Way.SEND, n)))
         try:

@@ -14,8 +14,9 @@ from pmac_comp.machine.controller import (
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
+from tests.faults.card_state import SavedState
 from tests.faults.test_f15_f22_controller import LineFault
-from tests.faults.upload_bench import restore, snapshot
+from tests.faults.upload_bench import put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -25,12 +26,12 @@ NEW = LawParameters(A0=2.5, JL=1.0, T0=150.0, T_LIMIT=500.0)
 
 
 @pytest.fixture(scope="module")
-def armed(tmp_path_factory: pytest.TempPathFactory) -> tuple[CardBench, dict[str, object]]:
+def armed(tmp_path_factory: pytest.TempPathFactory) -> tuple[CardBench, SavedState]:
     bench = make_plc_bench(tmp_path_factory.mktemp("law"))
     law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, OLD)
     law_arming.arm(bench.link, bench.context)
-    return bench, snapshot(bench.card)
+    return bench, saved(bench)
 
 
 def in_use(bench: CardBench) -> LawParameters | None:
@@ -41,7 +42,7 @@ def in_use(bench: CardBench) -> LawParameters | None:
     return law_state.read_bank(bench.link, LawBlock(), head.bank)
 
 
-def attempt(bench: CardBench, saved: dict[str, object], law: LawParameters) -> PmacCompError | None:
+def attempt(bench: CardBench, law: LawParameters) -> PmacCompError | None:
     try:
         law_upload.upload_law(bench.link, bench.context, law)
     except PmacCompError as error:
@@ -50,23 +51,21 @@ def attempt(bench: CardBench, saved: dict[str, object], law: LawParameters) -> P
 
 
 def test_f01_law_is_old_or_new_at_every_cut(
-    *, armed: tuple[CardBench, dict[str, object]], exhaustive: bool, count_runs: Count
+    *, armed: tuple[CardBench, SavedState], exhaustive: bool, count_runs: Count
 ) -> None:
-    bench, saved = armed
-    restore(bench.card, saved)
-    bench.reconnect()
+    bench, start = armed
+    put_back(bench, start)
     bench.tap.sent = 0
-    assert attempt(bench, saved, NEW) is None
+    assert attempt(bench, NEW) is None
     total = bench.tap.sent
     assert in_use(bench) == NEW
     points = all_of(range(total)) if exhaustive else range(0, total, 29)
     seen = set()
     for n in points:
-        restore(bench.card, saved)
-        bench.reconnect()
+        put_back(bench, start)
         bench.tap.sent = 0
         bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])
-        error = attempt(bench, saved, NEW)
+        error = attempt(bench, NEW)
         assert error is not None
         torques = set()
         for _ in range(20):
@@ -86,15 +85,14 @@ def test_f01_law_is_old_or_new_at_every_cut(
 
 @pytest.mark.parametrize("kind", ["refuse", "drop", "double"])
 def test_f15_f16_law_lines(
-    *, armed: tuple[CardBench, dict[str, object]], kind: str, count_runs: Count
+    *, armed: tuple[CardBench, SavedState], kind: str, count_runs: Count
 ) -> None:
-    bench, saved = armed
+    bench, start = armed
     runs = 0
     for k in range(38):
-        restore(bench.card, saved)
-        bench.reconnect()
+        put_back(bench, start)
         LineFault(bench, k, kind)
-        error = attempt(bench, saved, NEW)
+        error = attempt(bench, NEW)
         found = in_use(bench)
         assert found in {OLD, NEW}, (k, error)
         assert (error is None) <= (found == NEW), k

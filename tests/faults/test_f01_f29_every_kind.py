@@ -5,13 +5,21 @@ import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
 from pmac_comp.base.errors import ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import law_arming, law_install, law_upload, motors, temporary
+from pmac_comp.machine.controller import (
+    law_arming,
+    law_install,
+    law_upload,
+    motors,
+    temporary,
+    transaction,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.link import Link
@@ -22,17 +30,19 @@ from pmac_comp.machine.controller.settings import Settings, read_axes
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
-from pmac_comp.machine.transport.tap import Way
+from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.fault_table import all_of
-from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
+from tests.faults.change_bench import PROGRAM, ChangeBench, SameIds, Scenario, cut, points
 from tests.faults.killed_child import dies_after, serve_child
+from tests.faults.same_state import stand_ins
 from tests.faults.test_f15_f22_controller import LineFault
 from tests.faults.upload_bench import new_table, old_table
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
+T = TypeVar("T")
 OLD = LawParameters(A0=1.5, JL=1.0, T0=100.0, T_LIMIT=500.0)
 NEW = LawParameters(A0=2.5, JL=1.0, T0=150.0, T_LIMIT=500.0)
 OLD_PROGRAM = Program(ProgramKind.PROG, PROGRAM, ("LINEAR", "X1000", "DWELL5"))
@@ -155,7 +165,7 @@ SCENARIOS = [
 ]
 
 
-def thinned(at: Sequence[int], n: int, *, exhaustive: bool) -> Sequence[int]:
+def thinned(at: Sequence[T], n: int, *, exhaustive: bool) -> Sequence[T]:
     """All of them, or about n of them including the last."""
     if exhaustive or len(at) <= n:
         return all_of(at) if exhaustive else at
@@ -163,32 +173,49 @@ def thinned(at: Sequence[int], n: int, *, exhaustive: bool) -> Sequence[int]:
 
 
 @pytest.fixture(params=SCENARIOS, ids=lambda s: s.name)
-def rig(request: pytest.FixtureRequest, tmp_path: Path) -> ChangeBench:
-    return ChangeBench(tmp_path, request.param)
+def rig(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> ChangeBench:
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    return ChangeBench(tmp_path, request.param, ids)
+
+
+def chosen(
+    rig: ChangeBench, way: Way, kind: FaultKind, count_places: Count, *, exhaustive: bool
+) -> Sequence[tuple[int, bool]]:
+    """Bytes where to put a fault, and whether to resume then: for every byte, or every packet."""
+    if not exhaustive:
+        return [(n, n % 2 == 0) for n in points(rig.edges(way))]
+    places = rig.places(way, kind)
+    count_places(sum(map(len, places)))
+    return all_of(stand_ins(places))
 
 
 @pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
 def test_f01_cut_in_any_change(
-    *, rig: ChangeBench, way: Way, exhaustive: bool, count_runs: Count
+    *, rig: ChangeBench, way: Way, exhaustive: bool, count_runs: Count, count_places: Count
 ) -> None:
-    at = points(rig.edges(way), exhaustive=exhaustive)
-    for n in at:
+    at = chosen(rig, way, FaultKind.CUT, count_places, exhaustive=exhaustive)
+    for n, resume in at:
         error = rig.run(cut(way, n))
         if error is None:
             rig.judge(ControllerState.NEW)
             continue
         assert error.left is not None, n
-        rig.recover(resume=n % 2 == 0)
+        rig.recover(resume=resume)
     count_runs(len(at))
 
 
 def test_f02_silence_in_any_change(
-    *, rig: ChangeBench, exhaustive: bool, count_runs: Count
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count, count_places: Count
 ) -> None:
-    at = thinned(points(rig.edges(Way.RECEIVE), exhaustive=exhaustive), 3, exhaustive=exhaustive)
-    for n in at:
+    at = chosen(rig, Way.RECEIVE, FaultKind.SILENCE, count_places, exhaustive=exhaustive)
+    if not exhaustive:
+        at = thinned(at, 3, exhaustive=False)
+    for n, resume in at:
         if rig.run(cut(Way.RECEIVE, n, lose=True)) is not None:
-            rig.recover(resume=n % 2 == 0)
+            rig.recover(resume=resume)
     count_runs(len(at))
 
 
@@ -244,16 +271,16 @@ def test_f29_sigkill_in_any_change(
         count_runs(1)
 
 
-def test_f29_death_in_any_change(*, rig: ChangeBench, exhaustive: bool, count_runs: Count) -> None:
+def test_f29_death_in_any_change(
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count, count_places: Count
+) -> None:
     """The same without a process for each case: nothing of the host acts any more after a byte."""
-    rig.restart()
-    rig.scenario.change(rig.bench.link, rig.bench.context)
-    total = rig.bench.tap.sent
-    every = range(total)
-    at = all_of(every) if exhaustive else every[7 :: max(1, total // 4)]
-    for n in at:
+    at = chosen(rig, Way.SEND, FaultKind.CUT, count_places, exhaustive=exhaustive)
+    if not exhaustive:
+        at = at[1 :: max(1, len(at) // 4)]
+    for n, resume in at:
         rig.restart()
         with dies_after(rig.bench.tap, n):
             rig.attempt()
-        rig.recover(resume=n % 2 == 0)
+        rig.recover(resume=resume)
     count_runs(len(at))

@@ -36,7 +36,7 @@ from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, decide
 from pmac_comp.machine.controller.table_status import HEAD_LINES, table_status
 from pmac_comp.simulator.card import Card
-from tests.faults.upload_bench import UploadBench, new_table, old_table, snapshot
+from tests.faults.upload_bench import UploadBench, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
@@ -178,7 +178,7 @@ def test_f18_another_client_enables_during_the_upload(
         link.write_buffer(["I5=3", "ENABLE PLC 1"])
         rig.bench.clock.sleep_s(0.05)
         assert rig.bench.p(7082) > 0
-    rig.saved = snapshot(rig.bench.card)
+    rig.save()
     total: list[int] = []
     rig.upload_with(lambda b: setattr(b, "on_request", total.append))
     live_cycles, runs = [], 0

@@ -12,6 +12,8 @@ from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS, AxisSetup, axis_goal
 from tests.fault_table import all_of
+from tests.faults.same_state import stand_ins, stretches
+from tests.faults.upload_bench import put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -85,23 +87,40 @@ def test_f29_left_by_a_kill_it_is_taken_off_by_recover_or_the_next_session(
 
 @pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
 def test_f01_cut_while_it_is_taken_off(
-    *, bench: CardBench, way: Way, exhaustive: bool, count_runs: Count
+    *, bench: CardBench, way: Way, exhaustive: bool, count_runs: Count, count_places: Count
 ) -> None:
     put_on(bench)
-    bench.tap.sent = bench.tap.received = 0
-    temporary.take_off(bench.link, bench.context)
-    total = bench.tap.sent if way is Way.SEND else bench.tap.received
-    at = all_of(range(total)) if exhaustive else range(0, total, max(1, total // 12))
-    for n in at:
-        assert as_before(bench), n
-        put_on(bench)
+    state = saved(bench)
+    files = {path: path.read_bytes() for path in bench.folder.iterdir() if path.is_file()}
+
+    def start() -> CardBench:
+        put_back(bench, state)
+        for path in bench.folder.iterdir():
+            path.unlink()
+        for path, text in files.items():
+            path.write_bytes(text)
         bench.tap.sent = bench.tap.received = 0
-        bench.tap.schedule([Fault(FaultKind.CUT, way, n)])
+        return bench
+
+    def change() -> None:
+        temporary.take_off(bench.link, bench.context)
+
+    if exhaustive:
+        places = stretches(start, change, way, kind=FaultKind.CUT)
+        at = all_of(stand_ins(places))
+        count_places(sum(map(len, places)))
+    else:
+        start()
+        change()
+        total = bench.tap.sent if way is Way.SEND else bench.tap.received
+        at = [(n, n % 2 == 0) for n in range(0, total, max(1, total // 12))]
+    for n, resume in at:
+        start().tap.schedule([Fault(FaultKind.CUT, way, n)])
         with pytest.raises(LinkError):
-            temporary.take_off(bench.link, bench.context)
+            change()
         bench.reconnect()
-        recovery.recover(bench.link, bench.context)
-    assert as_before(bench)
+        recovery.recover(bench.link, bench.context, resume=resume)
+        assert as_before(bench), n
     count_runs(len(at))
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.memory import Memory
+from tests.faults.card_state import SavedState
 from tests.unit.machine_controller.card_bench import CardBench
 
 SPAN_CT = 640000
@@ -58,15 +57,18 @@ class UploadBench:
         self.bench.link.command("#1J/")
         self.bench.clock.sleep_s(0.05)
         upload.upload_tables(self.bench.link, self.bench.context, [self.old])
-        self.saved = snapshot(self.bench.card)
+        self.save()
         self.runs = 0
+
+    def save(self) -> None:
+        """What stands now is where runs start from."""
+        self.saved = saved(self.bench)
 
     def restart(self) -> CardBench:
         """The card as at the start, with a fresh conversation and an empty folder."""
-        restore(self.bench.card, self.saved)
+        put_back(self.bench, self.saved)
         for path in self.folder.iterdir():
             path.unlink() if path.is_file() else shutil.rmtree(path)
-        self.bench.reconnect()
         self.bench.tap.sent = self.bench.tap.received = 0
         self.runs += 1
         return self.bench
@@ -115,24 +117,16 @@ class UploadBench:
         return result.verdict
 
 
-def snapshot(card: Card) -> dict[str, object]:
-    """What has to be put back so that a card starts the next run as the one before."""
-    memory = card.memory
-    servo = card.servo
-    return {
-        "x": memory.x.copy(),
-        "y": memory.y.copy(),
-        "head": servo._head.copy(),
-        "motors": servo.motor_memory.copy(),
-        "fill": card.tables.__dict__.copy(),
-    }
+def saved(bench: CardBench) -> SavedState:
+    """Card and time of a bench; conversations are no part of it."""
+    bench.session.close()
+    state = SavedState(bench.card, bench.clock)
+    bench.connect()
+    return state
 
 
-def restore(card: Card, saved: dict[str, object]) -> None:
-    memory: Memory = card.memory
-    memory.x[:] = saved["x"]  # type: ignore[call-overload]
-    memory.y[:] = saved["y"]  # type: ignore[call-overload]
-    card.tables.__dict__.update(saved["fill"])  # type: ignore[arg-type]
-    card.tables.reloaded()
-    card.close(None, force=True)
-    memory.touch()
+def put_back(bench: CardBench, state: SavedState) -> None:
+    """The card as it was saved, with a fresh conversation."""
+    bench.session.close()
+    state.put_back()
+    bench.connect()
