@@ -43,8 +43,10 @@ class Screw(_Table):
         default=None, description="core diameter, 0.88 of the nominal one if not stated"
     )
     length_mm: Positive = Field(default=1000.0, description="threaded length from the bearing")
-    bearing_to_table_zero_mm: NonNegative = Field(
-        default=0.0, description="fixed bearing to nut when the table reads zero"
+    bearing_to_table_zero_mm: NonNegative | None = Field(
+        default=None,
+        description="fixed bearing to nut when the table reads zero; not stated: the middle of the "
+        "travel lies in the middle of the screw",
     )
 
 
@@ -265,9 +267,17 @@ class Bench(_Table):
         """Middle of the travel in m."""
         return 0.5 * (self.travel.min_mm + self.travel.max_mm) / MM_PER_M
 
+    @property
+    def bearing_to_table_zero_m(self) -> float:
+        """Fixed bearing to nut in m when the table reads zero."""
+        stated = self.screw.bearing_to_table_zero_mm
+        if stated is not None:
+            return stated / MM_PER_M
+        return 0.5 * self.screw.length_mm / MM_PER_M - self.mid_travel_m
+
     def screw_position_m(self, table_position_m: float) -> float:
         """Distance from the fixed bearing to the nut in m for a table position in m."""
-        return table_position_m + self.screw.bearing_to_table_zero_mm / MM_PER_M
+        return table_position_m + self.bearing_to_table_zero_m
 
 
 def load_bench(path: Path | str) -> Bench:

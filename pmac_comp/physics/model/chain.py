@@ -121,7 +121,7 @@ def apply_chain(vector: FloatArray, values: Values, bench: Bench) -> None:
     """
     vector[s.PERIOD] = bench.servo_period_s
     vector[s.LEAD] = bench.lead_m_per_rad
-    vector[s.X_ORIGIN] = bench.screw.bearing_to_table_zero_mm / MM_PER_M
+    vector[s.X_ORIGIN] = bench.bearing_to_table_zero_m
     vector[s.LENGTH] = bench.screw.length_mm / MM_PER_M
     vector[s.CURRENT_RATE] = 2.0 * math.pi * values.get("current_bandwidth_Hz", 0.0)
     vector[s.DELAY] = values.get("actuator_delay_s", 0.0)

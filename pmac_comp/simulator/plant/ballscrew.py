@@ -267,7 +267,7 @@ def _kernel_parameters(bench: Bench, truth: DriveTruth) -> FloatArray:
     values = {
         k.P_PERIOD: bench.servo_period_s,
         k.P_LEAD: lead,
-        k.P_ORIGIN: bench.screw.bearing_to_table_zero_mm / MM_PER_M,
+        k.P_ORIGIN: bench.bearing_to_table_zero_m,
         k.P_LENGTH: length_m,
         k.P_J_MOTOR: truth.motor_inertia_kgm2 - 0.5 * coupling,
         k.P_J_COUPLING: 0.5 * coupling,

@@ -78,3 +78,11 @@ def test_a_wrong_key_or_value_is_named(old, new, expected):
 def test_a_missing_file_names_the_bundled_benches():
     with pytest.raises(ConfigError, match="paper"):
         load_bench("no_such_bench")
+
+
+def test_a_screw_whose_bearing_is_not_placed_has_the_travel_in_its_middle() -> None:
+    # A nut on the bearing itself would leave half of the travel on the wrong side of it.
+    text = load_bench("paper").text.replace("bearing_to_table_zero_mm = 450.0", "#")
+    bench = parse_bench(text.replace("min_mm = -300.0", "min_mm = -100.0"))
+    assert bench.screw_position_m(0.0) == pytest.approx(0.4)
+    assert bench.screw_position_m(bench.mid_travel_m) == pytest.approx(0.5)
