@@ -17,7 +17,9 @@ from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 _INTERRUPTED = 130
-_CHANGING = frozenset({"upload", "recover", "rollback", "restore", "improve", "verify", "capture"})
+_CHANGING = frozenset(
+    {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup"}
+)
 app = typer.Typer(
     name="pmac-comp",
     help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",

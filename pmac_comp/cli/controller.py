@@ -1,6 +1,6 @@
 """Commands on a controller that change no compensation.
 
-``doctor info status terminal backup restore capture``.
+``doctor info status terminal backup restore setup capture``.
 """
 
 import sys
@@ -31,6 +31,7 @@ def register(app: typer.Typer) -> None:
     app.command("terminal")(terminal)
     app.command("backup")(backup)
     app.command("restore")(restore)
+    app.command("setup")(setup)
     app.command("capture")(capture)
 
 
@@ -190,6 +191,46 @@ def restore(
     )
     progress.close()
     output.finish(result, json_target, lambda: output.echo(str(result["summary"])))
+
+
+def setup(
+    url: UrlArgument,
+    bench: BenchOption = "paper",
+    journal: JournalOption = DEFAULT_JOURNAL,
+    yes: YesOption = False,
+    dry_run: DryRunOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Put the I-variables of the bench file on the controller; its motors must be killed.
+
+    Journalled: `rollback` brings the old values back. The clock (I10, I7000-I7002) and what a
+    compensation sets itself are left alone.
+    """
+    from pmac_comp.workflow.commissioning import plan_setup, set_up
+
+    plan = plan_setup(url, bench)
+
+    def show_plan() -> None:
+        rows = [(name, card, wanted) for name, (card, wanted) in plan.items()]
+        output.table("I-variables", ("name", "on the card", "bench file"), rows)
+
+    if not plan:
+        output.finish(
+            {"changed": plan}, json_target, lambda: output.echo("nothing differs; nothing to do")
+        )
+        return
+    if dry_run:
+        output.finish({"would_change": plan}, json_target, show_plan)
+        return
+    if json_target != "-":
+        show_plan()
+    confirmed(f"Change {len(plan)} I-variables on {url}?", yes=yes, can_look=True)
+    result = set_up(url, bench, journal)
+    output.finish(
+        result,
+        json_target,
+        lambda: output.echo(f"{result['verdict']}: {len(plan)} I-variables as in the bench file"),
+    )
 
 
 def capture(

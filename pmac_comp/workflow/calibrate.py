@@ -13,6 +13,7 @@ from pmac_comp.files.capture import write_capture
 from pmac_comp.machine.controller.capture_log import recover
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
+from pmac_comp.workflow.commissioning import require_as_described
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -84,9 +85,8 @@ def capture_to_folder(
 
 
 def prepare(axis: Axis) -> None:
-    """Set the axis up if it is not, close its loop where it stands."""
-    if not axis.is_set_up():
-        axis.set_up()
+    """Close the loop of an axis where it stands, if the card is as the bench file says."""
+    require_as_described(axis)
     axis.enable()
 
 

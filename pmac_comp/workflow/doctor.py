@@ -132,21 +132,14 @@ def _flash(axis: "Axis", backup: Path | None) -> Finding:
 
 
 def _variables(axis: "Axis", bench: Bench) -> Iterator[Finding]:
-    from pmac_comp.machine.controller.variables import read_many, same_value
+    from pmac_comp.workflow.commissioning import differing_variables, variables_text
 
-    wanted = dict(bench.controller.ivariables)
-    if not wanted:
-        return
-    found = read_many(axis.link, list(wanted))
-    differing = [
-        f"{name} = {found[name]:g} (bench file {value:g})"
-        for name, value in wanted.items()
-        if not same_value(found[name], value)
-    ]
+    differing = differing_variables(axis.link, bench)
+    agreed = f"{len(bench.controller.ivariables)} agree with the bench file"
     yield Finding(
         "bad" if differing else "ok",
         "I-variables",
-        "; ".join(differing) if differing else f"{len(wanted)} agree with the bench file",
+        f"bench file in brackets: {variables_text(differing)}" if differing else agreed,
     )
 
 

@@ -83,7 +83,6 @@ def axis_on(bench: Bench, plant: Any, *, servo: bool) -> Iterator[tuple[Axis, Tr
     recorder = TruthRecorder(card)
     with embedded(card) as link:
         axis = Axis(link, bench, read_identity(link).fingerprint, simulated=True)
-        axis.set_up()
         axis.enable()
         yield axis, recorder
 

@@ -27,6 +27,5 @@ def recorder(card: Card) -> TruthRecorder:
 def axis(card: Card) -> Iterator[Axis]:
     with embedded(card) as link:
         found = Axis(link, BENCH, "test", simulated=True)
-        found.set_up()
         found.enable()
         yield found

@@ -46,7 +46,6 @@ def refined(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Refinement]:
     )
     with embedded(Card(BENCH, plant=plant)) as link:
         axis = Axis(link, BENCH, "card")
-        axis.set_up()
         axis.enable()
         context = context_of(axis, folder)
         compensation = Compensation("law", law)

@@ -46,7 +46,6 @@ def axis(
     source = default_servo().read_text(encoding="utf-8") if route == "servo" else None
     with embedded(Card(BENCH, plant=plant, servo_source=source)) as link:
         axis = Axis(link, BENCH, "card")
-        axis.set_up()
         axis.enable()
         if route == "servo":
             link.command(f"I{axis.motor}59=1")

@@ -48,7 +48,6 @@ def run_until_failure(
     """Status of the motor after a run that must fail by the fault."""
     with embedded(Card(bench, plant=FailingDrive(bench, fault))) as link:
         axis = Axis(link, bench)
-        axis.set_up()
         axis.enable()
         with pytest.raises(MotorNotSafe) as failure:
             axis.run(motion)
@@ -89,7 +88,6 @@ def test_a_motion_that_the_card_cannot_hold_says_how_long_it_may_be() -> None:
     motion = parse_motion("sine:amplitude_mm=5,frequency_Hz=1,cycles=5", bench)
     with embedded(Card(bench)) as link:
         axis = Axis(link, bench)
-        axis.set_up()
         axis.enable()
         with pytest.raises(CaptureError, match=r"holds .* s") as refused:
             axis.run(motion)

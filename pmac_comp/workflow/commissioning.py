@@ -1,0 +1,197 @@
+"""Is the controller set up as the bench file says; and, asked for, made so.
+
+A measurement writes no settings: where card and bench file differ, the model would describe
+another loop than the one that is measured, so the run is refused and the differences are named.
+Putting the bench file's values on is a command of its own, one journalled change.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.resources import DEFAULT_JOURNAL
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.recovery import grouped
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings, texts
+from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.variables import read_many, same_value
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.pvt import PROGRAM_NUMBER
+from pmac_comp.workflow.session import open_axis
+
+CLOCK: Final = ("I10", "I7000", "I7001", "I7002")  # set with the card, not by a running client
+ENTRY_RESULT: Final = 0x3501  # X: of the first line of the encoder conversion table, I8000 (p. 232)
+_OF_COMPENSATION: Final = ("05", "06", "07", "29", "59", "85", "86", "87")  # of the motor
+_SOFTWARE_1T, _NO_EXTENSION = 0x0, 0xC  # methods: first hex digit of the entry
+_LOWEST_CHANNEL: Final = 0x78000  # of a servo IC; second lines of entries lie below
+_SHOWN: Final = 8
+
+
+def require_as_described(axis: Axis) -> None:
+    """Refuse to measure on a card that is set up differently from the bench file.
+
+    Raises
+    ------
+    SafetyRefusal
+        All reasons together; nothing was changed.
+    """
+    raise_all(
+        [
+            *variable_refusals(axis.link, axis.bench),
+            *motor_refusals(axis.link, axis.bench),
+            *conversion_refusals(axis.link, axis.bench),
+            *program_refusals(axis.link),
+        ],
+        "The run",
+    )
+
+
+def differing_variables(link: Link, bench: Bench) -> dict[str, tuple[float, float]]:
+    """I-variables of the bench file that stand otherwise: value on the card, value in the file.
+
+    Those that a compensation sets itself while it is on are left out.
+    """
+    motor = bench.encoder.motor_number
+    own = {"I8", "I51", *(f"I{motor}{tail}" for tail in _OF_COMPENSATION)}
+    wanted = {k: v for k, v in bench.controller.ivariables.items() if k not in own}
+    found = read_many(link, list(wanted)) if wanted else {}
+    return {
+        name: (found[name], value)
+        for name, value in wanted.items()
+        if not same_value(found[name], value)
+    }
+
+
+def variables_text(differing: dict[str, tuple[float, float]]) -> str:
+    """The first few differences, for a person."""
+    items = [f"{name} = {card:g} ({value:g})" for name, (card, value) in differing.items()]
+    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
+    return ", ".join(items[:_SHOWN]) + more
+
+
+def variable_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
+    """Refusal where I-variables differ from the bench file."""
+    differing = differing_variables(link, bench)
+    if not differing:
+        return []
+    return [
+        SafetyRefusal(
+            "I-variables on the card differ from the bench file (its value in brackets): "
+            f"{variables_text(differing)}.",
+            code="PC-COM-001",
+            hint="Correct [controller.ivariables] where the card is right, or put the file's "
+            "values on the card with `pmac-comp setup URL --bench FILE`.",
+        )
+    ]
+
+
+def motor_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
+    """Refusals where a motor of the bench file is not activated: its position stands still."""
+    readings = read_motors(link, _motors(bench))
+    return [
+        MotorNotSafe(
+            f"Motor #{number} of the bench file is not activated (I{number}00 = 0).",
+            code="PC-COM-002",
+            hint="Check motor_number of [encoder] and [scale]; a scale needs an activated motor "
+            "that reads it and is never enabled.",
+        )
+        for number, reading in readings.items()
+        if not reading.status.is_activated
+    ]
+
+
+def conversion_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
+    """Refusal where the encoder conversion extends counts and the bench file says otherwise."""
+    motor = bench.encoder.motor_number
+    line = int(read_many(link, [f"I{motor}03"])[f"I{motor}03"]) - ENTRY_RESULT
+    if not 0 <= line <= 191:
+        return []  # the loop is closed by something else than a conversion entry
+    entry = int(read_many(link, [f"I{8000 + line}"])[f"I{8000 + line}"])
+    if entry & 0x7FFFF < _LOWEST_CHANNEL:
+        return []
+    extended = {_SOFTWARE_1T: True, _NO_EXTENSION: bool(entry & 0x80000)}.get(entry >> 20)
+    if extended is None or extended == (bench.encoder.extension == "1/T"):
+        return []
+    does, said = ("extends", "none") if extended else ("does not extend", "1/T")
+    return [
+        SafetyRefusal(
+            f"The conversion of motor #{motor} (I{8000 + line} = ${entry:06X}) {does} counts; the "
+            f'bench file says extension = "{said}".',
+            code="PC-COM-003",
+            hint="Correct [encoder] extension: the model rounds the encoder as it says.",
+        )
+    ]
+
+
+def program_refusals(link: Link) -> list[SafetyRefusal]:
+    """Refusal where the motion program of our runs is somebody else's."""
+    lines = programs.listing(link, ProgramKind.PROG, PROGRAM_NUMBER)
+    if lines is None or programs.canonical(lines)[:1] in ((), ("DWE100",)):
+        return []
+    return [
+        SafetyRefusal(
+            f"PROG {PROGRAM_NUMBER} holds a program that is not ours; a run would replace it.",
+            code="PC-COM-004",
+            hint=f"Keep it under another number and empty PROG {PROGRAM_NUMBER}.",
+        )
+    ]
+
+
+def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
+    """What ``set_up`` would change: value on the card, value in the bench file."""
+    with open_axis(url, bench) as axis:
+        return _settable(axis)
+
+
+def set_up(url: str, bench: str, journal: Path = DEFAULT_JOURNAL) -> dict[str, Any]:
+    """Put the bench file's I-variables onto a controller; ``rollback`` brings the old ones back."""
+    with open_axis(url, bench) as axis:
+        differing = _settable(axis)
+        result = set_up_axis(axis, context_of(axis, journal))
+    return {**result.as_dict(), "changed": differing}
+
+
+def set_up_axis(axis: Axis, context: Context) -> UploadResult:
+    """The same on a connected axis, as one journalled change.
+
+    The clocks (I7000-I7002, I10) are those of the card; ``doctor`` compares them.
+
+    Raises
+    ------
+    MotorNotSafe
+        A motor of the bench file is enabled: gains must not change under a closed loop.
+    """
+    motors = _motors(axis.bench)
+    raise_all(_enabled_refusals(axis.link, motors), "The set-up")
+    goal = Settings(texts({name: wanted for name, (_, wanted) in _settable(axis).items()}))
+    with grouped(axis.link, context, "setup") as inner:
+        return change_settings(axis.link, inner, goal, route="setup", motors=motors)
+
+
+def _settable(axis: Axis) -> dict[str, tuple[float, float]]:
+    return {k: v for k, v in differing_variables(axis.link, axis.bench).items() if k not in CLOCK}
+
+
+def _enabled_refusals(link: Link, numbers: list[int]) -> list[SafetyRefusal]:
+    readings = read_motors(link, numbers)
+    return [
+        MotorNotSafe(
+            f"Motor #{number} is enabled; settings change with killed motors only.",
+            code="PC-COM-005",
+            hint=f"Kill it first: `pmac-comp terminal URL -c '#{number}K'`.",
+        )
+        for number, reading in readings.items()
+        if not reading.status.is_killed
+    ]
+
+
+def _motors(bench: Bench) -> list[int]:
+    return [bench.encoder.motor_number, *([bench.scale.motor_number] if bench.scale else [])]
