@@ -10,7 +10,9 @@ from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.campaigns import calibration_motions
+from tests.generators.motions import sine
 from tools.acceptance.prediction_table import plant_of
 
 BENCH = load_bench("paper_x4")
@@ -100,3 +102,18 @@ def test_wobble_of_the_reading_alone_is_that_of_the_nut_until_the_chain_rings(
     assert reading == pytest.approx(2e-6 * np.cos(angle + 0.7), abs=0.3e-6)
     assert least_um < 1e6 * (nut - reading).std() < most_um
     assert np.array_equal(runs[1].torque_command_Nm, without.torque_command_Nm)
+
+
+def test_what_a_sharp_stick_leaves_of_every_reversal_is_in_the_model_and_has_no_name():
+    # The plant sticks over some hundredths of a micrometre: 50 us late at every reversal, to which
+    # the loop answers with 0.3 um.
+    plant = make_plant(BENCH, effects={}, seed=3, spread=0.0)
+    commands = [sine(BENCH, 0.012, 3.1, 3.0, place) for place in (-0.2, 0.0, 0.2)]
+    runs = [closed_loop_capture(BENCH, plant, command) for command in commands]
+    few = {name: effect_library()[name] for name in ("presliding", "backlash")}
+    clean = diagnose(runs[:2], BENCH, validate=runs[2:], effects=few)
+    assert (clean.verdict, clean.named) == ("none", ())
+    assert "presliding@all" in clean.model.effects
+    assert clean.model.parameters["presliding.distance_m"] < BENCH.motor_resolution_m
+    assert any("is no finding" in line for line in clean.statements)
+    assert clean.gap_after_um < 1.1 * clean.noise_floor_um

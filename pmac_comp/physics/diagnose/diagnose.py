@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.estimates import estimates_of
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
+from pmac_comp.physics.diagnose.onset import told
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare
 from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
 from pmac_comp.physics.diagnose.result import (
@@ -152,20 +153,23 @@ def _assembled(
         residual=_residual(left, where, verdict),
         separating_experiment=experiment,
         findings=findings,
-        statements=statements_of(
-            Story(
-                verdict,
-                named,
-                tied,
-                estimates,
-                where,
-                before,
-                after,
-                left,
-                ruled_out(grown, library) if named else (),
-                library,
-                claims.withheld,
-            )
+        statements=(
+            *statements_of(
+                Story(
+                    verdict,
+                    named,
+                    tied,
+                    estimates,
+                    where,
+                    before,
+                    after,
+                    left,
+                    ruled_out(grown, library) if named else (),
+                    library,
+                    claims.withheld,
+                )
+            ),
+            *told(grown.final.model, claims.effects),
         ),
         model=grown.final.model,
         estimates=estimates,

@@ -9,9 +9,11 @@ of micrometres there answers a delay of 50 us with some tenths of one. It is no 
 drive has it, and no drive's is known beforehand.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
 from pmac_comp.physics.diagnose.workbench import Workbench
@@ -20,6 +22,7 @@ from pmac_comp.physics.model.effect import split_name
 
 _GRIP = frozenset({"presliding", "presliding_gms"})
 _FRICTION = frozenset({"coulomb", "stribeck"})
+_DISTANCES = ("presliding.distance_m", "presliding.rotary_m")
 _FIRST_m = (0.02e-6, 0.1e-6)
 _ROUNDS = 5
 _NARROW = 0.004  # differences, as a share: the onset is short beside what others move
@@ -64,6 +67,18 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     return evaluate(bench, fitted.model)
 
 
+def told(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:
+    """A sentence on an onset that is part of a model and no finding; none where there is none."""
+    names = [name for name in _DISTANCES if name in model.parameters]
+    if not names or _GRIP & set(claimed) or _resolved(model):
+        return ()
+    longest_um = UM_PER_M * max(model.parameters[name] for name in names)
+    return (
+        f"In the model friction sets in over up to {longest_um:.2g} um, which is less than the "
+        "motor's encoder resolves: every drive has that, it is no finding.",
+    )
+
+
 def _outspoken(part: Workbench) -> Workbench:
     """The bench without what is set aside for an onset that is not in the model."""
     return part.with_noise(replace(part.known_noise, doubtful=None))
@@ -80,6 +95,5 @@ def _begun(part: Workbench, model: DriveModel, first_m: float) -> Fitted | None:
 
 def _resolved(model: DriveModel) -> bool:
     """Whether a distance is one that the encoder shows."""
-    names = ("presliding.distance_m", "presliding.rotary_m")
-    longest_m = max(model.parameters.get(name, 0.0) for name in names)
+    longest_m = max(model.parameters.get(name, 0.0) for name in _DISTANCES)
     return longest_m > _COUNTS * model.bench.motor_resolution_m
