@@ -7,9 +7,6 @@ the same memory, however the cycles were cut into calls.
 from __future__ import annotations
 
 import importlib
-import zlib
-from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,16 +17,14 @@ from pmac_comp.simulator import power_up
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator.answers import Answers
-from pmac_comp.simulator.axes import read_definition
 from pmac_comp.simulator.commanded_faults import LinkFaults
-from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
 from pmac_comp.simulator.dpram_ascii import DpramAscii
 from pmac_comp.simulator.dpram_reports import DpramReports
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.flash import Flash
-from pmac_comp.simulator.language.scanner import Scanner
-from pmac_comp.simulator.language.statements import MOTION, PLC, Statement, StatementParser
+from pmac_comp.simulator.interpreter import Interpreter
+from pmac_comp.simulator.language.statements import PLC
 from pmac_comp.simulator.machine import Machine
 from pmac_comp.simulator.memory import (
     Memory,
@@ -61,7 +56,6 @@ _STOPPING_EVENTS = {
     ks.EV_INTEGRATED,
     ks.EV_SERVO_FAULT,
 }
-Listener = Callable[[str, str], None]
 
 
 class Card:
@@ -106,6 +100,7 @@ class Card:
         self.gathering = self.servo.gathering
         self.ring_hold = RingHold(self.memory)
         self.status = Answers(self.memory, self.servo)
+        self.interpreter = Interpreter(self)
         self.programs = ProgramStore(self.memory)
         self.plcs = Plcs(self)
         self.rotary = RotaryBuffers(self)
@@ -114,9 +109,7 @@ class Card:
         self.systems = {n: CoordinateSystem(self, n) for n in range(1, r.COORDINATE_SYSTEMS + 1)}
         self.flash = Flash(flash)
         self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
-        self.listeners: list[Listener] = []
         self.ip_address = bytes((192, 6, 94, 5))
-        self._queue: deque[tuple[str, Modal, str]] = deque()
         self._elapsed = 0
         self._next_background = BACKGROUND_CYCLES
         self._keep_background = False
@@ -164,7 +157,7 @@ class Card:
 
     def _has_background(self) -> bool:
         return (
-            bool(self._queue)
+            not self.interpreter.is_idle
             or self._keep_background
             or any(s.running for s in self.systems.values())
             or self.reports.in_background
@@ -180,9 +173,7 @@ class Card:
         self.reports.background(self._elapsed)
         self.dpram_ascii.background()
         self.plcs.background()
-        for _ in range(len(self._queue)):
-            text, modal, port = self._queue.popleft()
-            self._execute_queued(text, modal, port)
+        self.interpreter.background()
         for system in self.systems.values():
             if system.running:
                 system.tick()
@@ -215,147 +206,6 @@ class Card:
             if not self.servo.is_open_loop(motor):
                 self.servo.abort_motion(motor)
 
-    # --- lines ----------------------------------------------------------------------------------
-
-    def execute_line(self, context: LineContext) -> None:
-        """Execute a line: program text into an open buffer, the rest at once."""
-        scanner = context.scanner
-        first = True
-        try:
-            while not scanner.at_end:
-                if not self._take_program_text(context, starts_line=first):
-                    self._take_command(context)
-                first = False
-        except CardError:
-            self.rotary.drop_line()
-            self.programs.drop_line()
-            raise
-        if self.rotary.is_open_on(context.owner):
-            self.rotary.end_line(context.modal.cs)
-        if self.programs.is_open_on(context.owner):
-            self.programs.end_line()
-
-    def _take_program_text(self, context: LineContext, *, starts_line: bool) -> bool:
-        rotary = self.rotary.is_open_on(context.owner)
-        program = self.programs.open_program if self.programs.is_open_on(context.owner) else None
-        if not rotary and program is None:
-            return False
-        kind = program.kind if program is not None else MOTION
-        statement = StatementParser(context.scanner, kind).statement()
-        if statement is None:
-            return False
-        statement.starts_line = starts_line
-        if program is not None:
-            self.programs.enter(statement)
-        else:
-            self.rotary.enter(context.modal.cs, statement)
-        return True
-
-    def _take_command(self, context: LineContext) -> None:
-        scanner = context.scanner
-        start = scanner.position
-        try:
-            execute_command(context)
-        except CardError as error:
-            if error.code == 3 and not self.programs.is_open_on(context.owner):
-                if _is_program_text(scanner.text[start:]):
-                    raise CardError(5) from error
-            elif error.code == 5 and self.programs.is_open_on(context.owner):
-                raise CardError(3) from error
-            raise
-
-    def _execute_queued(self, text: str, modal: Modal, port: str) -> None:
-        context = LineContext(self, modal, Scanner(text), owner=self)
-        try:
-            self.execute_line(context)
-        except CardError as error:
-            if self.variables.int_i(6) != 2:
-                self.announce(port, f"\x07ERR{error.code:03d}", commanded=True)
-        for line in context.lines:
-            self.announce(port, line, commanded=True)
-
-    def announce(self, port: str, text: str, *, commanded: bool = False) -> None:
-        """Unsolicited text of a program, or of its command, to a port.
-
-        ``S`` is the main serial port, ``R`` the dual-ported RAM, empty means nowhere.
-        """
-        if port == "R":
-            self.dpram_ascii.announce(text, commanded=commanded)
-        elif port:
-            for listener in self.listeners:
-                listener(port, text)
-
-    def do_statement(self, statement: Statement, motor: int, cs: int, *, origin: str) -> None:
-        """What programs ask of the rest of the card."""
-        kind, data = statement.kind, statement.data
-        if kind == "plc":
-            verb, numbers = data
-            for number in numbers:
-                self.plcs.switch(verb, number)
-        elif kind == "command":
-            port, body = data
-            if len(body) == 1 and body < " ":
-                self.control_character(ord(body))
-            else:
-                self._queue.append((body, Modal(motor, cs), port))
-        elif kind == "send":
-            port, body = data
-            self.announce(port or "S", body)
-        elif kind == "gather":
-            self.gathering.start()
-        elif kind == "endgather":
-            self.gathering.stop()
-        elif kind == "lock":
-            self._lock(*data)
-        else:
-            raise CardError(16, f"{kind} in {origin}")
-
-    def _lock(self, number: int, variable: int | None) -> None:
-        bit = 1 << (4 + number)
-        words, cell = self.memory.x, r.INTERNAL_GLOBAL + 0xF4
-        if variable is None:
-            words[cell] = int(words[cell]) & ~bit
-            return
-        self.variables.write("P", variable, 1.0 if int(words[cell]) & bit else 0.0)
-        words[cell] = int(words[cell]) | bit
-
-    def control_character(self, code: int) -> None:
-        """Control characters that act on the whole card."""
-        if code == 0x01:  # ^A
-            for system in self.systems.values():
-                system.stop_now()
-            for motor in self.servo.active_motors():
-                self.servo.abort(motor)
-        elif code == 0x04:  # ^D
-            self.plcs.disable_all()
-        elif code == 0x05:  # ^E
-            for motor in self.servo.active_motors():
-                if self.servo.is_killed(motor):
-                    self.servo.enable(motor)
-        elif code == 0x0B:  # ^K
-            for system in self.systems.values():
-                system.stop_now()
-            for motor in self.servo.active_motors():
-                self.servo.kill(motor)
-        elif code == 0x0F:  # ^O
-            for system in self.systems.values():
-                system.hold()
-        elif code == 0x11:  # ^Q
-            for system in self.systems.values():
-                system.quit()
-        elif code in (0x12, 0x13):  # ^R, ^S
-            for system in self.systems.values():
-                self._try_run(system, single=code == 0x13)
-
-    def _try_run(self, system: CoordinateSystem, *, single: bool) -> None:
-        if not system.axes:
-            return
-        try:
-            system.run(single=single)
-        except CardError:
-            # A control character has no way to answer with an error.
-            return
-
     # --- coordinate systems ---------------------------------------------------------------------
 
     def motors_of(self, cs: int) -> list[int]:
@@ -378,35 +228,6 @@ class Card:
         """Whether any motion program runs."""
         return any(s.running for s in self.systems.values())
 
-    def axis_command(self, context: LineContext, motor: int) -> None:
-        """``#n->``: report, define or clear an axis definition."""
-        scanner, system = context.scanner, self.systems[context.modal.cs]
-        nearby = scanner.peek()
-        if not (nearby.isalnum() or nearby in ("-", "+", ".")) or nearby == "":
-            definition = system.axes.get(motor)
-            context.answer(definition.text() if definition is not None else "0")
-            return
-        definition = read_definition(scanner)
-        other = next((s for s in self.systems.values() if motor in s.axes), None)
-        if other is not None and (other.running or (other is not system and definition)):
-            raise CardError(1 if other.running else 3)
-        if definition is None:
-            system.axes.pop(motor, None)
-        else:
-            system.axes[motor] = definition
-        self.write_assignment(motor)
-
-    def undefine_axes(self, cs: int | None) -> None:
-        """UNDEFINE (ALL)."""
-        for system in self.systems.values():
-            if cs is None or system.number == cs:
-                if system.running:
-                    raise CardError(1)
-                motors = system.motors
-                system.axes.clear()
-                for motor in motors:
-                    self.write_assignment(motor)
-
     def write_assignment(self, motor: int) -> None:
         """Coordinate system, axis code and scale factors in the motor's registers."""
         base = r.motor_base(motor)
@@ -426,120 +247,19 @@ class Card:
         self.memory.y[base + r.M_STATUS2] = word
         self.memory.touch()
 
-    def abort(self, cs: int) -> None:
-        """A command."""
-        self.systems[cs].stop_now()
-        for motor in self.systems[cs].motors:
-            self.servo.abort(motor)
-
-    def point(self, cs: int, label: tuple[int, int]) -> None:
-        """B command."""
-        self.systems[cs].point(*label)
-
-    def run(self, cs: int, *, single: bool = False) -> None:
-        """R and S commands."""
-        self.systems[cs].run(single=single)
-
-    def quit(self, cs: int) -> None:
-        """Q command."""
-        self.systems[cs].quit()
-
-    def abort_run(self, cs: int, label: tuple[int, int] | None) -> None:
-        """ABR command; without a label the program starts at its top again."""
-        self.abort(cs)
-        system = self.systems[cs]
-        if label is None and system.pointer is not None:
-            label = (system.pointer[0], 0)
-        if label is not None:
-            if label[0] == 0:
-                self.rotary.clear(cs)
-            system.point(*label)
-        system.run_when_stopped()
-
     def _restart(self, system: CoordinateSystem) -> None:
         # Nobody waits for an answer any more.
         with suppress(CardError):
             system.try_restart()
-
-    def feed_hold(self, cs: int) -> None:
-        """H command."""
-        self.systems[cs].hold()
 
     def wake(self, cs: int) -> None:
         """A rotary line arrived."""
         if self.systems[cs].running:
             self.background_needed()
 
-    def match_positions(self, cs: int) -> None:
-        """PMATCH command."""
-        if self.systems[cs].running:
-            raise CardError(1)
-        self.systems[cs].match()
-
-    def rename_position(self, cs: int, letter: str, value: float) -> None:
-        """``X=5``."""
-        if self.systems[cs].running:
-            raise CardError(1)
-        self.systems[cs].rename(letter, value)
-
-    def zero_positions(self, cs: int) -> None:
-        """Z command: every axis position becomes zero."""
-        system = self.systems[cs]
-        if system.running:
-            raise CardError(1)
-        letters = {letter for d in system.axes.values() for letter, _ in d.terms}
-        for letter in sorted(letters):
-            system.rename(letter, 0.0)
-
-    def set_override(self, cs: int, percent: float) -> None:
-        """``%{c}``: commanded time base."""
-        base = r.cs_base(cs)
-        if int(self.memory.x[base + r.C_TIMEBASE_SOURCE]) != base:
-            raise CardError(3)
-        i10 = int(self.memory.x[r.I10_REGISTER])
-        value = min(round(percent * i10 / 100.0), 0x7FFFFF)
-        self.memory.x[base + r.C_TIMEBASE_COMMAND] = value
-
-    def program_counter(self, cs: int, *, executing: bool = False) -> str:
-        """PC and PE commands."""
-        return self.systems[cs].counter_text(executing=executing)
-
-    def list_from_counter(self, cs: int, count: int | None, *, executing: bool) -> list[str]:
-        """LIST PC and LIST PE."""
-        number, offset = self.systems[cs].counter()
-        if executing and self.systems[cs].executing is not None:
-            number, offset = self.systems[cs].executing or (number, offset)
-        program = self.programs.find(MOTION, number)
-        long = bool(self.variables.int_i(9) & 1)
-        lines = [(o, text) for o, text in program.lines(long=long) if o >= offset]
-        chosen = lines if count is None else lines[:count]
-        return [
-            f"P{number}:{o}:{text}" if k == 0 else f"{o}:{text}"
-            for k, (o, text) in enumerate(chosen)
-        ]
-
-    def rotary_lines(self, cs: int) -> int:
-        """PR command."""
-        return self.rotary.lines_left(cs)
-
-    def move_time_ms(self, cs: int) -> float:
-        """MOVETIME command."""
-        return self.systems[cs].move_time_ms()
-
-    def flush_assignments(self, cs: int) -> None:
-        """MFLUSH command."""
-        self.systems[cs].flush_assignments()
-
     def find_program(self, cs: int, number: int) -> Program | None:
         """Program that ``B{number}`` points to."""
         return self.rotary.program(cs) if number == 0 else self.programs.programs.get(number)
-
-    def synchronous_assignment(self, number: int, op: str, value: float) -> None:
-        """``M1==5`` and its bitwise forms, when their move starts."""
-        present = int(self.variables.read("M", number))
-        whole = int(value)
-        result = {"&=": present & whole, "|=": present | whole, "^=": present ^ whole}
-        self.variables.write("M", number, value if op == "==" else float(result[op]))
 
     # --- motors ---------------------------------------------------------------------------------
 
@@ -591,40 +311,6 @@ class Card:
         if kind == "I" and number == 5:
             self.background_needed()
 
-    def define_user_buffer(self, words: int) -> None:
-        """DEFINE UBUFFER: memory at the end of the user area; no other buffer may exist."""
-        from pmac_comp.simulator.compensation import lowest_defined
-
-        end = r.USER_BUFFER_END_STANDARD
-        if lowest_defined(self.memory) != int(self.memory.x[r.MEMORY_END]):
-            raise CardError(3)
-        if end - words < int(self.memory.y[r.PROGRAM_END]):
-            raise CardError(6)
-        self.memory.x[r.MEMORY_END] = end - words
-
-    def free_words(self) -> int:
-        """SIZE: unused long words, negative while a buffer is open."""
-        free = self.programs.free_words()
-        return -free if self.programs.open_program is not None else free
-
-    def set_password(self, text: str) -> None:
-        """PASSWORD: unlock with the right one, then a new one may be given (p. 384)."""
-        if self.programs.unlocked:
-            self.programs.password = text
-        elif text == self.programs.password:
-            self.programs.unlocked = True
-        else:
-            raise CardError(2)
-
-    def checksum(self) -> int:
-        """CHECKSUM: sum over the fixed buffers."""
-        texts = [
-            text
-            for program in (*self.programs.programs.values(), *self.programs.plcs.values())
-            for _, text in program.lines(long=True)
-        ]
-        return zlib.crc32("\n".join(texts).encode()) & 0xFFFFFF
-
     # --- power-up, flash ------------------------------------------------------------------------
 
     def reset(self, *, factory: bool = False) -> None:
@@ -637,7 +323,7 @@ class Card:
             system.axes.clear()
         self.memory.clear()
         self.clock_shift_s = 0.0
-        self._queue.clear()
+        self.interpreter.reset()
         self.programs.clear_all()
         self.rotary.delete_all()
         self.variables.set_factory_memory()
@@ -658,13 +344,3 @@ class Card:
             done += self.servo.run(pause - done)
         self._elapsed += pause
         self._next_background = self._elapsed + BACKGROUND_CYCLES
-
-
-def _is_program_text(text: str) -> bool:
-    try:
-        for kind in (MOTION, PLC):
-            if StatementParser(Scanner(text), kind).statement() is not None:
-                return True
-    except CardError:
-        return False
-    return False

@@ -23,6 +23,14 @@ from numba import njit
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator.memory import Memory, Space, read_long, read_word_signed, write_long
+from pmac_comp.simulator.user_memory import (
+    GATHER,
+    LOOKAHEAD,
+    ROTARY,
+    TBUF,
+    allocate_down,
+    buffer_exists,
+)
 
 ERR_ORDER: Final = 3
 ERR_MEMORY: Final = 6
@@ -57,24 +65,8 @@ class TableKind(Enum):
 
 _KINDS = (TableKind.COMP, TableKind.TCOMP, TableKind.BLCOMP)
 # Buffers that must not exist when a table is defined or deleted (p. 301-317).
-_TBUF, _ROTARY, _LOOKAHEAD, _GATHER = "TBUF", "ROTARY", "LOOKAHEAD", "GATHER"
-_BUFFERS = {
-    _GATHER: (reg.GATHER_POINTERS, 1),
-    _LOOKAHEAD: (0x3121, 16),
-    "CCBUF": (0x3131, 16),
-    _ROTARY: (reg.ROTARY_POINTERS, 16),
-    _TBUF: (0x3151, 1),
-}
-_START_CELLS = np.concatenate(
-    [kind.value + np.arange(reg.MOTORS) for kind in _KINDS]
-    + [address + np.arange(count) for address, count in _BUFFERS.values()]
-)
-_BLOCKS_DEFINE = {
-    TableKind.COMP: (_TBUF, _ROTARY, _LOOKAHEAD, _GATHER),
-    TableKind.TCOMP: (_TBUF, _ROTARY, _LOOKAHEAD, _GATHER),
-    TableKind.BLCOMP: (_TBUF, _ROTARY, _LOOKAHEAD, _GATHER),
-}
-_BLOCKS_DELETE = (_TBUF, _ROTARY, _GATHER)
+_BLOCKS_DEFINE = (TBUF, ROTARY, LOOKAHEAD, GATHER)
+_BLOCKS_DELETE = (TBUF, ROTARY, GATHER)
 _SOURCE = re.compile(r"#(\d+)(D?)")
 _SIZE_1D = re.compile(r"\d+")
 _SIZE_2D = re.compile(r"(\d+)\.(\d+)")
@@ -98,31 +90,6 @@ class TableHeader:
     def n_values(self) -> int:
         """Values the table holds, the one at zero included."""
         return (self.rows + 1) * (self.columns + 1) if self.rows else self.columns + 1
-
-
-def buffer_exists(memory: Memory, name: str) -> bool:
-    """True if a temporary buffer of this name is defined."""
-    address, count = _BUFFERS[name]
-    return any(int(memory.x[address + i]) for i in range(count))
-
-
-def lowest_defined(memory: Memory) -> int:
-    """Lowest address that a DEFINEd buffer in user memory uses (end of memory if none)."""
-    low = int(memory.x[reg.MEMORY_END]) or reg.USER_BUFFER_END_STANDARD
-    starts = memory.x[_START_CELLS]
-    starts = starts[starts >= reg.USER_BUFFER_START]
-    return min(low, int(starts.min())) if starts.size else low
-
-
-def program_floor(memory: Memory) -> int:
-    """First address above the fixed buffers (programs and PLCs)."""
-    return max(int(memory.y[reg.PROGRAM_END]), reg.USER_BUFFER_START)
-
-
-def allocate_down(memory: Memory, n_long: int) -> int | None:
-    """Start address for a buffer of ``n_long`` long words, None when memory is short."""
-    start = lowest_defined(memory) - n_long
-    return start if start >= program_floor(memory) else None
 
 
 class CompensationTables:
@@ -158,7 +125,7 @@ class CompensationTables:
             0, 3 (syntax or order) or 6 (no room).
         """
         header = _parse(kind, motor, arguments.replace(" ", "").upper())
-        if header is None or self._blocked(kind, motor, _BLOCKS_DEFINE[kind]):
+        if header is None or self._blocked(kind, motor, _BLOCKS_DEFINE):
             return ERR_ORDER
         if self.exists(kind, motor):
             return ERR_ORDER

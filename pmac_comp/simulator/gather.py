@@ -19,8 +19,8 @@ from numba import njit
 
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.compensation import allocate_down, lowest_defined, program_floor
 from pmac_comp.simulator.memory import Memory, Space, read_word_signed, write_dpram32
+from pmac_comp.simulator.user_memory import allocate_down, lowest_defined, program_floor
 
 ERR_RUNNING: Final = 1
 ERR_ORDER: Final = 3

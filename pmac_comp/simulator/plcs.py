@@ -154,7 +154,7 @@ class Plcs:
             return
         motor = max(int(context.state[vm.S_MOTOR_ADDRESS]), 1)
         cs = int(context.state[vm.S_CS]) + 1
-        self.card.do_statement(statement, motor, cs, origin=f"{PLC}{number}")
+        self.card.interpreter.do_statement(statement, motor, cs, origin=f"{PLC}{number}")
 
 
 def _readdress(context: Context, sign: str, value: float) -> None:

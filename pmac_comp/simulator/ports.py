@@ -73,7 +73,7 @@ class Port:
                 return _ERROR_CHARACTER, False
             text = raw.decode("ascii")
             context = LineContext(self.card, self.modal, Scanner(text), owner=self, lines=lines)
-            self.card.execute_line(context)
+            self.card.interpreter.execute_line(context)
         except CardError as refusal:
             return refusal.code, False
         return None, context.silent_end
@@ -123,7 +123,7 @@ class Port:
             # Reporting characters answer one line without an acknowledgement (p. 257).
             read = self.card.variables.int_i
             return format_line(text, i3=read(3) & 2, i4=read(4))
-        self.card.control_character(code)
+        self.card.interpreter.control_character(code)
         return b""
 
     def unsolicited(self, text: str) -> bytes:

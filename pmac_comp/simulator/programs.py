@@ -1,22 +1,23 @@
 """Program buffers of the card: OPEN, CLEAR, CLOSE, LIST of motion programs and PLCs.
 
 What lives here: the text of programs, their entries in the tables at $3000 and $3100, the space
-they take in user memory. Running them is in `plcs` and `motion_program`.
+they take in user memory. Running them is in `plcs` and `coordinate_system`.
 Source: Turbo PMAC Software Reference Manual p. 295-298, 341-349, 378-385, 509.
 """
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from itertools import accumulate, islice
 
 from pmac_comp.simulator import registers as r
-from pmac_comp.simulator.compensation import lowest_defined
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.assembler import Assembled, assemble
 from pmac_comp.simulator.language.scanner import Scanner
 from pmac_comp.simulator.language.statements import MOTION, PLC, Statement, StatementParser
 from pmac_comp.simulator.memory import Memory
+from pmac_comp.simulator.user_memory import lowest_defined
 
 PLC_DISABLED = 1 << 22
 PLC_OPEN = 1 << 23
@@ -219,10 +220,22 @@ class ProgramStore:
             return False
         return number >= 1000 if kind == MOTION else number <= 15
 
+    def set_password(self, text: str) -> None:
+        """PASSWORD: unlock with the right one, then a new one may be given (p. 384)."""
+        if self.unlocked:
+            self.password = text
+        elif text == self.password:
+            self.unlocked = True
+        else:
+            raise CardError(2)
+
     # --- memory ---------------------------------------------------------------------------------
 
-    def _ordered(self) -> list[Program]:
-        return [*self.programs.values(), *self.plcs.values()]
+    def checksum(self) -> int:
+        """CHECKSUM: a sum over the fixed buffers."""
+        programs = (*self.programs.values(), *self.plcs.values())
+        texts = [text for program in programs for _, text in program.lines(long=True)]
+        return zlib.crc32("\n".join(texts).encode()) & 0xFFFFFF
 
     def update_memory(self) -> None:
         """Write the program tables and the end of the fixed buffers."""

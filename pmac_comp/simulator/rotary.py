@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pmac_comp.simulator import registers as r
-from pmac_comp.simulator.compensation import allocate_down, buffer_exists, lowest_defined
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.assembler import assemble
 from pmac_comp.simulator.language.statements import MOTION, Statement
 from pmac_comp.simulator.programs import Program
+from pmac_comp.simulator.user_memory import GATHER, allocate_down, buffer_exists, lowest_defined
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
@@ -46,7 +46,7 @@ class RotaryBuffers:
     def define(self, cs: int, size: int) -> None:
         """DEFINE ROTARY: reserve memory for the addressed coordinate system."""
         memory = self.card.memory
-        if cs in self.buffers or buffer_exists(memory, "GATHER"):
+        if cs in self.buffers or buffer_exists(memory, GATHER):
             raise CardError(3)
         start = allocate_down(memory, size)
         if start is None:

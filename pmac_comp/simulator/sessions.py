@@ -73,13 +73,13 @@ class EthernetSession:
             RequestCode.PORT: self._host_port,
             RequestCode.IPADDRESS: self._address,
         }
-        card.listeners.append(self._announced)
+        card.interpreter.listeners.append(self._announced)
 
     def close(self) -> None:
         """The client is gone."""
         self.closed = True
-        if self._announced in self.card.listeners:
-            self.card.listeners.remove(self._announced)
+        if self._announced in self.card.interpreter.listeners:
+            self.card.interpreter.listeners.remove(self._announced)
         self.port.close()
 
     def receive(self, data: bytes) -> bytes:
@@ -255,7 +255,7 @@ class AsciiSession:
         self.port = Port(card)
         self._announcements = bytearray()
         self.closed = False
-        card.listeners.append(self._announced)
+        card.interpreter.listeners.append(self._announced)
 
     def answers(self, data: bytes) -> Iterator[bytes]:
         """What answers these bytes, in pieces, so that other clients get their turn in between."""
@@ -284,6 +284,6 @@ class AsciiSession:
     def close(self) -> None:
         """The client is gone."""
         self.closed = True
-        if self._announced in self.card.listeners:
-            self.card.listeners.remove(self._announced)
+        if self._announced in self.card.interpreter.listeners:
+            self.card.interpreter.listeners.remove(self._announced)
         self.port.close()

@@ -12,6 +12,7 @@ from pmac_comp.simulator.compensation import TableKind
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.statements import MOTION, PLC
 from pmac_comp.simulator.programs import listing
+from pmac_comp.simulator.user_memory import define_user_buffer
 
 _KINDS = {"COMP": TableKind.COMP, "TCOMP": TableKind.TCOMP, "BLCOMP": TableKind.BLCOMP}
 _GATHER_RANGE = re.compile(r"\s*(\d*)\s*(?:,\s*(\d+))?")
@@ -123,8 +124,12 @@ def _list_from_counter(context: LineContext, *, executing: bool) -> None:
     if context.scanner.take(","):
         context.scanner.take(",")
         count = context.scanner.integer()
-    lines = context.card.list_from_counter(context.modal.cs, count, executing=executing)
-    _answer_listing(context, lines)
+    number, offset = (executing and context.system.executing) or context.system.counter()
+    program = context.card.programs.find(MOTION, number)
+    lines = [(at, text) for at, text in program.lines(long=_long(context)) if at >= offset]
+    chosen = lines if count is None else lines[:count]
+    for k, (at, text) in enumerate(chosen):
+        context.answer(f"P{number}:{at}:{text}" if k == 0 else f"{at}:{text}")
 
 
 @command("LISTGATHER", "LISTGAT", "LISGATHER", "LISGAT")
@@ -193,7 +198,7 @@ def _define(context: LineContext) -> None:
         context.card.rotary.define(context.modal.cs, scanner.need_integer(1, 100000))
         return
     if scanner.take("UBUFFER", "UBUF"):
-        context.card.define_user_buffer(scanner.need_integer(0, 0x30000))
+        define_user_buffer(context.card.memory, scanner.need_integer(0, 0x30000))
         return
     raise CardError(3)
 

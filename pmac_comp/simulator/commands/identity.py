@@ -6,14 +6,12 @@ import re
 from datetime import UTC, datetime, timedelta
 
 from pmac_comp.machine.wire.identity import SIMULATED_ID
-from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.errors import CardError
 
 FIRMWARE = "1.947"
 CARD_ID = "603382"  # 3U Turbo PMAC2 (UMAC), which clients know
 _START = datetime(2000, 1, 1, tzinfo=UTC)  # clock option absent: time counts from here
-_LOCK_SHIFT = 4
 _TIME = re.compile(r"(\d\d?):(\d\d):(\d\d)")
 _DATE = re.compile(r"(\d\d?)/(\d\d?)/(\d{4})")
 
@@ -84,12 +82,14 @@ def _set_clock(context: LineContext, now: datetime, **parts: int) -> None:
 
 @command("CHECKSUM", "CHKS")
 def _checksum(context: LineContext) -> None:
-    context.answer(f"{context.card.checksum():06X}")
+    context.answer(f"{context.card.programs.checksum():06X}")
 
 
 @command("SIZE")
 def _size(context: LineContext) -> None:
-    context.answer(str(context.card.free_words()))
+    programs = context.card.programs
+    free = programs.free_words()
+    context.answer(str(free if programs.open_program is None else -free))
 
 
 @command("SAVE")
@@ -101,25 +101,20 @@ def _save(context: LineContext) -> None:
 def _password(context: LineContext) -> None:
     text = context.scanner.raw[context.scanner.position :].strip()
     context.scanner.position = len(context.scanner.text)
-    context.card.set_password(text)
+    context.card.programs.set_password(text)
 
 
 @command("LOCK")
 def _lock(context: LineContext) -> None:
-    bit = 1 << (_LOCK_SHIFT + context.scanner.need_integer(0, 7))
+    number = context.scanner.need_integer(0, 7)
     context.scanner.expect(",")
     context.scanner.expect("P")
-    number = context.scanner.need_integer(0, 8191)
-    words, cell = context.card.memory.x, r.INTERNAL_GLOBAL + 0xF4
-    context.card.variables.write("P", number, 1.0 if int(words[cell]) & bit else 0.0)
-    words[cell] = int(words[cell]) | bit
+    context.card.interpreter.lock(number, context.scanner.need_integer(0, 8191))
 
 
 @command("UNLOCK")
 def _unlock(context: LineContext) -> None:
-    bit = 1 << (_LOCK_SHIFT + context.scanner.need_integer(0, 7))
-    words, cell = context.card.memory.x, r.INTERNAL_GLOBAL + 0xF4
-    words[cell] = int(words[cell]) & ~bit
+    context.card.interpreter.lock(context.scanner.need_integer(0, 7), None)
 
 
 @command("FSAVE", "FSAV", "FREAD", "FSAVECLEAR", "FSAVCLR")

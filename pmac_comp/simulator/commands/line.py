@@ -19,6 +19,7 @@ from pmac_comp.simulator.language.statements import program_word
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
+    from pmac_comp.simulator.coordinate_system import CoordinateSystem
 
 Handler = Callable[["LineContext"], None]
 KEYWORDS: dict[str, Handler] = {}
@@ -106,6 +107,11 @@ class LineContext:
     lines: list[str] = field(default_factory=list)
     silent_end: bool = False
 
+    @property
+    def system(self) -> CoordinateSystem:
+        """The addressed coordinate system."""
+        return self.card.systems[self.modal.cs]
+
     def answer(self, text: str) -> None:
         """Add one data line."""
         self.lines.append(text)
@@ -135,11 +141,6 @@ class LineContext:
             raise CardError(error)
 
 
-def execute(context: LineContext) -> None:
-    """Execute the whole line."""
-    context.card.execute_line(context)
-
-
 def execute_command(context: LineContext) -> None:
     """Execute the command that stands at the present place."""
     scanner = context.scanner
@@ -160,7 +161,7 @@ def execute_command(context: LineContext) -> None:
             KEYWORDS[keyword](context)
             return
     if character.isdigit() or character in ".-":
-        _bare_constant(context)
+        bare_constant(context)
         return
     raise CardError(3, f"unknown command at '{scanner.rest}'")
 
@@ -185,8 +186,8 @@ def _splits_into_commands(word: str) -> bool:
     return True
 
 
-def _bare_constant(context: LineContext) -> None:
-    # Into the compensation table being filled, otherwise into P0 (p. 299).
+def bare_constant(context: LineContext) -> None:
+    """Take a constant into the compensation table being filled, otherwise into P0 (p. 299)."""
     value = context.scanner.signed_number()
     if value is None:
         raise CardError(3)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pmac_comp.simulator import registers as r
-from pmac_comp.simulator.commands.line import LineContext, command, execute_command
+from pmac_comp.simulator.commands.coordinate import define_axis
+from pmac_comp.simulator.commands.line import LineContext, bare_constant, command, execute_command
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.memory import read_float48
 
@@ -28,7 +29,7 @@ def _address_motor(context: LineContext) -> None:
     if not 1 <= motor <= r.MOTORS:
         raise CardError(3)
     if context.scanner.take("->"):
-        context.card.axis_command(context, motor)
+        define_axis(context, motor)
         return
     context.modal.motor = motor
 
@@ -144,13 +145,13 @@ def _reset(context: LineContext) -> None:
 
 @command("$$*")
 def _absolute_cs(context: LineContext) -> None:
-    for motor in context.card.motors_of(context.modal.cs):
+    for motor in context.system.motors:
         context.check(context.card.servo.reset_position(motor))
 
 
 @command("$$")
 def _phase_cs(context: LineContext) -> None:
-    for motor in context.card.motors_of(context.modal.cs):
+    for motor in context.system.motors:
         context.check(context.card.servo.enable(motor))
 
 
@@ -164,19 +165,9 @@ def _phase(context: LineContext) -> None:
     if context.scanner.peek().isalnum():
         # A bare $hex constant.
         context.scanner.position -= 1
-        _constant(context)
+        bare_constant(context)
         return
     context.check(context.card.servo.enable(_movable(context)))
-
-
-def _constant(context: LineContext) -> None:
-    value = context.scanner.number()
-    if value is None:
-        raise CardError(3)
-    if context.card.tables.wants_values():
-        context.check(context.card.tables.store(value))
-    else:
-        context.card.variables.write("P", 0, value)
 
 
 @command("@")

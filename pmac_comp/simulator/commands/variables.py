@@ -33,7 +33,7 @@ def _q(context: LineContext) -> None:
     if _number_follows(context):
         variable(context, "Q")
     else:
-        context.card.quit(context.modal.cs)
+        context.system.quit()
 
 
 @command("M")

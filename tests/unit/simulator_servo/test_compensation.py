@@ -9,6 +9,7 @@ from pmac_comp.simulator import compensation as comp
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator.compensation import CompensationTables, TableKind
 from pmac_comp.simulator.memory import Memory
+from pmac_comp.simulator.user_memory import lowest_defined
 
 COMP, TCOMP, BLCOMP = TableKind.COMP, TableKind.TCOMP, TableKind.BLCOMP
 
@@ -122,7 +123,7 @@ def test_memory_is_allocated_downward_without_holes(tables, memory):
     second, first = (int(memory.x[reg.COMP_POINTERS + i]) for i in (1, 0))
     assert second == end - (comp.HEADER + 11)
     assert first == second - (comp.HEADER + 21)
-    assert comp.lowest_defined(memory) == first
+    assert lowest_defined(memory) == first
     memory.y[reg.PROGRAM_END] = first - 10
     assert tables.define(TCOMP, 1, "20,100") == 6
 
