@@ -30,6 +30,11 @@ _MOST_GROUPS = 12
 _LOST = 20.0
 _UNDER_WHITENED = 0.7
 _WHOLE_s = 1e6
+# A dead time and the lag of the current loop, and the known one of the other.
+_LATE = {
+    "actuator_delay": "chain.current_bandwidth_Hz",
+    "current_bandwidth": "chain.actuator_delay_s",
+}
 
 
 def estimates_of(grown: Grown, material: float) -> tuple[tuple[Estimate, ...], tuple[Finding, ...]]:
@@ -76,6 +81,8 @@ def _estimate(model: DriveModel, direction: Direction, std: float, moved_SI: flo
         # A fraction of the nut's friction, of which only the sum with the motor's is known.
         open_ = _open_share(model) * abs(model.parameters[direction.label])
     width = abs(spec.to_file(math.hypot(std * direction.unit, open_, moved_SI)))
+    if effect in _LATE:
+        width = math.hypot(width, abs(spec.to_file(_open_lateness(model, effect))))
     if spec.period:
         width = min(width, spec.to_file(0.5 * spec.period) / Z95)  # an angle is never more open
     name = f"{effect}.{spec.file_name or bare}"
@@ -92,6 +99,23 @@ def _open_share(model: DriveModel) -> float:
     usual = [model.spec(n).nominal for n in names]
     shares = [v[0] / sum(v) for v in (present, usual) if v[0] > 0.0]
     return SPLIT_FRAC / min(shares) if shares else 0.0
+
+
+def _open_lateness(model: DriveModel, effect: str) -> float:
+    """What the bench's tolerance of the other of a dead time and a lag leaves open of one, in SI.
+
+    A loop sees their sum, exactly; their shares it shows only well above its crossover, where what
+    the model simplifies about the drive is as large as the difference.
+    """
+    other = _LATE[effect]
+    if other not in model.parameters:
+        return 0.0
+    spec = model.spec(other)
+    share = 0.5 * (spec.tolerance_frac or 0.0)
+    if effect == "actuator_delay":
+        return share / (2.0 * math.pi * spec.nominal)
+    bandwidth_Hz = model.parameters["current_bandwidth.bandwidth_Hz"]
+    return share * spec.nominal * 2.0 * math.pi * bandwidth_Hz**2
 
 
 def _tolerance(model: DriveModel, effect: str, bare: str) -> float:
