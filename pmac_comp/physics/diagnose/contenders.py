@@ -44,6 +44,7 @@ _FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
 _MOST_FRESH = 2
 # Runs whose largest torques differ by less are not on two sides of a limit; levels between others.
 _APART, _LEVELS = 1.05, 12
+_LEADS = 0.5  # of the best candidate's gain: a search of limits takes seconds
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,9 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
     part = ground.bench.fitting_bench()
     nominal = {s.name: s.nominal for s in ground.before.model.specs if s.kind == "known"}
     fresh = ground.before.model.with_parameters(nominal)
-    begun = _limited(part, fresh, screening) if item.start.effect == "torque_saturation" else []
+    leads = item.fit_gain > _LEADS * screening.ranked[0].fit_gain
+    limits = item.start.effect == "torque_saturation" and leads
+    begun = _limited(part, fresh, screening) if limits else []
     for start in screening.starts[item.start.effect]:
         model = _model_at(fresh, start.start, start.step, ground.library)
         try:
