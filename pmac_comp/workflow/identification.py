@@ -13,6 +13,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture, write_capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
+from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.commands import read_command
 
 if TYPE_CHECKING:
@@ -232,8 +233,8 @@ def predict_files(
         "samples": capture.n,
         "effects": list(drive.effects),
         "resampled": grid.note(),
-        "mechanical_rms_um": float(np.sqrt(np.mean((table - motor) ** 2)) * 1e6),
-        "control_rms_um": float(np.sqrt(np.mean((motor - desired) ** 2)) * 1e6),
+        "mechanical_rms_um": rms_um(table - motor),
+        "control_rms_um": rms_um(motor - desired),
     }
 
 

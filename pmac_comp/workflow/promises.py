@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import MotionPromise, promise
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
+from pmac_comp.physics.signals.metrics import centred_rms_um, rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.outcome import error_signals
@@ -53,17 +53,13 @@ def promise_drawn(loop: Any, motion: Trajectory, desired_m: FloatArray) -> Motio
     r = motion.position_m
     before, after = loop(r, None, None), loop(r, desired_m, None)
     correction = desired_m - r
-
-    def rms_um(values: FloatArray) -> float:
-        return float(np.std(values) * UM_PER_M)
-
     return MotionPromise(
-        e_before_um=rms_um(before.table_position_m - before.motor_position_m),
-        e_r_after_um=rms_um(after.table_position_m - after.motor_position_m + correction),
-        e_c_before_um=rms_um(before.motor_position_m - r),
-        e_c_after_um=rms_um(after.motor_position_m - desired_m),
-        total_before_um=rms_um(before.table_position_m - r),
-        total_after_um=rms_um(after.table_position_m - r),
+        e_before_um=centred_rms_um(before.table_position_m - before.motor_position_m),
+        e_r_after_um=centred_rms_um(after.table_position_m - after.motor_position_m + correction),
+        e_c_before_um=centred_rms_um(before.motor_position_m - r),
+        e_c_after_um=centred_rms_um(after.motor_position_m - desired_m),
+        total_before_um=centred_rms_um(before.table_position_m - r),
+        total_after_um=centred_rms_um(after.table_position_m - r),
     )
 
 
@@ -95,7 +91,4 @@ def true_errors(
             parts = (signals.mechanical_m, signals.control_m, signals.total_m)
             for name, part in zip(names, parts, strict=True):
                 values.setdefault(f"{name}_um", []).append(part)
-    return {
-        name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)) * UM_PER_M)
-        for name, parts in values.items()
-    }
+    return {name: rms_um(np.concatenate(parts)) for name, parts in values.items()}

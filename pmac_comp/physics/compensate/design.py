@@ -23,6 +23,7 @@ from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 if TYPE_CHECKING:
@@ -424,15 +425,12 @@ def promise(
     after = loop(motion.position_m, desired, sent.torque_Nm)
     r = motion.position_m
     return MotionPromise(
-        e_before_um=_rms_um(before.table_position_m - before.motor_position_m),
-        e_r_after_um=_rms_um(after.table_position_m - after.motor_position_m + sent.correction_m),
-        e_c_before_um=_rms_um(before.motor_position_m - r),
-        e_c_after_um=_rms_um(after.motor_position_m - desired),
-        total_before_um=_rms_um(before.table_position_m - r),
-        total_after_um=_rms_um(after.table_position_m - r),
+        e_before_um=centred_rms_um(before.table_position_m - before.motor_position_m),
+        e_r_after_um=centred_rms_um(
+            after.table_position_m - after.motor_position_m + sent.correction_m
+        ),
+        e_c_before_um=centred_rms_um(before.motor_position_m - r),
+        e_c_after_um=centred_rms_um(after.motor_position_m - desired),
+        total_before_um=centred_rms_um(before.table_position_m - r),
+        total_after_um=centred_rms_um(after.table_position_m - r),
     )
-
-
-def _rms_um(values: FloatArray) -> float:
-    # As measured: the offset between scale and encoder is unknown, the mean is taken out.
-    return float(np.std(values) * UM_PER_M)

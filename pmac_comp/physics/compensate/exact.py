@@ -19,6 +19,7 @@ from scipy.signal import butter, sosfiltfilt
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.signals.metrics import rms_um
 
 LEARNING_CUTOFF_Hz = 20.0
 MEASURED_CUTOFF_Hz = 40.0  # with velocity and acceleration feedforward the loop lags little there
@@ -123,9 +124,9 @@ def learn(
     for number in range(passes + 1):
         error = total_error_of(offset)
         error = error - np.mean(error)
-        left_um = _rms_um(error)
+        left_um = rms_um(error)
         history.append(left_um)
-        learnable.append(_rms_um(zero_phase(error, period_s, cutoff_Hz)))
+        learnable.append(rms_um(zero_phase(error, period_s, cutoff_Hz)))
         gained = best_um - left_um
         if gained > 0.0:
             best, best_error, best_um = offset.copy(), error, left_um
@@ -153,16 +154,12 @@ def learn(
         converged,
         cutoff_Hz,
         tuple(learnable),
-        tuple(_rms_um(run) for run in fresh),
+        tuple(rms_um(run) for run in fresh),
         float(np.sqrt(np.mean([np.mean((run - mean) ** 2) for run in fresh])) * UM_PER_M)
         if len(fresh) > 1
         else 0.0,
         ended,
     )
-
-
-def _rms_um(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)) * UM_PER_M)
 
 
 def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatArray:

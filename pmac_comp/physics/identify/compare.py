@@ -10,13 +10,13 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.friction_form import identify_with_friction
 from pmac_comp.physics.identify.records import prepare, simulated_full
 from pmac_comp.physics.identify.result import Identification, StaticMap
 from pmac_comp.physics.identify.rivals import fit_rival, rivals
+from pmac_comp.physics.signals.metrics import rms_um
 
 Progress = Callable[[str, float], None]
 FULL_NAME = "full model, from the command alone"
@@ -161,16 +161,12 @@ def _row(
         name=name,
         source=source,
         n_parameters=n_parameters,
-        left_rms_um=_rms_um(np.concatenate(left)),
-        error_rms_um=_rms_um(np.concatenate(whole)),
-        left_per_capture_um=tuple(_rms_um(part) for part in left),
+        left_rms_um=rms_um(np.concatenate(left)),
+        error_rms_um=rms_um(np.concatenate(whole)),
+        left_per_capture_um=tuple(rms_um(part) for part in left),
     )
 
 
 def _centred(values: FloatArray, valid: BoolArray) -> FloatArray:
     kept = values[valid]
     return np.asarray(kept - kept.mean())
-
-
-def _rms_um(values: FloatArray) -> float:
-    return UM_PER_M * float(np.sqrt(np.mean(values**2)))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import DidNotConverge, ModelError, NotIdentifiable
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -19,6 +18,7 @@ from pmac_comp.physics.identify.joint import identify
 from pmac_comp.physics.identify.records import prepare, response_of
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import table_force_N
+from pmac_comp.physics.signals.metrics import rms_um
 
 Progress = Callable[[str, float], None]
 # Effects beside Coulomb and viscous friction, from the published symmetric model upwards.
@@ -177,9 +177,9 @@ def _row(
         name=" + ".join(effects),
         source="coulomb + viscous as published, with effects of this project",
         n_parameters=sum(not spec.discrete for spec in model.specs),
-        left_rms_um=_rms_um(gap[border:]),
-        error_rms_um=_rms_um(capture.motor_position_m[border:] - capture.desired_m[border:]),
-        laps_um=tuple(_rms_um(part) for part in laps if part.size > lap // 2),
+        left_rms_um=rms_um(gap[border:]),
+        error_rms_um=rms_um(capture.motor_position_m[border:] - capture.desired_m[border:]),
+        laps_um=tuple(rms_um(part) for part in laps if part.size > lap // 2),
         one_step_nm=_one_step_nm(capture, model, border),
     )
 
@@ -212,7 +212,3 @@ def _one_step_nm(capture: Capture, model: DriveModel, border: int) -> float:
     force = torque / model.bench.lead_m_per_rad - friction
     ahead = 2.0 * q[1:-1] - q[:-2] + period**2 * force[1:-1] / model.parameters["chain.mass_kg"]
     return _NM_PER_M * float(np.sqrt(np.mean((q[2:] - ahead)[border:] ** 2)))
-
-
-def _rms_um(values: FloatArray) -> float:
-    return UM_PER_M * float(np.sqrt(np.mean(values**2)))

@@ -1,4 +1,4 @@
-"""Figures of merit: rms and peak of an error, and accuracy of positioning after ISO 230-2.
+"""Figures of merit: rms of an error, and accuracy of positioning after ISO 230-2.
 
 What lives here: pure functions of arrays. What may not: plots and verdicts. Imports ``base`` only.
 """
@@ -9,63 +9,22 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
 
 _COVERAGE = 2.0  # ISO 230-2: expanded range with coverage factor 2
 
 
-def rms(values: FloatArray) -> float:
-    """Root mean square, in the unit of the values; shape (n,)."""
-    array = finite_array("values", values)
-    top = float(np.max(np.abs(array)))
-    if top == 0.0:
-        return 0.0
-    # Scaled, so that squares neither overflow nor vanish.
-    return top * float(np.sqrt(np.mean((array / top) ** 2)))
+def rms_um(values_m: FloatArray) -> float:
+    """Root mean square in um of values in m, shape (n,)."""
+    return UM_PER_M * float(np.sqrt(np.mean(values_m**2)))
 
 
-def peak(values: FloatArray) -> float:
-    """Largest magnitude, in the unit of the values; shape (n,)."""
-    return float(np.max(np.abs(finite_array("values", values))))
+def centred_rms_um(values_m: FloatArray) -> float:
+    """Root mean square about the mean, in um, of values in m, shape (n,).
 
-
-def peak_to_peak(values: FloatArray) -> float:
-    """Largest minus smallest value; shape (n,)."""
-    array = finite_array("values", values)
-    return float(np.max(array) - np.min(array))
-
-
-def without_mean(values: FloatArray) -> FloatArray:
-    """Values less their mean, shape (n,)."""
-    array = finite_array("values", values)
-    return np.asarray(array - np.mean(array))
-
-
-def best_fit_rate(measured: FloatArray, simulated: FloatArray) -> float:
-    """Best fit rate in percent: 100 (1 - norm(residual) / norm(measured less its mean)).
-
-    Raises
-    ------
-    ModelError
-        Lengths differ or the measurement is constant.
+    For errors between scale and encoder: the offset between them is unknown.
     """
-    first = finite_array("measured", measured, min_size=2)
-    second = finite_array("simulated", simulated, min_size=2)
-    _same_size(first, second)
-    spread = rms(first - np.mean(first))
-    if spread == 0.0:
-        raise ModelError("measured is constant: its fit has no scale.", code="PC-MET-002")
-    return 100.0 * (1.0 - rms(first - second) / spread)
-
-
-def relative_error_percent(measured: FloatArray, simulated: FloatArray) -> float:
-    """100 norm(measured - simulated) / norm(measured), the figure of the EMPS benchmark."""
-    first = finite_array("measured", measured)
-    second = finite_array("simulated", simulated)
-    _same_size(first, second)
-    size = rms(first)
-    if size == 0.0:
-        raise ModelError("measured is zero throughout.", code="PC-MET-002")
-    return 100.0 * (rms(first - second) / size)
+    return float(np.std(values_m) * UM_PER_M)
 
 
 @dataclass(frozen=True)
@@ -120,7 +79,11 @@ def positioning(up_m: FloatArray, down_m: FloatArray) -> Positioning:
     """
     up, down = _runs("up_m", up_m), _runs("down_m", down_m)
     if up.shape != down.shape:
-        raise ModelError(f"up_m has shape {up.shape}, down_m {down.shape}.", code="PC-MET-003")
+        raise ModelError(
+            f"up_m has shape {up.shape}, down_m {down.shape}.",
+            code="PC-MET-002",
+            hint="Approach each target as often from below as from above.",
+        )
     mean_up, mean_down = up.mean(axis=0), down.mean(axis=0)
     spread_up = _COVERAGE * up.std(axis=0, ddof=1)
     spread_down = _COVERAGE * down.std(axis=0, ddof=1)
@@ -152,10 +115,3 @@ def _runs(name: str, value: FloatArray) -> FloatArray:
             hint="Give one row per run and one column per target.",
         )
     return finite_array(name, array.ravel()).reshape(array.shape)
-
-
-def _same_size(first: FloatArray, second: FloatArray) -> None:
-    if first.size != second.size:
-        raise ModelError(
-            f"{first.size} measured and {second.size} simulated samples.", code="PC-MET-003"
-        )

@@ -2,7 +2,7 @@
 
 What lives here: the ``Trajectory`` value and generators of the motions used for identification,
 prediction and verification. All start and end at rest. What may not: limits of a bench or anything
-of a controller. Imports ``base`` only.
+of a controller. Imports ``base`` and ``moves``.
 """
 
 import math
@@ -14,6 +14,7 @@ from scipy.interpolate import PPoly
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
+from pmac_comp.physics.signals.moves import move_pieces
 
 MAX_SAMPLES = 50_000_000
 _TINY = 1e-12
@@ -162,7 +163,7 @@ def multisine(
     """
     lines = finite_array("frequencies_Hz", frequencies_Hz)
     if np.any(lines <= 0.0):
-        raise ModelError("frequencies_Hz must be positive.", code="PC-TRJ-003")
+        raise _out_of_range("frequencies_Hz", float(lines.min()), "every line must be positive")
     total = _positive("duration_s", duration_s)
     ramp = min(_positive("ramp_s", ramp_s), 0.5 * total)
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, lines.size)
@@ -174,33 +175,6 @@ def multisine(
         raw = weights @ np.sin(angles) * _window(t, total, ramp)
         peak = float(np.max(np.abs(raw), initial=0.0))
         return np.asarray(raw * (amplitude / peak if peak > 0.0 else 0.0))
-
-    return _sampled(shape, total, period_s, centre_m, dwell_s)
-
-
-def chirp(
-    *,
-    period_s: float,
-    acceleration_m_per_s2: float,
-    start_Hz: float,
-    stop_Hz: float,
-    duration_s: float = 10.0,
-    centre_m: float = 0.0,
-    ramp_s: float = 0.5,
-    dwell_s: float = 0.1,
-) -> Trajectory:
-    """Exponential chirp of constant acceleration amplitude between two frequencies in Hz."""
-    low, high = _positive("start_Hz", start_Hz), _positive("stop_Hz", stop_Hz)
-    total = _positive("duration_s", duration_s)
-    growth = math.log(high / low) / total
-    peak = _real("acceleration_m_per_s2", acceleration_m_per_s2)
-
-    def shape(t: FloatArray) -> FloatArray:
-        frequency = low * np.exp(growth * t)
-        turns = low * t if abs(growth) < _TINY else (frequency - low) / growth
-        amplitude = peak / (2.0 * math.pi * frequency) ** 2
-        window = _window(t, total, min(ramp_s, 0.5 * total))
-        return np.asarray(amplitude * np.sin(2.0 * math.pi * turns) * window)
 
     return _sampled(shape, total, period_s, centre_m, dwell_s)
 
@@ -297,59 +271,6 @@ def staircase(
     )
 
 
-def speed_staircase(
-    *,
-    period_s: float,
-    speeds_m_per_s: Sequence[float],
-    distance_m: float,
-    acceleration_m_per_s2: float,
-    start_m: float = 0.0,
-    dwell_s: float = 0.1,
-) -> Trajectory:
-    """One move there and back at each speed, over at most ``distance_m`` and 2 s each way."""
-    speeds = finite_array("speeds_m_per_s", speeds_m_per_s)
-    parts = [
-        trapezoid(
-            period_s=period_s,
-            distance_m=math.copysign(min(abs(distance_m), 2.0 * float(speed)), distance_m),
-            speed_m_per_s=float(speed),
-            acceleration_m_per_s2=acceleration_m_per_s2,
-            start_m=start_m,
-            dwell_s=dwell_s,
-        )
-        for speed in speeds
-    ]
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = whole.then(part)
-    return whole
-
-
-def nested_reversals(
-    *,
-    period_s: float,
-    amplitudes_m: Sequence[float],
-    speed_m_per_s: float = 1e-3,
-    acceleration_m_per_s2: float = 0.05,
-    centre_m: float = 0.0,
-    dwell_s: float = 0.2,
-) -> Trajectory:
-    """Quasi-static reversals of each amplitude in turn: inner loops of presliding friction."""
-    amplitudes = finite_array("amplitudes_m", amplitudes_m)
-    stops = [0.0]
-    for amplitude in amplitudes:
-        stops += [float(amplitude), -float(amplitude)]
-    stops.append(0.0)
-    return path(
-        [float(step) for step in np.diff(stops)],
-        period_s=period_s,
-        speed_m_per_s=speed_m_per_s,
-        acceleration_m_per_s2=acceleration_m_per_s2,
-        start_m=centre_m,
-        dwell_s=dwell_s,
-    )
-
-
 def path(
     moves_m: Sequence[float],
     *,
@@ -362,8 +283,13 @@ def path(
 ) -> Trajectory:
     """Moves with trapezoidal speed one after the other, with a dwell around each.
 
-    Source: acceleration pulses that are trapezoids (constant for ``s_curve_s`` = 0), integrated
-    exactly as piecewise polynomials and sampled.
+    Acceleration pulses that are trapezoids (steps for ``s_curve_s`` = 0), integrated exactly as
+    piecewise polynomials and sampled. See ``trapezoid`` for the other parameters.
+
+    Parameters
+    ----------
+    moves_m : sequence of float, shape (n,)
+        Signed distances in m.
     """
     moves = finite_array("moves_m", moves_m)
     speed = _positive("speed_m_per_s", speed_m_per_s)
@@ -373,47 +299,12 @@ def path(
     knots: list[float] = [0.0, rest]
     slopes: list[tuple[float, float]] = [(0.0, 0.0)]
     for move in moves:
-        for duration, jerk, level in _pulses(float(move), speed, acceleration, rise):
+        for duration, jerk, level in move_pieces(float(move), speed, acceleration, rise):
             knots.append(knots[-1] + duration)
             slopes.append((jerk, level))
         knots.append(knots[-1] + rest)
         slopes.append((0.0, 0.0))
     return _integrated(knots, slopes, period_s, start_m)
-
-
-def _pulses(
-    move: float, speed: float, acceleration: float, rise: float
-) -> list[tuple[float, float, float]]:
-    """Pieces (duration, jerk, first acceleration) of one move."""
-    if move == 0.0:
-        return []
-    top = min(speed, _reachable_speed(abs(move), acceleration, rise))
-    sign = math.copysign(1.0, move)
-    up = _one_pulse(sign * top, acceleration, rise)
-    down = [(duration, -jerk, -level) for duration, jerk, level in up]
-    accelerating = sum(duration for duration, _, _ in up)
-    cruise = max(0.0, abs(move) / top - accelerating)
-    return [*up, (cruise, 0.0, 0.0), *down]
-
-
-def _one_pulse(speed: float, acceleration: float, rise: float) -> list[tuple[float, float, float]]:
-    """Acceleration pulse that changes the speed by ``speed`` (signed)."""
-    sign = math.copysign(1.0, speed)
-    if rise <= 0.0:
-        return [(abs(speed) / acceleration, 0.0, sign * acceleration)]
-    peak = min(acceleration, abs(speed) / rise)
-    flat = abs(speed) / peak - rise
-    jerk = sign * peak / rise
-    return [(rise, jerk, 0.0), (max(flat, 0.0), 0.0, sign * peak), (rise, -jerk, sign * peak)]
-
-
-def _reachable_speed(distance: float, acceleration: float, rise: float) -> float:
-    """Largest speed of a move without cruise: distance = v (duration of one pulse)."""
-    # With a flat top the pulse lasts v/a + rise; without one 2 rise, at v = distance / (2 rise).
-    with_top = 0.5 * acceleration * (-rise + math.sqrt(rise**2 + 4.0 * distance / acceleration))
-    if rise > 0.0 and with_top < acceleration * rise:
-        return distance / (2.0 * rise)
-    return with_top
 
 
 def _integrated(
@@ -479,20 +370,26 @@ def _real(name: str, value: float) -> float:
 def _positive(name: str, value: float) -> float:
     number = _real(name, value)
     if number <= 0.0:
-        raise ModelError(f"{name} is {number:g}; it must be positive.", code="PC-TRJ-003")
+        raise _out_of_range(name, number, "it must be positive")
     return number
 
 
 def _not_negative(name: str, value: float) -> float:
     number = _real(name, value)
     if number < 0.0:
-        raise ModelError(f"{name} is {number:g}; it must not be negative.", code="PC-TRJ-003")
+        raise _out_of_range(name, number, "it must not be negative")
     return number
 
 
 def _count(name: str, value: int) -> int:
     if not 1 <= value <= 100_000:
-        raise ModelError(
-            f"{name} is {value}; between 1 and 100000 are possible.", code="PC-TRJ-003"
-        )
+        raise _out_of_range(name, value, "1 to 100000 are possible")
     return int(value)
+
+
+def _out_of_range(name: str, value: float, rule: str) -> ModelError:
+    return ModelError(
+        f"{name} of the motion is {value:g}; {rule}.",
+        code="PC-TRJ-003",
+        hint="Correct the motion that was asked for.",
+    )

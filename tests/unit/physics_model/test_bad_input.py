@@ -8,7 +8,6 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.model import quasi_static as qs
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
-from pmac_comp.physics.signals import metrics
 from pmac_comp.physics.signals import trajectory as tr
 
 pytestmark = [pytest.mark.faults, pytest.mark.timeout(20)]
@@ -33,12 +32,6 @@ CALLS = {
     "simulate force": lambda a: simulate(MODEL, ONE, external_force_N=a),
     "Trajectory": lambda a: tr.Trajectory(np.arange(a.shape[0]) * TS, a),
     "Trajectory time": lambda a: tr.Trajectory(a, np.zeros(a.shape[0])),
-    "rms": metrics.rms,
-    "peak": metrics.peak,
-    "peak_to_peak": metrics.peak_to_peak,
-    "without_mean": metrics.without_mean,
-    "best_fit_rate": lambda a: metrics.best_fit_rate(a, np.arange(3.0)),
-    "relative_error": lambda a: metrics.relative_error_percent(np.ones(3), a),
     "compliance": lambda a: qs.compliance_m_per_N(MODEL, a),
     "torsion": lambda a: qs.torsional_compliance_rad_per_Nm(MODEL, a),
     "windup": lambda a: qs.screw_windup_m_per_m_per_s2(MODEL, a),
@@ -52,10 +45,6 @@ CALLS = {
         period_s=TS, positions_m=a, speed_m_per_s=0.1, acceleration_m_per_s2=1.0
     ),
     "path": lambda a: tr.path(a, period_s=TS, speed_m_per_s=0.1, acceleration_m_per_s2=1.0),
-    "speeds": lambda a: tr.speed_staircase(
-        period_s=TS, speeds_m_per_s=a, distance_m=0.1, acceleration_m_per_s2=1.0
-    ),
-    "reversals": lambda a: tr.nested_reversals(period_s=TS, amplitudes_m=a),
 }
 
 
@@ -66,7 +55,7 @@ def test_bad_arrays_are_refused(call, bad):
         CALLS[call](BAD[bad])
 
 
-@pytest.mark.parametrize("name", ["simulate command", "rms", "mechanical_error"])
+@pytest.mark.parametrize("name", ["simulate command", "compliance", "mechanical_error"])
 def test_the_message_names_array_and_index(name):
     with pytest.raises(ModelError, match="index 1"):
         CALLS[name](BAD["nan"])
@@ -87,8 +76,7 @@ def test_extreme_constants_end_in_a_number_or_a_typed_refusal(call, value):
 @pytest.mark.parametrize("size", [1, 2, 4])
 def test_wrong_lengths_are_refused(size):
     other = np.zeros(size)
-    for call in ("simulate desired", "simulate torque", "simulate force", "mechanical_error",
-                 "best_fit_rate", "relative_error"):  # fmt: skip
+    for call in ("simulate desired", "simulate torque", "simulate force", "mechanical_error"):
         with pytest.raises(ModelError):
             CALLS[call](other)
     with pytest.raises(ModelError):

@@ -7,7 +7,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.model import quasi_static as qs
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.physics.signals.metrics import rms
+from pmac_comp.physics.signals.metrics import rms_um
 
 BENCH = load_bench("paper")
 TS = BENCH.servo_period_s
@@ -42,8 +42,8 @@ def test_effects_change_the_closed_form_as_they_change_the_loop(name):
     moving = np.abs(motion.velocity_m_per_s) > 0.19
     simulated = (there.mechanical_error_m - plain.mechanical_error_m)[moving]
     formula = (found[0] - found[1])[moving]
-    assert rms(simulated) > 0.1e-6
-    assert rms(simulated - formula) < 0.3 * rms(simulated)
+    assert rms_um(simulated) > 0.1
+    assert rms_um(simulated - formula) < 0.3 * rms_um(simulated)
 
 
 def test_static_errors_are_those_of_a_slow_run():
