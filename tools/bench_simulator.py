@@ -51,6 +51,11 @@ def firmware(name: str) -> list[str]:
     return [line for line in lines if line]
 
 
+# Following of the master word, and the head of the law's block: no heartbeat, clamp 60 counts.
+LAW_HEAD = ("I105=$10F8", "I107=3", "I106=3", "P7004=60", "P7005=-1", "P7006=0.001", "P7007=1",
+            "P7008=1024", "P7009=0.000325520833")  # fmt: skip
+
+
 def law_bank() -> list[str]:
     bank = {0: 11.0, 2: 0.01, 4: 0.9, 8: 0.1, 9: 100.0, 10: 1.0, 11: 300.0, 15: 0.1, 21: 5000.0}
     values = [f"P{7010 + k}={v}" for k, v in bank.items()]
@@ -60,7 +65,7 @@ def law_bank() -> list[str]:
 def prepared(*, plant: object = None, law: str = "") -> Card:
     source = "\n".join(firmware("feedforward_servo.txt")) if law == "servo" else None
     card = Card(BENCH, plant=plant, servo_source=source)  # type: ignore[arg-type]
-    say(card, *firmware("bench_setup.pmc"))
+    say(card, *firmware("bench_setup.pmc"), *LAW_HEAD)
     table = " ".join(str(round(160 * (k % 20 - 10) / 10)) for k in range(200))
     say(card, "#1", "DELETE GATHER", "DEFINE COMP 200,#1D,#1,600000")
     for at in range(0, 200, 20):

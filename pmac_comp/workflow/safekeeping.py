@@ -117,7 +117,9 @@ def _program_text(bench: str, source: Path) -> str:
             code="PC-BCK-011",
             hint="Give a backup (.json) or a program file as text. Nothing was changed.",
         ) from error
-    return programs.render(text, motor=loaded.encoder.motor_number, first_p=block.first)
+    motor = loaded.encoder.motor_number
+    scale_motor = loaded.scale.motor_number if loaded.scale else motor
+    return programs.render(text, motor=motor, scale_motor=scale_motor, first_p=block.first)
 
 
 def _short(value: object) -> str:

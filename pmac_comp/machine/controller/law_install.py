@@ -39,7 +39,7 @@ from pmac_comp.machine.controller.law_state import (
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.settings import Settings, read_settings
+from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
@@ -65,7 +65,7 @@ def guard_program(context_block: LawBlock) -> Program:
 
 
 def definitions(motor: int) -> dict[int, str]:
-    """M-variables that PLC 0 and the guard use (as ``bench_setup.pmc`` has them)."""
+    """M-variables that PLC 0 and the guard use."""
     base = 0x80 * motor
     return {
         7000: "X:$0,24",
@@ -117,10 +117,11 @@ def install_law(
     """
     with untouched():
         head = read_law_head(link, context.block)
-        goal, done = _missing(link, context, motor, head, ramp_s, every_cycles)
+        found = _standing(link, motor)
+        goal, done = _missing(link, context, motor, head, found, ramp_s, every_cycles)
         if goal.is_empty and is_running(link, context.block, context.servo_period_s) is LawForm.PLC:
             return done
-        refusals = _refusals(link, motor, head, goal)
+        refusals = _refusals(link, motor, head, goal) + _owners(context, motor, found)
     with SettingsUpload(link, context, goal, route="law", refusals=refusals) as upload:
         upload.write()
         upload.check(lambda: _require_life(link, context))
@@ -135,6 +136,18 @@ _LOCKED: Final = (
     "a password protects PLC 1 on the controller, so the guard was not installed: tables that "
     "another client enables during an upload are found at its next step only"
 )
+
+
+_FOREIGN_GUARD: Final = (
+    "PLC 1 holds another program, so the guard was not installed: tables that another client "
+    "enables during an upload are found at its next step only"
+)
+
+
+def _is_foreign(found: Settings, place: tuple[ProgramKind, int], ours: Program) -> bool:
+    """Whether a program stands there that does not begin as ours of any version does."""
+    stands = programs.canonical(found.programs[place])
+    return bool(stands) and stands[0] != ours.tokens[0]
 
 
 def install_guard(link: Link, context: Context) -> tuple[str, ...]:
@@ -181,11 +194,8 @@ def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
     stands = programs.canonical(found.programs[GUARD])
     if stands == guard.tokens and 1 in found.running:
         return "", Settings()
-    if stands and stands[0] != guard.tokens[0]:
-        return (
-            "PLC 1 holds another program, so the guard was not installed: tables that another "
-            "client enables during an upload are found at its next step only"
-        ), Settings()
+    if _is_foreign(found, GUARD, guard):
+        return _FOREIGN_GUARD, Settings()
     defined = found.definitions[GUARD_DEFINITION].upper().replace(" ", "")
     if defined not in {"*", asked.definitions[GUARD_DEFINITION]}:
         return (
@@ -195,23 +205,34 @@ def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
     return "", replace(asked, programs={GUARD: guard.lines}, running=frozenset({1}))
 
 
+def _standing(link: Link, motor: int) -> Settings:
+    """What stands in the places of law and guard."""
+    asked = Settings({**_following(motor), "I8": ""}, definitions(motor), {LAW: (), GUARD: ()})
+    return read_settings(link, asked)
+
+
 def _missing(
-    link: Link, context: Context, motor: int, head: LawHead, ramp_s: float, every_cycles: int
+    link: Link,
+    context: Context,
+    motor: int,
+    head: LawHead,
+    found: Settings,
+    ramp_s: float,
+    every_cycles: int,
 ) -> tuple[Settings, tuple[str, ...]]:
     """Settings that are not there yet, and what putting them there is called."""
     block = context.block
     law, guard = law_program(block, motor), guard_program(block)
     following, pace = _following(motor), {"I8": str(every_cycles - 1)}
-    asked = Settings({**following, **pace}, definitions(motor), {LAW: (), GUARD: ()})
-    found = read_settings(link, asked)
     whole = programs.canonical(found.programs[LAW]) == law.tokens and head.motor == motor
     paced = parse_integer(found.variables["I8"]) == every_cycles - 1
     follows = all(same_value(float(parse_integer(found.variables[k])), float(parse_integer(v)))
                   for k, v in following.items())  # fmt: skip
     guarded = programs.canonical(found.programs[GUARD]) == guard.tokens and 1 in found.running
+    foreign_guard = _is_foreign(found, GUARD, guard)
     wanted = {
         LAW: None if whole and 0 in found.running else law.lines,
-        GUARD: None if guarded else guard.lines,
+        GUARD: None if guarded or foreign_guard else guard.lines,
     }
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
     variables = {} if whole else _head_values(link, context, motor, ramp_s)
@@ -225,7 +246,8 @@ def _missing(
         "PLC 0 is on the card already" if whole else "PLC 0 was written and listed back",
         "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
         "" if paced else f"PLC 0 runs every {every_cycles} servo cycles (I8 = {every_cycles - 1})",
-        "" if guarded else "the guard (PLC 1) was written and listed back",
+        _FOREIGN_GUARD if foreign_guard else "",
+        "" if guarded or foreign_guard else "the guard (PLC 1) was written and listed back",
     )
     return goal, tuple(note for note in notes if note)
 
@@ -265,6 +287,45 @@ def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[Saf
             )
         )
     return found + motion_refusals(link, [motor])
+
+
+def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal]:
+    """What belongs to somebody else where the law would go: a machine's logic must not vanish."""
+    out: list[SafetyRefusal] = []
+    if _is_foreign(found, LAW, law_program(context.block, motor)):
+        out.append(
+            SafetyRefusal(
+                "PLC 0 holds a program that is not ours; the law would replace it.",
+                code="PC-LAW-037",
+                hint="Move it to another PLC, or use --route servo, table or program.",
+            )
+        )
+    # Definitions that an earlier law of any motor left behind are ours.
+    ours = [definitions(number) for number in range(1, MOTORS + 1)]
+    defined = {n: text for n, text in found.definitions.items() if text.strip() not in {"", "*"}}
+    taken = [
+        f"M{n} is {text}"
+        for n, text in defined.items()
+        if all(differences(Settings(definitions={n: any_motor[n]}), found) for any_motor in ours)
+    ]
+    if taken:
+        out.append(
+            SafetyRefusal(
+                f"M-variables of the law are defined otherwise: {', '.join(taken)}.",
+                code="PC-LAW-038",
+                hint="Renumber them where they are used, then free them (M7003->*).",
+            )
+        )
+    master = parse_integer(found.variables[f"I{motor}05"])
+    if parse_integer(found.variables[f"I{motor}06"]) & 1 and master != MASTER_WORD_ADDRESS:
+        out.append(
+            MotorNotSafe(
+                f"Motor #{motor} follows the master at ${master:X} already (I{motor}06 odd).",
+                code="PC-LAW-039",
+                hint=f"Switch that following off (I{motor}06=0), or use --route servo or program.",
+            )
+        )
+    return out
 
 
 def _require_life(link: Link, context: Context) -> None:

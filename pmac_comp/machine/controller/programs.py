@@ -20,9 +20,10 @@ from pmac_comp.machine.controller.link import Link
 PROTECTED: Final = 2  # ERR002
 SLOWEST_CHARACTERS_PER_s: Final = 800.0  # 9600 baud with an answer to every line
 _OPEN: Final = re.compile(r"^OPEN\s*(PLC|PROG(?:RAM)?)\s*(\d+)\s*(CLEAR)?$", re.I)
-_P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b")
+_P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b(?:\.\.(7[01]\d\d)\b)?")
 _MOTOR_I: Final = re.compile(r"\bI1(\d\d)\b")
-_MOTOR_REGISTER: Final = re.compile(r"\$([0-9A-F]{2})\b")
+# Alone or as a gather source, whose first digits say what is gathered (I5001-I5048).
+_MOTOR_REGISTER: Final = re.compile(r"\$(?:([48C]00)([01][0-9A-F]{2})|([01]?[0-9A-F]{2}))\b")
 _NUMBER: Final = re.compile(r"(?<![A-Z$\d.])(\d*\.?\d+|\d+\.)(?![\d.])")
 _SPELLINGS: Final = (
     ("LINEAR", "LIN"),
@@ -171,31 +172,38 @@ def parse_source(text: str) -> Source:
     return Source(tuple(commands), tuple(programs))
 
 
-def render(text: str, *, motor: int = 1, first_p: int = DEFAULT_FIRST) -> str:
-    """A firmware file for another motor and another block of P-variables.
+def render(text: str, *, motor: int = 1, scale_motor: int = 2, first_p: int = DEFAULT_FIRST) -> str:
+    """A firmware file for other motors and another block of P-variables.
 
-    Our files are written for motor 1 and P7000: P7000-P7199, I1xx, ``#1`` and the addresses
-    $80-$FF of motor 1's registers are moved.
+    Our files are written for motor 1, a scale read by motor 2, and P7000: P7000-P7199, I1xx,
+    ``#1`` and the addresses of both motors' registers ($80-$FF, $100-$17F) are moved.
     """
     if not 0 <= first_p <= 8192 - BLOCK_SIZE or not 1 <= motor <= 32:
         raise ConfigError(f"No place for motor #{motor} and P{first_p}.", code="PC-PRG-004")
     moved = []
     for line in text.splitlines():
         code, mark, comment = line.partition(";")
-        code = _P_OF_BLOCK.sub(lambda m: f"P{int(m[1]) - DEFAULT_FIRST + first_p}", code)
-        if motor != 1:
-            code = _MOTOR_I.sub(lambda m: f"I{motor}{m[1]}", code)
-            code = re.sub(r"#1(?!\d)", f"#{motor}", code)
-            code = _MOTOR_REGISTER.sub(lambda m: _move_register(m[1], motor), code)
+        code = _P_OF_BLOCK.sub(lambda m: _move_block(m, first_p), code)
+        code = _MOTOR_I.sub(lambda m: f"I{motor}{m[1]}", code)
+        code = re.sub(r"#1(?!\d)", f"#{motor}", code)
+        code = _MOTOR_REGISTER.sub(lambda m: _move_register(m, (motor, scale_motor)), code)
         moved.append(code + mark + comment)
     return "\n".join(moved) + "\n"
 
 
-def _move_register(digits: str, motor: int) -> str:
-    address = int(digits, 16)
-    if 0x80 <= address <= 0xFF:
-        address += 0x80 * (motor - 1)
-    return f"${address:X}"
+def _move_block(found: re.Match[str], first_p: int) -> str:
+    first, *last = (int(x) - DEFAULT_FIRST + first_p for x in found.groups() if x)
+    return f"P{first}" + "".join(f"..{number}" for number in last)
+
+
+def _move_register(found: re.Match[str], motors: tuple[int, int]) -> str:
+    """Register of motor 1 or 2 as that of the motors that stand for them; others stay."""
+    half, digits = found[1] or "", found[2] or found[3]
+    base, offset = divmod(int(digits, 16), 0x80)
+    if base not in {1, 2}:
+        return found[0]
+    address = 0x80 * motors[base - 1] + offset
+    return f"${half}{address:03X}" if half else f"${address:X}"
 
 
 def canonical(lines: Iterable[str]) -> tuple[str, ...]:

@@ -64,8 +64,8 @@ def test_a_changed_token_is_found(tmp_path: Path) -> None:
 def test_setup_points_the_definitions_where_the_law_reads(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     programs.download_source(bench.link, source("bench_setup.pmc"))
-    answers = bench.link.query("M7000->M7001->M7002->I105I106I107P7008")
-    assert answers == ["X:$0,24", "D:$88", "X:$10F8,24,S", "$10F8", "3", "3", "1024"]
+    answers = bench.link.query("M7000->M7001->M7002->I5003I5006")
+    assert answers == ["X:$0,24", "D:$88", "X:$10F8,24,S", "$80010B", "$4000BF"]
 
 
 def test_guard_switches_tables_off_while_the_manifest_says_writing(tmp_path: Path) -> None:
@@ -273,8 +273,11 @@ def test_files_move_to_another_block_and_motor() -> None:
     assert "P70" not in text
     assert "P6113" in text
     assert "I329" in text
-    setup = "\n".join(source("bench_setup.pmc", motor=2).commands)
-    assert "M7001->D:$108" in setup
+    setup = source("bench_setup.pmc", motor=3, scale_motor=5).commands
+    assert {"M7001->D:$188", "M7010->D:$28B", "M7002->X:$10F8,0,24,S"} <= set(setup)
+    assert {"I5001=$800188", "I5003=$80028B", "I5005=$400000", "I5006=$4001BF"} <= set(setup)
+    cleared = programs.render("P7000..7199=0 M7000=P7010", first_p=3000)
+    assert cleared == "P3000..3199=0 M7000=P3010\n"
 
 
 def test_cost_of_the_law_is_counted() -> None:
