@@ -22,6 +22,7 @@ _FAR_MORE = 9.0
 _SAME_m = 1e-8  # within which a command is the same again
 _LEAST_REPEATED = 512
 _REFINEMENTS = 5
+_MOST_LAGS = 24
 _BANDS = 16
 _LOWEST_LINE = 3
 
@@ -100,7 +101,7 @@ def fractional_period(command_m: FloatArray) -> float:
     """Samples after which a command repeats, nearest to a whole number; 0 if it does not."""
     best, least = 0.0, np.inf
     small = _minima(_difference(command_m), 0.2 * float(command_m.var()))
-    for lag in small[small <= _LARGEST_PERIOD_FRAC * command_m.size].tolist():
+    for lag in small[small <= _LARGEST_PERIOD_FRAC * command_m.size][:_MOST_LAGS].tolist():
         exact = _refined(command_m, float(lag))
         away = abs(exact - round(exact))
         if away >= least or abs(exact - lag) > 1.0:
