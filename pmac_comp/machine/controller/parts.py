@@ -1,0 +1,210 @@
+"""One change that got as far as its intent, of any kind: what it meant, how it stands, settling it.
+
+What a kind does to the controller lives with it (``table_recovery``, ``law_upload``,
+``settings_upload``); tables alone are settled by their manifest, in ``table_recovery``.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pmac_comp.base.errors import ControllerState
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import Entry, Journal
+from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, LawParameters
+from pmac_comp.machine.controller.law_state import read_bank, read_law_head
+from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
+from pmac_comp.machine.controller.lease import host_lock
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings import Settings, differences, read_settings
+from pmac_comp.machine.controller.settings_upload import (
+    TEMPORARY,
+    finish_settings,
+    put_back,
+    read_settings_backup,
+    running_refusals,
+    settings_state,
+)
+from pmac_comp.machine.controller.table_recovery import rollback_tables, tables_state
+from pmac_comp.machine.controller.transaction import (
+    DONE,
+    ROLLED_BACK,
+    ChangeKind,
+    UploadResult,
+    journals,
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A change that got as far as its intent."""
+
+    journal: Journal
+    kind: ChangeKind
+    intent: Entry
+
+    @property
+    def closing(self) -> str:
+        """Last step of the journal."""
+        return self.journal.entries()[-1].step
+
+    @property
+    def new_settings(self) -> Settings:
+        """What a change of settings meant."""
+        return Settings.from_dict(self.intent.data["new"])
+
+    @property
+    def crc_of_law(self) -> int:
+        """Checksum of the law that was meant, 0 for none."""
+        values = self.intent.data["values"]
+        if not isinstance(values, list):
+            return 0
+        return LawParameters.from_values([float(v) for v in values]).digest
+
+    @property
+    def items(self) -> set[object]:
+        """What it touches: two changes with a common item exclude each other."""
+        if self.kind is not ChangeKind.SETTINGS:
+            return {self.kind}
+        new = self.new_settings
+        return {*new.variables, *new.definitions, *new.programs} | (
+            {"axes"} if new.axes is not None else set()
+        )
+
+
+def parts_of(context: Context) -> list[Part]:
+    """Changes with an intent, oldest first."""
+    found = []
+    for journal in journals(context):
+        intent = journal.last("intent")
+        lasting = intent is not None and not intent.data.get(TEMPORARY)
+        if intent is not None and lasting and journal.kind != ChangeKind.GROUP.value:
+            found.append(Part(journal, ChangeKind(journal.kind), intent))
+    return found
+
+
+def unsettled(context: Context) -> list[Part]:
+    """Open changes, newest first, that no later change of the same items has replaced."""
+    found: list[Part] = []
+    touched: set[object] = set()
+    for part in reversed(parts_of(context)):
+        if part.journal.is_open and not part.items & touched:
+            found.append(part)
+        touched |= part.items
+    return found
+
+
+# How it stands -----------------------------------------------------------------------------------
+
+
+def missing(link: Link, context: Context, part: Part) -> str:
+    """What of a part does not stand, in words; empty if all of it does."""
+    if part.kind is ChangeKind.TABLES:
+        state, reason = tables_state(link, context, part.journal)
+        return "" if state is ControllerState.NEW else reason
+    if part.kind is ChangeKind.LAW:
+        law = read_bank(link, context.block, read_law_head(link, context.block).bank)
+        same = (0 if law is None else law.digest) == part.crc_of_law
+        return "" if same else "the bank in use holds another law"
+    new = part.new_settings
+    if part.intent.data["skip_refused"]:
+        # Of a backup of another firmware not everything can stand.
+        new = replace(new, variables={}, definitions={}, axes=None)
+    # Our own block is state: parts that follow change it, and so does the law itself.
+    first = context.block.first
+    ours = {f"P{n}" for n in range(first, first + BLOCK_SIZE)}
+    kept = {name: text for name, text in new.variables.items() if name not in ours}
+    new = replace(new, variables=kept)
+    return "; ".join(differences(new, read_settings(link, new))[:3])
+
+
+def how_it_stands(link: Link, context: Context, part: Part) -> UploadResult:
+    """How a finished change stands now: a reset without SAVE may have taken it away."""
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if state is ControllerState.DISABLED:
+        reason = f"something changed since the last upload: {reason}"
+    return UploadResult(
+        state, part.kind.value, crc_old, crc_new, journal=part.journal.path, notes=(reason,)
+    )
+
+
+def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, str, int, int]:
+    """State of a law or of settings, why, and both checksums."""
+    backup = _backup(context, part)
+    if part.kind is ChangeKind.LAW:
+        old = read_law_backup(backup)
+        crc_new = part.crc_of_law
+        head = read_law_head(link, context.block)
+        law = read_bank(link, context.block, head.bank)
+        state = decide_law(0 if law is None else law.digest, old.crc, crc_new)
+        return state, _LAW_REASONS[state], old.crc, crc_new
+    before, new = read_settings_backup(backup), part.new_settings
+    state, reason = settings_state(link, before, new)
+    return state, reason, before.crc, new.crc
+
+
+_LAW_REASONS = {
+    ControllerState.OLD: "the old law is in use",
+    ControllerState.NEW: "the new law is in use; arm it when the axis is ready",
+    ControllerState.DISABLED: "the bank in use holds neither the old nor the new law",
+}
+
+
+# Settling it -------------------------------------------------------------------------------------
+
+
+def settle(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    """Bring an interrupted law or settings to OLD or NEW and close the journal."""
+    with host_lock(context):
+        if part.kind is ChangeKind.LAW:
+            return _settle_law(link, context, part, resume=resume)
+        return _settle_settings(link, context, part, resume=resume)
+
+
+def _settle_law(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if not (state is ControllerState.NEW and resume):
+        restore_law(link, context, read_law_backup(_backup(context, part)))
+        state, reason = ControllerState.OLD, _LAW_REASONS[ControllerState.OLD]
+    part.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
+    return UploadResult(state, "law", crc_old, crc_new, journal=part.journal.path, notes=(reason,))
+
+
+def _backup(context: Context, part: Part) -> Path:
+    return context.store / Path(str(part.intent.data["backup"])).name
+
+
+def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+    new, tolerant = part.new_settings, bool(part.intent.data["skip_refused"])
+    if any(kind is ProgramKind.PROG for kind, _ in new.programs):
+        raise_all(running_refusals(link), "The recovery")
+    # What follows would go into a buffer that the interruption left open.
+    link.write_buffer(["CLOSE"])
+    state, reason, crc_old, crc_new = _judge(link, context, part)
+    if state is ControllerState.NEW and resume:
+        finish_settings(link, new)
+    else:
+        old = read_settings_backup(_backup(context, part))
+        state = put_back(link, old, skip_refused=tolerant)
+        reason = "the old settings are back"
+        if state is ControllerState.DISABLED:
+            reason = "the old settings could not be written; the programs concerned are empty"
+    part.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
+    return UploadResult(
+        state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)
+    )
+
+
+def take_back(link: Link, context: Context, part: Part) -> str:
+    """Bring back what stood before a part of any kind; what was done, in words."""
+    backup = _backup(context, part)
+    if part.kind is ChangeKind.TABLES:
+        rollback_tables(link, context, backup)
+        return "the old tables are back"
+    if part.kind is ChangeKind.LAW:
+        with host_lock(context):
+            restore_law(link, context, read_law_backup(backup))
+        return "the old law is back"
+    settle(link, context, part, resume=False)
+    return "the old settings and programs are back"
