@@ -18,7 +18,7 @@ from types import CodeType, FrameType
 
 from pmac_comp.base.clock import Deadline, VirtualClock
 from pmac_comp.base.errors import PmacCompError
-from pmac_comp.machine.client.link import PacketLink
+from pmac_comp.machine.client.packet_link import PacketLink
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way

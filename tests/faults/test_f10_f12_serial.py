@@ -11,7 +11,7 @@ import pytest
 from pmac_comp.base.clock import Deadline, VirtualClock
 from pmac_comp.base.errors import ConnectFailed, LinkError, PmacCompError, ProtocolError
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY
+from pmac_comp.machine.client.line_link import CHANGED_ON_THE_WAY
 from pmac_comp.machine.client.modes import Modes
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport

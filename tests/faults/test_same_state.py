@@ -6,7 +6,7 @@ import pytest
 
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import CommandRefused
-from pmac_comp.machine.client.link import PacketLink
+from pmac_comp.machine.client.packet_link import PacketLink
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.machine.wire.ethernet import Malformed, Request, RequestReader
 from pmac_comp.machine.wire.replies import Reply

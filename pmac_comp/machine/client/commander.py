@@ -25,8 +25,10 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
 )
 from pmac_comp.machine.client.batches import buffer_batches, line_batches, merged_runs
-from pmac_comp.machine.client.link import CHANGED_ON_THE_WAY, LineLink, PacketLink, Statistics
+from pmac_comp.machine.client.line_link import CHANGED_ON_THE_WAY, LineLink
+from pmac_comp.machine.client.link import Statistics
 from pmac_comp.machine.client.modes import Modes, establish, restore
+from pmac_comp.machine.client.packet_link import PacketLink
 from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.client.refusals import (
     accepted,

@@ -1,8 +1,8 @@
 """One exchange over a transport: send a line, read the whole answer, find the mark after trouble.
 
-What lives here: the two ways in which a line and its answer travel (packet port, ASCII port), and
-how a conversation is brought to a known point. It does not know which commands may be repeated,
-nor what they mean; that is the commander's.
+What lives here: what the two ways in which a line and its answer travel share (``packet_link``,
+``line_link``), and how a conversation is brought to a known point. It does not know which commands
+may be repeated, nor what they mean; that is the commander's.
 
 The wire has no request numbers. After a missed deadline a late answer would be taken for the
 answer to the next question; so a link that missed one is *unsettled*, and settles only by seeing
@@ -19,18 +19,12 @@ from typing import Protocol
 from pmac_comp.base.clock import Clock, Deadline
 from pmac_comp.base.errors import LinkLost, RemoteProtocolError, ReplyTimeout
 from pmac_comp.machine.transport.base import Transport
-from pmac_comp.machine.wire import dialog, ethernet
-from pmac_comp.machine.wire.replies import Reply, ReplyReader, plain_lines
+from pmac_comp.machine.wire import dialog
+from pmac_comp.machine.wire.replies import Reply, ReplyReader
 
-QUIET_S = 0.25
-"""A pause inside an answer after which the packet port is asked for more."""
-CHANGED_ON_THE_WAY = "PC-LINK-SUM"
-"""Code of the error that a changed command earns; it is never answered by asking again."""
-_SETTLE_S = 0.06
-_FLUSH_S = 0.5
-_BUSY_POLL_S = 0.02
+SETTLE_S = 0.06
+"""How long nothing may come before a line counts as quiet."""
 _MARK_LENGTH = 16
-_TEXT = bytes([0x0D, *range(0x20, 0x7F)])
 _MARK_TRIES = 3
 _MARK_SYMBOLS = (("I3", "2"), ("I6", "1"))
 
@@ -240,186 +234,8 @@ class BaseLink:
 
     def _take_until_quiet(self, deadline: Deadline) -> bytes:
         taken = bytearray()
-        while data := self._receive_within(_SETTLE_S, deadline):
+        while data := self._receive_within(SETTLE_S, deadline):
             taken += data
             if len(taken) > self._limit:
                 raise RemoteProtocolError(f"the answer exceeds {self._limit} bytes")
         return bytes(taken)
-
-
-class PacketLink(BaseLink):
-    """The Ethernet packet port."""
-
-    def request(self, request: ethernet.Request, deadline: Deadline) -> bytes:
-        """The answer to a request whose size is known beforehand."""
-        size = ethernet.reply_size(request)
-        if size is None:
-            raise ValueError(f"{request.name} is answered with text")
-        self._clear_way(deadline)
-        self.unsettled = True
-        self._send(ethernet.encode(request), deadline)
-        data = b""
-        while len(data) < size:
-            data += self._receive(deadline)
-        self.unsettled = len(data) > size
-        return data[:size]
-
-    def exchange(self, command: bytes, deadline: Deadline) -> Reply:
-        """Send a command line with GETRESPONSE and read its whole answer with GETBUFFER."""
-        self._clear_way(deadline)
-        self.unsettled = True
-        self._send(ethernet.command_packet(command), deadline)
-        data = last = self._receive(deadline)
-        # Long listings come in whole parts of plain text: no need to look at each byte of them.
-        while not self.i4 and len(last) == ethernet.MAX_REPLY and _is_text(last):
-            if len(data) > self._limit:
-                break
-            self._ask_more(deadline)
-            last = self._receive(deadline)
-            data += last
-        lines = None if self.i4 or len(last) > ethernet.MAX_REPLY else plain_lines(data)
-        if lines is not None:
-            self.unsettled = False
-            return Reply(lines)
-        reader = ReplyReader(limit=self._limit, checksum=bool(self.i4 & 1))
-        self._read_parts(reader, data, len(last), deadline)
-        return self._finish(reader)
-
-    def _read_parts(self, reader: ReplyReader, data: bytes, part: int, deadline: Deadline) -> None:
-        asked_early = waiting = False
-        heard_s = self._clock.now_s()
-        while not reader.receive(data):
-            busy = bool(data) and not data.strip(b"\x00")
-            if data and not busy:
-                heard_s = self._clock.now_s()
-            self._require_within_pause(heard_s)
-            if busy:
-                self._clock.sleep_s(_BUSY_POLL_S)
-            if data:
-                waiting = False
-            if busy or part == ethernet.MAX_REPLY:
-                part = 0
-                self._ask_more(deadline)
-            elif not data and not waiting:
-                # A part shorter than 1400 bytes that was not the last, or a pause inside one: if
-                # the latter, the answer to this request is one too many.
-                asked_early = waiting = True
-                self._ask_more(deadline)
-            data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
-            part += len(data)
-        self.unsettled = asked_early
-
-    def _ask_more(self, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.get_buffer()), deadline)
-
-    def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
-        """Send a control character through its own request."""
-        if not answers:
-            self.request(ethernet.send_control(character), deadline)
-            return b""
-        self._clear_way(deadline)
-        self.unsettled = True
-        self._send(ethernet.encode(ethernet.control_response(character)), deadline)
-        text = bytearray()
-        while b"\r" not in text and len(text) < ethernet.MAX_REPLY:
-            text += self._receive(deadline)
-        # An ACK may follow the line or not: what comes late is found as a stray.
-        text += self._receive_within(_SETTLE_S / 3, deadline) if text[-1:] == b"\r" else b""
-        self.unsettled = False
-        return bytes(text).partition(b"\r")[0]
-
-    def collect(self, command: bytes, deadline: Deadline) -> bytes:
-        """All that answers a line in whatever mode: parts are asked for until none comes."""
-        self._silence(deadline)
-        self._ask(command, deadline)
-        taken = self._receive(deadline)
-        while True:
-            more = self._take_until_quiet(deadline)
-            taken += more
-            reader = ReplyReader(limit=self._limit)
-            if reader.receive(taken) and not reader.rest:
-                return taken
-            self._ask_more(deadline)
-            more = self._take_until_quiet(deadline)
-            taken += more
-            if not more.strip(b"\x00"):
-                return taken.replace(b"\x00", b"")
-
-    def _silence(self, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.flush()), deadline)
-        # Should no answer come, what follows still finds its mark: FLUSH only makes way for it.
-        if self._receive_within(_FLUSH_S, deadline):
-            self._take_until_quiet(deadline)
-
-    def _ask(self, command: bytes, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.get_response(command)), deadline)
-
-
-class LineLink(BaseLink):
-    """An ASCII port: serial line or terminal server."""
-
-    def exchange(self, command: bytes, deadline: Deadline) -> Reply:
-        """Send a command line and read its whole answer."""
-        self._clear_way(deadline)
-        reader = ReplyReader(checksum=bool(self.i4 & 1), limit=self._limit)
-        self.unsettled = True
-        self._ask(command, deadline)
-        while not reader.receive(self._receive(deadline)):
-            pass
-        self.unsettled = False
-        reply = self._finish(reader)
-        self._check_command(reply, command)
-        if reply.faults:
-            self.unsettled = True
-        return reply
-
-    def _check_command(self, reply: Reply, command: bytes) -> None:
-        """Raise if the line that the card carried out was not ours."""
-        expected = dialog.command_sum(command)
-        if reply.command_sum not in (None, expected):
-            self.unsettled = True
-            raise RemoteProtocolError(
-                f"noise changed '{dialog.visible(command)}' on its way: the controller received "
-                f"a line with the sum {reply.command_sum}, not {expected}, and carried it out",
-                code=CHANGED_ON_THE_WAY,
-                hint="Read back what you rely on, and check the cable and its shield.",
-            )
-
-    def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
-        """Send a control character as it is."""
-        self._clear_way(deadline)
-        self._send(bytes([character]), deadline)
-        if not answers:
-            return b""
-        self.unsettled = True
-        text = bytearray()
-        while b"\r" not in text:
-            text += self._receive(deadline)
-        line, _, rest = bytes(text).partition(b"\r")
-        if self.i4 & 1:
-            self._check_sum(line + b"\r", rest or self._receive_within(_SETTLE_S, deadline))
-        self.unsettled = False
-        return line.strip(b"\n")
-
-    def _check_sum(self, line: bytes, rest: bytes) -> None:
-        if rest and rest[0] != dialog.line_sum(line):
-            raise RemoteProtocolError(f"'{dialog.visible(line)}' does not match its checksum")
-
-    def collect(self, command: bytes, deadline: Deadline) -> bytes:
-        """All that answers a line in whatever mode."""
-        self._silence(deadline)
-        self._ask(command, deadline)
-        first = self._receive(deadline)
-        return first + self._take_until_quiet(deadline)
-
-    def _silence(self, deadline: Deadline) -> None:
-        self._send(bytes([dialog.CAN]), deadline)
-        self._take_until_quiet(deadline)
-
-    def _ask(self, command: bytes, deadline: Deadline) -> None:
-        self._send(command + b"\r", deadline)
-
-
-def _is_text(part: bytes) -> bool:
-    """Whether a part of an answer holds printable characters and CR only, so it goes on."""
-    return part.translate(None, _TEXT) == b""
