@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from pmac_comp.base.errors import LocalProtocolError, RemoteProtocolError
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.ethernet import (
     BufferVerdict,
     Malformed,
@@ -17,24 +17,24 @@ from pmac_comp.machine.wire.ethernet import (
 
 # What a host puts on the wire, byte by byte.
 GOLDEN = [
-    (ethernet.send_line(b"J+"), "40 B0 0000 0000 0002 4A2B"),
-    (ethernet.get_response(b"ver"), "40 BF 0000 0000 0003 766572"),
-    (ethernet.get_line(), "C0 B1 0000 0000 0000"),
-    (ethernet.flush(), "40 B3 0000 0000 0000"),
-    (ethernet.get_memory(0x400, 64), "C0 B4 0400 0000 0040"),
-    (ethernet.set_memory(0x0E9C, b"\x01\x00"), "C0 B5 0E9C 0000 0002 0100"),
-    (ethernet.send_control(0x0B), "40 B6 000B 0000 0000"),
-    (ethernet.or_bits(0x0E9C, 1), "40 BA 0E9C 0001 0004 01000000"),
-    (ethernet.and_bits(0x0F40, 0xFFFF0000), "40 BA 0F40 0000 0004 0000FFFF"),
-    (ethernet.set_bits(0x68, 1, 0x8000), "40 BB 0068 0000 0008 01000000 00800000"),
-    (ethernet.read_ready(), "C0 C2 0000 0000 0002"),
-    (ethernet.control_response(0x10), "C0 C4 0010 0000 0578"),
-    (ethernet.get_buffer(), "C0 C5 0000 0000 0578"),
+    (ethernet_requests.send_line(b"J+"), "40 B0 0000 0000 0002 4A2B"),
+    (ethernet_requests.get_response(b"ver"), "40 BF 0000 0000 0003 766572"),
+    (ethernet_requests.get_line(), "C0 B1 0000 0000 0000"),
+    (ethernet_requests.flush(), "40 B3 0000 0000 0000"),
+    (ethernet_requests.get_memory(0x400, 64), "C0 B4 0400 0000 0040"),
+    (ethernet_requests.set_memory(0x0E9C, b"\x01\x00"), "C0 B5 0E9C 0000 0002 0100"),
+    (ethernet_requests.send_control(0x0B), "40 B6 000B 0000 0000"),
+    (ethernet_requests.or_bits(0x0E9C, 1), "40 BA 0E9C 0001 0004 01000000"),
+    (ethernet_requests.and_bits(0x0F40, 0xFFFF0000), "40 BA 0F40 0000 0004 0000FFFF"),
+    (ethernet_requests.set_bits(0x68, 1, 0x8000), "40 BB 0068 0000 0008 01000000 00800000"),
+    (ethernet_requests.read_ready(), "C0 C2 0000 0000 0002"),
+    (ethernet_requests.control_response(0x10), "C0 C4 0010 0000 0578"),
+    (ethernet_requests.get_buffer(), "C0 C5 0000 0000 0578"),
     (
-        ethernet.write_buffer([b"OPEN PLC 1 CLEAR", b"P1=P1+1", b"CLOSE"]),
+        ethernet_requests.write_buffer([b"OPEN PLC 1 CLEAR", b"P1=P1+1", b"CLOSE"]),
         "40 C6 0000 0000 001F 4F50454E20504C43203120434C45415200 50313D50312B3100 434C4F534500",
     ),
-    (ethernet.get_address(), "C0 E0 0000 0000 0004"),
+    (ethernet_requests.get_address(), "C0 E0 0000 0000 0004"),
 ]
 
 
@@ -65,13 +65,13 @@ def test_address_carries_a_payload_only_when_it_is_set():
 
 def test_text_endings_that_clients_add_are_dropped():
     for ending in (b"\n", b"\r\n", b"\x00", b"\r"):
-        request = ethernet.get_response(b"cid" + ending)
+        request = ethernet_requests.get_response(b"cid" + ending)
         assert request.text == b"cid"
 
 
 def test_endings_behind_the_length_do_not_shift_the_stream():
-    first = encode(ethernet.get_response(b"cid"))
-    events = RequestReader().receive(first + b"\r\n\x00" + encode(ethernet.flush()))
+    first = encode(ethernet_requests.get_response(b"cid"))
+    events = RequestReader().receive(first + b"\r\n\x00" + encode(ethernet_requests.flush()))
     assert [event.name for event in events] == ["GETRESPONSE", "FLUSH"]
 
 
@@ -137,13 +137,13 @@ def test_reply_sizes():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: ethernet.get_response(b"x" * 256),
-        lambda: ethernet.write_buffer([b"x" * 250] * 5),
-        lambda: ethernet.write_buffer([]),
-        lambda: ethernet.get_memory(0, 1401),
-        lambda: ethernet.get_memory(0, 0),
-        lambda: ethernet.set_memory(0, bytes(1401)),
-        lambda: ethernet.send_control(0x20),
+        lambda: ethernet_requests.get_response(b"x" * 256),
+        lambda: ethernet_requests.write_buffer([b"x" * 250] * 5),
+        lambda: ethernet_requests.write_buffer([]),
+        lambda: ethernet_requests.get_memory(0, 1401),
+        lambda: ethernet_requests.get_memory(0, 0),
+        lambda: ethernet_requests.set_memory(0, bytes(1401)),
+        lambda: ethernet_requests.send_control(0x20),
         lambda: encode(Request(0x40, 0xBF, value=70000)),
     ],
 )
@@ -153,15 +153,17 @@ def test_client_role_refuses_what_cannot_be_said(make):
 
 
 def test_the_smallest_and_largest_that_can_be_said():
-    assert encode(ethernet.get_memory(0, 1))[-2:] == b"\x00\x01"
-    assert encode(ethernet.get_memory(0xFFFF, 1400))[2:4] == b"\xff\xff"
-    assert len(encode(ethernet.set_memory(0, b"x"))) == 9
-    assert len(encode(ethernet.set_memory(0, bytes(1400)))) == 1408
-    assert len(encode(ethernet.get_response(b"x" * 255))) == 263
-    assert len(encode(ethernet.write_buffer([b"x" * 255] * 4))) == 1032
-    assert encode(ethernet.send_control(1))[2:4] == b"\x00\x01"
-    assert encode(ethernet.send_control(0x1F))[2:4] == b"\x00\x1f"
-    assert ethernet.command_packet(b"ver") == encode(ethernet.get_response(b"ver"))
+    assert encode(ethernet_requests.get_memory(0, 1))[-2:] == b"\x00\x01"
+    assert encode(ethernet_requests.get_memory(0xFFFF, 1400))[2:4] == b"\xff\xff"
+    assert len(encode(ethernet_requests.set_memory(0, b"x"))) == 9
+    assert len(encode(ethernet_requests.set_memory(0, bytes(1400)))) == 1408
+    assert len(encode(ethernet_requests.get_response(b"x" * 255))) == 263
+    assert len(encode(ethernet_requests.write_buffer([b"x" * 255] * 4))) == 1032
+    assert encode(ethernet_requests.send_control(1))[2:4] == b"\x00\x01"
+    assert encode(ethernet_requests.send_control(0x1F))[2:4] == b"\x00\x1f"
+    assert ethernet_requests.command_packet(b"ver") == encode(
+        ethernet_requests.get_response(b"ver")
+    )
 
 
 def test_server_role_takes_the_largest_and_refuses_one_more():
@@ -202,8 +204,8 @@ def test_replies_are_cut_at_exactly_1400():
 
 
 def test_a_datagram_is_one_request():
-    whole = encode(ethernet.get_response(b"ver"))
-    assert read_datagram(whole) == ethernet.get_response(b"ver")
+    whole = encode(ethernet_requests.get_response(b"ver"))
+    assert read_datagram(whole) == ethernet_requests.get_response(b"ver")
     assert isinstance(read_datagram(whole[:-1]), Malformed)
     assert isinstance(read_datagram(whole + whole), Malformed)
     assert isinstance(read_datagram(b""), Malformed)

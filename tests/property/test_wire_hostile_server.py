@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.ethernet import encode
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
 
 pytestmark = pytest.mark.faults
 MAX_ANSWER = 2_000_000
-WITNESS = encode(ethernet.get_response(b"ver"))
+WITNESS = encode(ethernet_requests.get_response(b"ver"))
 
 WORDS = [
     "I", "P", "Q", "M", "1", "130", "8191", "9999", "$", "$78000", "=", "..", ",", "(", ")", "->",
@@ -56,8 +56,8 @@ packets = st.one_of(
     ),
     raw_requests,
     st.binary(max_size=200),
-    st.just(encode(ethernet.get_buffer())),
-    st.integers(1, 31).map(lambda code: encode(ethernet.control_response(code))),
+    st.just(encode(ethernet_requests.get_buffer())),
+    st.integers(1, 31).map(lambda code: encode(ethernet_requests.control_response(code))),
 )
 
 
@@ -71,8 +71,10 @@ class Bed:
     def witness_is_served(self) -> bool:
         """Whether a second client gets the version within 50 ms."""
         witness = EthernetSession(self.card)
-        witness.receive(encode(ethernet.get_response(b"I3=2I4=0I6=1I9=2I5=0")))
-        witness.receive(encode(ethernet.send_control(1)))  # programs of one example end with it
+        witness.receive(encode(ethernet_requests.get_response(b"I3=2I4=0I6=1I9=2I5=0")))
+        witness.receive(
+            encode(ethernet_requests.send_control(1))
+        )  # programs of one example end with it
         answers, took_s = set(), []
         for _ in range(3):  # the best of three: this machine may be busy with something else
             start_s = time.perf_counter()
@@ -143,15 +145,15 @@ def test_f43_endless_programs_do_not_stop_the_card(program):
     session = EthernetSession(card)
     for line in program:
         start_s = time.perf_counter()
-        session.receive(encode(ethernet.get_response(line.encode())))
+        session.receive(encode(ethernet_requests.get_response(line.encode())))
         assert time.perf_counter() - start_s < 2.0
     start_s = time.perf_counter()
     card.run_cycles(2000)
     assert time.perf_counter() - start_s < 20.0
     witness = EthernetSession(card)
     assert b"1.947" in witness.receive(WITNESS)
-    witness.receive(encode(ethernet.send_control(1)))
-    witness.receive(encode(ethernet.send_control(4)))
-    witness.receive(encode(ethernet.get_response(b"I5=0")))
+    witness.receive(encode(ethernet_requests.send_control(1)))
+    witness.receive(encode(ethernet_requests.send_control(4)))
+    witness.receive(encode(ethernet_requests.get_response(b"I5=0")))
     card.run_cycles(100)
     assert card.cycles >= 2100

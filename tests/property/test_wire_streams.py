@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.dialog import (
     LineReader,
     format_reply,
@@ -27,19 +27,21 @@ words = st.integers(0, 0xFFFF)
 controls = st.integers(1, 31)
 
 requests = st.one_of(
-    command.map(ethernet.send_line),
-    command.map(ethernet.get_response),
-    st.just(ethernet.flush()),
-    st.just(ethernet.get_buffer()),
-    st.just(ethernet.read_ready()),
-    st.builds(ethernet.get_memory, words, st.integers(1, 1400)),
-    st.builds(ethernet.set_memory, words, st.binary(min_size=1, max_size=1400)),
-    st.builds(ethernet.set_bits, words, st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1)),
-    st.builds(ethernet.or_bits, words, st.integers(0, 2**32 - 1)),
-    controls.map(ethernet.control_response),
-    controls.map(ethernet.send_control),
-    st.lists(command, min_size=1, max_size=5).map(ethernet.write_buffer),
-    st.just(ethernet.get_address()),
+    command.map(ethernet_requests.send_line),
+    command.map(ethernet_requests.get_response),
+    st.just(ethernet_requests.flush()),
+    st.just(ethernet_requests.get_buffer()),
+    st.just(ethernet_requests.read_ready()),
+    st.builds(ethernet_requests.get_memory, words, st.integers(1, 1400)),
+    st.builds(ethernet_requests.set_memory, words, st.binary(min_size=1, max_size=1400)),
+    st.builds(
+        ethernet_requests.set_bits, words, st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1)
+    ),
+    st.builds(ethernet_requests.or_bits, words, st.integers(0, 2**32 - 1)),
+    controls.map(ethernet_requests.control_response),
+    controls.map(ethernet_requests.send_control),
+    st.lists(command, min_size=1, max_size=5).map(ethernet_requests.write_buffer),
+    st.just(ethernet_requests.get_address()),
 )
 
 

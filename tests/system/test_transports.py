@@ -15,7 +15,7 @@ from pmac_comp.base.errors import CommandRefused, ConnectFailed, LocalProtocolEr
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.client.terminal import open_terminal
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet_requests
 from pmac_comp.machine.wire.ethernet import encode
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.server import ServeOptions, running_server
@@ -229,7 +229,7 @@ def test_f42_a_client_that_never_reads_is_dropped(endpoints, card):
     with connect(endpoints["tcp"]) as link:
         link.settimeout(20.0)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
-        request = encode(ethernet.get_memory(0, 1400))
+        request = encode(ethernet_requests.get_memory(0, 1400))
         thread = threading.Thread(target=served, args=(endpoints["tcp"],))
         thread.start()
         with pytest.raises(OSError):  # noqa: PT011 - reset or broken pipe

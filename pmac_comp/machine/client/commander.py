@@ -40,7 +40,7 @@ from pmac_comp.machine.client.refusals import (
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.url import parse_url
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.replies import MAX_ANSWER, Reply
 
 _T = TypeVar("_T")
@@ -325,7 +325,7 @@ class Commander:
                 }
                 raise
             return
-        data = self._link.request(ethernet.write_buffer(batch), deadline)
+        data = self._link.request(ethernet_requests.write_buffer(batch), deadline)
         verdict = ethernet.BufferVerdict.decode(data)
         if verdict.refused:
             raise batch_refused(batch, start, verdict)
@@ -346,7 +346,7 @@ class Commander:
         with self._lock:
             while len(out) < size:
                 part = min(ethernet.MAX_REPLY, size - len(out))
-                request = ethernet.get_memory(offset + len(out), part)
+                request = ethernet_requests.get_memory(offset + len(out), part)
                 out += self._read(partial(link.request, request), deadline)
         return bytes(out)
 
@@ -357,7 +357,7 @@ class Commander:
         with self._lock:
             for start in range(0, len(data), ethernet.MAX_REPLY):
                 part = data[start : start + ethernet.MAX_REPLY]
-                link.request(ethernet.set_memory(offset + start, part), deadline)
+                link.request(ethernet_requests.set_memory(offset + start, part), deadline)
 
     def set_bits(
         self, offset: int, *, set_mask: int = 0, clear_mask: int = 0, timeout_s: float | None = None
@@ -365,7 +365,7 @@ class Commander:
         """Set and clear bits of one 32-bit cell of the dual-ported RAM in one access."""
         link = self._packet_link("the dual-ported RAM")
         with self._lock:
-            request = ethernet.set_bits(offset, set_mask, clear_mask)
+            request = ethernet_requests.set_bits(offset, set_mask, clear_mask)
             link.request(request, self._deadline(timeout_s))
 
     def _packet_link(self, what: str) -> PacketLink:

@@ -2,7 +2,7 @@
 
 from pmac_comp.base.clock import Deadline
 from pmac_comp.machine.client.link import SETTLE_S, BaseLink
-from pmac_comp.machine.wire import ethernet
+from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.replies import Reply, ReplyReader, plain_lines
 
 QUIET_S = 0.25
@@ -33,7 +33,7 @@ class PacketLink(BaseLink):
         """Send a command line with GETRESPONSE and read its whole answer with GETBUFFER."""
         self._clear_way(deadline)
         self.unsettled = True
-        self._send(ethernet.command_packet(command), deadline)
+        self._send(ethernet_requests.command_packet(command), deadline)
         data = last = self._receive(deadline)
         # Long listings come in whole parts of plain text: no need to look at each byte of them.
         while not self.i4 and len(last) == ethernet.MAX_REPLY and _is_text(last):
@@ -75,16 +75,16 @@ class PacketLink(BaseLink):
         self.unsettled = asked_early
 
     def _ask_more(self, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.get_buffer()), deadline)
+        self._send(ethernet.encode(ethernet_requests.get_buffer()), deadline)
 
     def control(self, character: int, deadline: Deadline, *, answers: bool) -> bytes:
         """Send a control character through its own request."""
         if not answers:
-            self.request(ethernet.send_control(character), deadline)
+            self.request(ethernet_requests.send_control(character), deadline)
             return b""
         self._clear_way(deadline)
         self.unsettled = True
-        self._send(ethernet.encode(ethernet.control_response(character)), deadline)
+        self._send(ethernet.encode(ethernet_requests.control_response(character)), deadline)
         text = bytearray()
         while b"\r" not in text and len(text) < ethernet.MAX_REPLY:
             text += self._receive(deadline)
@@ -111,13 +111,13 @@ class PacketLink(BaseLink):
                 return taken.replace(b"\x00", b"")
 
     def _silence(self, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.flush()), deadline)
+        self._send(ethernet.encode(ethernet_requests.flush()), deadline)
         # Should no answer come, what follows still finds its mark: FLUSH only makes way for it.
         if self._receive_within(_FLUSH_S, deadline):
             self._take_until_quiet(deadline)
 
     def _ask(self, command: bytes, deadline: Deadline) -> None:
-        self._send(ethernet.encode(ethernet.get_response(command)), deadline)
+        self._send(ethernet.encode(ethernet_requests.get_response(command)), deadline)
 
 
 def _is_text(part: bytes) -> bool:

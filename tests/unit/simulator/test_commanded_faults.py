@@ -8,6 +8,7 @@ import pytest
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.wire import ethernet as wire
+from pmac_comp.machine.wire import ethernet_requests
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.server import ServeOptions, running_server
 from pmac_comp.simulator.sessions import EthernetSession
@@ -25,7 +26,7 @@ def session(bench: Bench) -> EthernetSession:
 
 
 def ask_packet(session: EthernetSession, text: bytes) -> bytes:
-    return session.receive(wire.encode(wire.get_response(text)))
+    return session.receive(wire.encode(ethernet_requests.get_response(text)))
 
 
 def test_link_faults_spoil_the_next_answer_only(session: EthernetSession) -> None:

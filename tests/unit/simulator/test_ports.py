@@ -5,6 +5,7 @@ import struct
 import pytest
 
 from pmac_comp.machine.wire import ethernet as wire
+from pmac_comp.machine.wire import ethernet_requests
 from pmac_comp.machine.wire.dialog import format_line, format_reply, line_sum
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
@@ -106,7 +107,7 @@ def test_text_of_programs_reaches_its_port(card: Card) -> None:
         serial.receive(text)
     card.run_cycles(30)
     assert serial.pending() == b"\x02hello\r\x027\r"
-    assert packets.receive(wire.encode(wire.get_buffer())) == b"\x02packet\r"
+    assert packets.receive(wire.encode(ethernet_requests.get_buffer())) == b"\x02packet\r"
 
 
 def ask(session: EthernetSession, request: wire.Request) -> bytes:
@@ -115,52 +116,52 @@ def ask(session: EthernetSession, request: wire.Request) -> bytes:
 
 def test_requests_of_the_packet_port(card: Card) -> None:
     s = EthernetSession(card)
-    assert ask(s, wire.get_response(b"i6=1 i3=2 ver")) == b"1.947  \r\x06"
-    assert ask(s, wire.send_line(b"P1=5 P1 P1")) == b"\x40"
-    assert ask(s, wire.read_ready())[0]
-    assert ask(s, wire.get_line()) == b"5\r"
-    assert ask(s, wire.get_buffer()) == b"5\r\x06"
-    assert ask(s, wire.read_ready()) == b"\0\0"
-    assert ask(s, wire.get_buffer()) == b"\0"
-    assert ask(s, wire.send_line(b"P1")) == b"\x40"
-    assert ask(s, wire.flush()) == b"\x40"
-    assert ask(s, wire.read_ready()) == b"\0\0"
-    assert ask(s, wire.set_memory(0x1140, b"\1\2\3\4")) == b"\x40"
-    assert ask(s, wire.get_memory(0x1140, 4)) == b"\1\2\3\4"
-    assert ask(s, wire.get_response(b"RX$60450RY$60450")) == b"1027\r513\r\x06"
-    assert ask(s, wire.or_bits(0x1140, 0xF0)) == b"\x40"
-    assert ask(s, wire.and_bits(0x1140, 0xFFFFFF0F)) == b"\x40"
-    assert ask(s, wire.set_bits(0x1140, 0x80, 0x200)) == b"\x40"
-    assert ask(s, wire.get_memory(0x1140, 4)) == struct.pack("<I", 0x04030081)
-    assert ask(s, wire.control_response(0x07)) == b"000001010800\r"
-    assert ask(s, wire.send_control(0x0B)) == b"\x40"
-    assert ask(s, wire.get_address()) == bytes((192, 6, 94, 5))
-    assert ask(s, wire.write_buffer([b"P1=1", b"P2=2"])) == b"\0\0\0\0"
-    assert ask(s, wire.write_buffer([b"P1=1", b"NONSENSE", b"P2=3"])) == b"\2\0\3\x80"
-    assert ask(s, wire.get_response(b"P2")) == b"2\r\x06"
-    assert ask(s, wire.get_response(b"\x0b")) == b"\x06"
-    assert ask(s, wire.get_response(b"\n")) == b"\x06"
-    assert ask(s, wire.get_response(b"$$$")) == b"\0"
+    assert ask(s, ethernet_requests.get_response(b"i6=1 i3=2 ver")) == b"1.947  \r\x06"
+    assert ask(s, ethernet_requests.send_line(b"P1=5 P1 P1")) == b"\x40"
+    assert ask(s, ethernet_requests.read_ready())[0]
+    assert ask(s, ethernet_requests.get_line()) == b"5\r"
+    assert ask(s, ethernet_requests.get_buffer()) == b"5\r\x06"
+    assert ask(s, ethernet_requests.read_ready()) == b"\0\0"
+    assert ask(s, ethernet_requests.get_buffer()) == b"\0"
+    assert ask(s, ethernet_requests.send_line(b"P1")) == b"\x40"
+    assert ask(s, ethernet_requests.flush()) == b"\x40"
+    assert ask(s, ethernet_requests.read_ready()) == b"\0\0"
+    assert ask(s, ethernet_requests.set_memory(0x1140, b"\1\2\3\4")) == b"\x40"
+    assert ask(s, ethernet_requests.get_memory(0x1140, 4)) == b"\1\2\3\4"
+    assert ask(s, ethernet_requests.get_response(b"RX$60450RY$60450")) == b"1027\r513\r\x06"
+    assert ask(s, ethernet_requests.or_bits(0x1140, 0xF0)) == b"\x40"
+    assert ask(s, ethernet_requests.and_bits(0x1140, 0xFFFFFF0F)) == b"\x40"
+    assert ask(s, ethernet_requests.set_bits(0x1140, 0x80, 0x200)) == b"\x40"
+    assert ask(s, ethernet_requests.get_memory(0x1140, 4)) == struct.pack("<I", 0x04030081)
+    assert ask(s, ethernet_requests.control_response(0x07)) == b"000001010800\r"
+    assert ask(s, ethernet_requests.send_control(0x0B)) == b"\x40"
+    assert ask(s, ethernet_requests.get_address()) == bytes((192, 6, 94, 5))
+    assert ask(s, ethernet_requests.write_buffer([b"P1=1", b"P2=2"])) == b"\0\0\0\0"
+    assert ask(s, ethernet_requests.write_buffer([b"P1=1", b"NONSENSE", b"P2=3"])) == b"\2\0\3\x80"
+    assert ask(s, ethernet_requests.get_response(b"P2")) == b"2\r\x06"
+    assert ask(s, ethernet_requests.get_response(b"\x0b")) == b"\x06"
+    assert ask(s, ethernet_requests.get_response(b"\n")) == b"\x06"
+    assert ask(s, ethernet_requests.get_response(b"$$$")) == b"\0"
     assert not s.closed
 
 
 def test_client_that_vanishes_leaves_no_open_buffer(card: Card) -> None:
     gone, stays = EthernetSession(card), EthernetSession(card)
-    ask(gone, wire.get_response(b"OPEN PLC 7 CLEAR"))
-    ask(gone, wire.get_response(b"IF(P1=1)"))
-    assert ask(stays, wire.get_response(b"OPEN PLC 8")) == b"\x07ERR007\r"
+    ask(gone, ethernet_requests.get_response(b"OPEN PLC 7 CLEAR"))
+    ask(gone, ethernet_requests.get_response(b"IF(P1=1)"))
+    assert ask(stays, ethernet_requests.get_response(b"OPEN PLC 8")) == b"\x07ERR007\r"
     gone.close()
-    assert ask(stays, wire.get_response(b"OPEN PLC 8 CLOSE")) == b"\x06"
-    ask(stays, wire.get_response(b"ENABLE PLC 7"))
+    assert ask(stays, ethernet_requests.get_response(b"OPEN PLC 8 CLOSE")) == b"\x06"
+    ask(stays, ethernet_requests.get_response(b"ENABLE PLC 7"))
     assert not card.plcs.enabled(7)
 
 
 def test_long_answers_come_in_packets_of_exactly_1400_bytes(card: Card) -> None:
     s = EthernetSession(card)
     whole = card.port().line("I0..999")
-    parts = [ask(s, wire.get_response(b"I0..999"))]
+    parts = [ask(s, ethernet_requests.get_response(b"I0..999"))]
     while not parts[-1].endswith(b"\x06"):
-        parts.append(ask(s, wire.get_buffer()))
+        parts.append(ask(s, ethernet_requests.get_buffer()))
     assert b"".join(parts) == whole
     assert {len(p) for p in parts[:-1]} == {1400}
 
@@ -171,7 +172,7 @@ def test_long_answers_come_in_packets_of_exactly_1400_bytes(card: Card) -> None:
         bytes((0x40, 0xCB, 0, 1, 0, 0, 0, 1, 0)),  # firmware download
         bytes((0xC0, 0xE4, 0, 0, 0, 0, 0, 0)),  # a name without a description
         bytes((0x12, 0x34, 0, 0, 0, 0, 0, 0)),
-        wire.encode(wire.get_memory(0xFFFC, 16)),  # beyond the end
+        wire.encode(ethernet_requests.get_memory(0xFFFC, 16)),  # beyond the end
     ],
 )
 def test_what_is_not_supported_closes_the_connection(card: Card, data: bytes) -> None:
@@ -182,7 +183,7 @@ def test_what_is_not_supported_closes_the_connection(card: Card, data: bytes) ->
 
 def test_no_dual_ported_ram_means_no_window(bench) -> None:
     s = EthernetSession(Card(bench, dpram="none"))
-    assert ask(s, wire.get_memory(0, 4)) == b""
+    assert ask(s, ethernet_requests.get_memory(0, 4)) == b""
     assert s.closed
 
 
