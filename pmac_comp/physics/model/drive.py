@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
-from pmac_comp.base.errors import ModelError, NonFinite
+from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.chain import (
@@ -26,17 +26,15 @@ from pmac_comp.physics.model.chain import (
     is_rigid,
 )
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
+from pmac_comp.physics.model.loop import run_loop
 from pmac_comp.physics.model.parameters import ParameterSpec, merged, within
 from pmac_comp.physics.model.terms import TableTerm, packed
 from pmac_comp.physics.signals.trajectory import Trajectory
 
 BASE_EFFECTS = ("coulomb", "viscous")
-NODE_SPACING_m = 0.01
-# Largest share of the screw length that the step matrices may be tabulated beyond the command.
-_MARGIN_m = 0.02
+# Four per servo period of 442 us: table positions within 1 nm of the converged ones, but for steps
+# of torque (tools/bench model).
 _SUBSTEP_s = 1.15e-4
-_MAX_SUBSTEPS = 256
-_HISTORY_CYCLES = 250
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,9 @@ class DriveModel:
         names = [split_name(name)[0] for name in self.effects]
         if len(set(names)) != len(names):
             raise ModelError(
-                f"An effect is named twice in {', '.join(self.effects)}.", code="PC-MOD-008"
+                f"An effect is named twice in {', '.join(self.effects)}.",
+                code="PC-MOD-008",
+                hint="Name each effect once; presliding at all its places is presliding@all.",
             )
         values = merged(self.specs, self.parameters)
         object.__setattr__(self, "parameters", MappingProxyType(values))
@@ -119,7 +119,11 @@ class DriveModel:
         for spec in self.specs:
             if spec.name == name:
                 return spec
-        raise ModelError(f"The model has no parameter {name}.", code="PC-MOD-003")
+        raise ModelError(
+            f"The model has no parameter {name}.",
+            code="PC-MOD-003",
+            hint="It has " + ", ".join(spec.name for spec in self.specs),
+        )
 
     def effect(self, name: str) -> tuple[Effect, str]:
         """Effect and place of a name in ``effects``."""
@@ -167,7 +171,11 @@ class DriveModel:
         bare = split_name(name)[0]
         kept = tuple(item for item in self.effects if split_name(item)[0] != bare)
         if len(kept) == len(self.effects):
-            raise ModelError(f"The model has no effect '{name}'.", code="PC-MOD-009")
+            raise ModelError(
+                f"The model has no effect '{name}'.",
+                code="PC-MOD-009",
+                hint="It has " + ", ".join(self.effects),
+            )
         values = {
             key: value for key, value in self.parameters.items() if not key.startswith(f"{bare}.")
         }
@@ -334,9 +342,9 @@ def simulate(
     force = _like(commanded, "external_force_N", external_force_N, zeros)
     origin = float(finite_array("time_origin_s", [time_origin_s])[0])
     vector = model.kernel_vector(quantise=quantise)
-    n_sub = _checked_substeps(model.substeps if substeps is None else substeps)
+    n_sub = model.substeps if substeps is None else substeps
     rows, values = packed([*model.terms(), *extra_terms])
-    out = _run(vector, n_sub, desired, torque, force, rows, values, origin)
+    out = run_loop(vector, n_sub, desired, torque, force, rows, values, origin)
     cycles: FloatArray = np.arange(commanded.size, dtype=np.float64)
     return Response(
         time_s=origin + cycles * model.bench.servo_period_s,
@@ -350,53 +358,6 @@ def simulate(
         true_motor_position_m=out[5],
         true_table_position_m=out[6],
     )
-
-
-def _run(
-    vector: FloatArray,
-    n_sub: int,
-    desired: FloatArray,
-    torque: FloatArray,
-    force: FloatArray,
-    rows: FloatArray,
-    values: FloatArray,
-    origin_s: float,
-) -> FloatArray:
-    from pmac_comp.physics.model import kernel
-
-    period = vector[s.PERIOD]
-    if vector[s.DELAY] > _HISTORY_CYCLES * period:
-        raise ModelError(
-            f"An actuator delay of {vector[s.DELAY]:g} s is longer than {_HISTORY_CYCLES} cycles.",
-            code="PC-MOD-010",
-        )
-    first, n_nodes = _nodes(vector, float(desired.min()), float(desired.max()))
-    bank = kernel.step_bank(vector, first, NODE_SPACING_m, n_nodes, period / n_sub)
-    out = np.zeros((7, desired.size))
-    done = kernel.run(
-        vector, bank, first, NODE_SPACING_m, n_sub, desired, torque, force, rows, values, origin_s,
-        out,
-    )  # fmt: skip
-    if done < desired.size or not np.all(np.isfinite(out)):
-        raise NonFinite(
-            f"The simulated loop became unstable at sample {done}.",
-            code="PC-MOD-011",
-            hint="Check gains, delay and the parameters of the model.",
-            context={"index": int(done)},
-        )
-    return out
-
-
-def _nodes(vector: FloatArray, low_m: float, high_m: float) -> tuple[float, int]:
-    """First node (a multiple of the spacing) and number of nodes along the screw."""
-    if vector[s.RIGID] > 0.5:
-        return 0.0, 1
-    origin, length = vector[s.X_ORIGIN], vector[s.LENGTH]
-    low = min(max(low_m + origin - _MARGIN_m, 0.0), length)
-    high = min(max(high_m + origin + _MARGIN_m, 0.0), length)
-    start = math.floor(low / NODE_SPACING_m)
-    stop = math.ceil(high / NODE_SPACING_m)
-    return start * NODE_SPACING_m, max(stop - start + 1, 2)
 
 
 def simulate_many(
@@ -471,11 +432,3 @@ def _like(
             f"{name} has {array.size} samples, the command {reference.size}.", code="PC-MOD-014"
         )
     return array
-
-
-def _checked_substeps(n_sub: int) -> int:
-    if not 1 <= n_sub <= _MAX_SUBSTEPS:
-        raise ModelError(
-            f"{n_sub} substeps are not possible; 1 to {_MAX_SUBSTEPS} are.", code="PC-MOD-015"
-        )
-    return int(n_sub)
