@@ -282,4 +282,9 @@ def capture(
     progress = ProgressLines()
     result = capture_to_folder(url, bench, plan, out, progress=progress)
     progress.close()
-    output.finish(result, json_target, lambda: output.echo_all(str(p) for p in result["files"]))
+
+    def show() -> None:
+        output.echo_all(str(path) for path in result["files"])
+        output.echo_all(f"note: {remark}" for remark in result["remarks"])
+
+    output.finish(result, json_target, show)

@@ -13,7 +13,7 @@ from pmac_comp.files.capture import write_capture
 from pmac_comp.machine.controller.capture_log import recover
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
-from pmac_comp.workflow.commissioning import require_as_described
+from pmac_comp.workflow.commissioning import reference_remarks, require_as_described
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -72,6 +72,7 @@ def capture_to_folder(
     _probe(out)
     files: list[Path] = []
     with open_axis(url, bench) as axis:
+        remarks = reference_remarks(axis.link, axis.bench)
         prepare(axis)
         for i, motion in enumerate(plan.motions):
             capture = run_all(
@@ -81,7 +82,7 @@ def capture_to_folder(
             write_capture(path, capture[0])
             files.append(path)
         axis.kill()
-    return {"files": files, "samples": len(files)}
+    return {"files": files, "samples": len(files), "remarks": remarks}
 
 
 def prepare(axis: Axis) -> None:

@@ -145,6 +145,20 @@ def program_refusals(link: Link) -> list[SafetyRefusal]:
     ]
 
 
+def reference_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
+    """That zero lies where the motor stood at power-up, if it was not homed since.
+
+    Tables, the law's dependence on position and the travel limits all count from the motor's zero.
+    """
+    motor = bench.encoder.motor_number
+    if read_motors(link, [motor])[motor].status.is_homed:
+        return ()
+    return (
+        f"motor #{motor} has not been homed since power-up: without an absolute encoder its zero "
+        "is where it stood then, and tables, law and travel limits count from there",
+    )
+
+
 def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
     """What ``set_up`` would change: value on the card, value in the bench file."""
     with open_axis(url, bench) as axis:

@@ -91,6 +91,7 @@ def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding
         yield _flash(axis, backup)
         yield from _variables(axis, bench)
         yield from _motors(axis)
+        yield from _reference(axis, bench)
         yield from _compensation(axis)
 
 
@@ -154,6 +155,13 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
         f"motor #{reading.motor}",
         trips or f"{state}, following error {reading.following_error_ct:.1f} counts",
     )
+
+
+def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    from pmac_comp.workflow.commissioning import reference_remarks
+
+    for remark in reference_remarks(axis.link, bench):
+        yield Finding("note", "zero", remark)
 
 
 def _compensation(axis: "Axis") -> Iterator[Finding]:

@@ -18,6 +18,7 @@ from pmac_comp.machine.controller.upload_plan import UploadPlan
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
+from pmac_comp.workflow.commissioning import reference_remarks
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,
@@ -88,6 +89,8 @@ def preview(
     """Preview on a connected axis."""
     lines: list[str] = []
     refusals = double_corrections(axis, context, compensation)
+    if compensation.route == "law":
+        refusals += law_install.owner_refusals(axis.link, context, axis.motor)
     change = difference_on(axis, context, compensation)
     text = [f"plan for {url}, route {compensation.route}:"]
     text += [f"  {line}" for line in change.lines()]
@@ -120,6 +123,7 @@ def preview(
         f"  {line}"
         for line in cost_remarks(axis.bench, compensation.route, law.every_cycles, law=law)
     ]
+    text += [f"  {remark}" for remark in reference_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
     text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(

@@ -289,6 +289,12 @@ def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[Saf
     return found + motion_refusals(link, [motor])
 
 
+def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefusal]:
+    """What belongs to somebody else where the law would go; nothing is changed."""
+    with untouched():
+        return _owners(context, motor, _standing(link, motor))
+
+
 def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal]:
     """What belongs to somebody else where the law would go: a machine's logic must not vanish."""
     out: list[SafetyRefusal] = []

@@ -123,6 +123,11 @@ class MotorStatus:
         return Word2.IN_POSITION in self.word2
 
     @property
+    def is_homed(self) -> bool:
+        """Whether a homing search has ended since power-up."""
+        return Word2.HOME_COMPLETE in self.word2
+
+    @property
     def trips(self) -> tuple[str, ...]:
         """Faults that stopped the motor, in words."""
         return tuple(text for bit, text in _TRIPS.items() if bit in self.word2)

@@ -15,7 +15,7 @@ from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.commissioning import set_up_axis
+from pmac_comp.workflow.commissioning import reference_remarks, set_up_axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.simulated import embedded, make_card
@@ -145,3 +145,13 @@ def test_set_up_puts_the_bench_file_on_and_rollback_takes_it_back(tmp_path: Path
         axis.kill()
         rollback_last(axis.link, context)
         assert axis.link.query("I116I130") == ["400", "1000"]
+
+
+def test_a_zero_that_nobody_looked_for_is_said_until_the_axis_is_homed() -> None:
+    with axis_of(make_card(PAPER), PAPER) as axis:
+        (said,) = reference_remarks(axis.link, PAPER)
+        assert "motor #1 has not been homed" in said
+        axis.enable()
+        axis.link.write_buffer(["I123=10", "I7012=1", "I126=0", "#1HM"])
+        axis.link.clock.sleep_s(3.0)
+        assert reference_remarks(axis.link, PAPER) == ()
