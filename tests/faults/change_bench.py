@@ -15,7 +15,7 @@ from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.card import Card
 from tests.faults.same_state import stretches
-from tests.faults.upload_bench import put_back, saved
+from tests.faults.upload_bench import SameIds, put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 PROGRAM = 710
@@ -73,24 +73,6 @@ class Scenario:
     name: str
     prepare: Callable[[Link, Context], None]
     change: Callable[[Link, Context], object]
-
-
-class SameIds:
-    """Stands in for ``secrets``, so that every run of a change says the same."""
-
-    def __init__(self) -> None:
-        self.first = self.n = 1_000_000_000
-
-    def from_here(self) -> None:
-        """Runs begin with the numbers behind those that were given until now."""
-        self.first = self.n
-
-    def again(self) -> None:
-        self.n = self.first
-
-    def randbelow(self, _end: int) -> int:
-        self.n += 1
-        return self.n
 
 
 class ChangeBench:

@@ -1,23 +1,29 @@
 """F01, F02: the connection is cut at every byte of an upload, in both directions."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.machine.controller import transaction
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
-from tests.faults.upload_bench import UploadBench
+from tests.faults.same_state import stand_ins
+from tests.faults.upload_bench import SameIds, UploadBench
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
+Count = Callable[[int], None]
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> UploadBench:
-    return UploadBench(tmp_path_factory.mktemp("cuts"))
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UploadBench]:
+    with pytest.MonkeyPatch.context() as patch:
+        ids = SameIds()
+        patch.setattr(transaction, "secrets", ids)
+        yield UploadBench(tmp_path_factory.mktemp("cuts"), ids=ids)
 
 
 def edges(rig: UploadBench) -> dict[Way, list[int]]:
@@ -46,8 +52,8 @@ def points(ends: list[int], *, exhaustive: bool) -> Iterator[int]:
         yield from sorted({begin, (begin + end) // 2, max(begin, end - 1)})
 
 
-def run_cuts(rig: UploadBench, way: Way, at: list[int], *, lose: bool) -> int:
-    for n in at:
+def run_cuts(rig: UploadBench, way: Way, at: Sequence[tuple[int, bool]], *, lose: bool) -> int:
+    for n, resume in at:
         kind = FaultKind.SILENCE if lose else FaultKind.CUT
 
         def install(bench: CardBench, fault: Fault = Fault(kind, way, n)) -> None:
@@ -61,7 +67,7 @@ def run_cuts(rig: UploadBench, way: Way, at: list[int], *, lose: bool) -> int:
         assert error.left is not None, (n, error)
         if error.context.get("confirmed"):
             assert error.left is state, (n, error, state)
-        assert rig.recover(resume=n % 2 == 0) in {ControllerState.OLD, ControllerState.NEW}
+        assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
     return len(at)
 
 
@@ -69,18 +75,21 @@ def run_cuts(rig: UploadBench, way: Way, at: list[int], *, lose: bool) -> int:
 def test_f01_cut_at_every_byte(
     *, rig: UploadBench, way: Way, exhaustive: bool, count_runs: Callable[[int], None]
 ) -> None:
-    at = list(points(edges(rig)[way], exhaustive=exhaustive))
+    at = [(n, n % 2 == 0) for n in points(edges(rig)[way], exhaustive=exhaustive)]
     count_runs(run_cuts(rig, way, at, lose=False))
 
 
 @pytest.mark.parametrize("way", [Way.SEND, Way.RECEIVE])
 def test_f02_silence_from_every_byte(
-    *, rig: UploadBench, way: Way, exhaustive: bool, count_runs: Callable[[int], None]
+    *, rig: UploadBench, way: Way, exhaustive: bool, count_runs: Count, count_places: Count
 ) -> None:
     """The peer falls silent: what was under way is lost and nobody says so."""
-    at = list(points(edges(rig)[way], exhaustive=exhaustive))
-    if not exhaustive:
-        at = at[::5]
+    if exhaustive:
+        places = rig.places(way, FaultKind.SILENCE)
+        count_places(sum(map(len, places)))
+        at = all_of(stand_ins(places))
+    else:
+        at = [(n, n % 2 == 0) for n in points(edges(rig)[way], exhaustive=False)][::5]
     count_runs(run_cuts(rig, way, at, lose=True))
 
 

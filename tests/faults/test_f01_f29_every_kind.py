@@ -34,11 +34,11 @@ from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from tests.fault_table import all_of
-from tests.faults.change_bench import PROGRAM, ChangeBench, SameIds, Scenario, cut, points
+from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.killed_child import dies_after, serve_child
 from tests.faults.same_state import stand_ins
 from tests.faults.test_f15_f22_controller import LineFault
-from tests.faults.upload_bench import new_table, old_table
+from tests.faults.upload_bench import SameIds, new_table, old_table
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]

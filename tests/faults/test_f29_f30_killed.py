@@ -10,12 +10,14 @@ import pytest
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import upload
+from pmac_comp.machine.controller import transaction, upload
+from pmac_comp.machine.transport.tap import FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench
 from tests.faults.killed_child import serve_child
+from tests.faults.same_state import stand_ins
 from tests.faults.test_f01_f29_every_kind import SCENARIOS
-from tests.faults.upload_bench import UploadBench
+from tests.faults.upload_bench import SameIds, UploadBench
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
@@ -31,14 +33,28 @@ def killed_upload(rig: UploadBench, kill_after: int) -> tuple[int, int]:
     return serve_child(rig.bench.card, work, kill_after)
 
 
-def test_f29_sigkill_at_any_byte(*, tmp_path: Path, exhaustive: bool, count_runs: Count) -> None:
-    rig = UploadBench(tmp_path)
+def test_f29_sigkill_at_any_byte(
+    *,
+    tmp_path: Path,
+    exhaustive: bool,
+    count_runs: Count,
+    count_places: Count,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    rig = UploadBench(tmp_path, ids=ids)
     rig.restart()
     status, total = killed_upload(rig, 1 << 30)
     assert status == 0
     assert rig.state is ControllerState.NEW
-    points = all_of(range(total)) if exhaustive else range(0, total, total // 9)
-    for n in points:
+    if exhaustive:
+        places = rig.places(Way.SEND, FaultKind.CUT)
+        count_places(sum(map(len, places)))
+        points = all_of(stand_ins(places))
+    else:
+        points = [(n, n % 2 == 0) for n in range(0, total, total // 9)]
+    for n, resume in points:
         rig.restart()
         status, _ = killed_upload(rig, n)
         if not os.WIFSIGNALED(status):
@@ -48,7 +64,7 @@ def test_f29_sigkill_at_any_byte(*, tmp_path: Path, exhaustive: bool, count_runs
         assert os.WTERMSIG(status) == signal.SIGKILL
         assert rig.state in ControllerState
         rig.bench.link.command("P7080=0")
-        assert rig.recover(resume=n % 2 == 0) in {ControllerState.OLD, ControllerState.NEW}
+        assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
     count_runs(len(points))
 
 

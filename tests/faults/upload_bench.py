@@ -10,7 +10,9 @@ from pathlib import Path
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.transport.tap import FaultKind, Way
 from tests.faults.card_state import SavedState
+from tests.faults.same_state import stretches
 from tests.unit.machine_controller.card_bench import CardBench
 
 SPAN_CT = 640000
@@ -43,14 +45,36 @@ class Truth:
     i51: int
 
 
+class SameIds:
+    """Stands in for ``secrets``, so that every run of a change says the same.
+
+    To be put in place of the module in ``transaction``.
+    """
+
+    def __init__(self) -> None:
+        self.first = self.n = 1_000_000_000
+
+    def from_here(self) -> None:
+        """Runs begin with the numbers behind those that were given until now."""
+        self.first = self.n
+
+    def again(self) -> None:
+        self.n = self.first
+
+    def randbelow(self, _end: int) -> int:
+        self.n += 1
+        return self.n
+
+
 class UploadBench:
     """One card that is put back to the same start before each run.
 
     Its start: motor 1 in closed loop at zero, an old table acting.
     """
 
-    def __init__(self, folder: Path, *, n: int = 64) -> None:
+    def __init__(self, folder: Path, *, n: int = 64, ids: SameIds | None = None) -> None:
         self.n = n
+        self.ids = ids or SameIds()
         self.folder = folder
         self.old, self.new = old_table(n), new_table(n)
         self.bench = CardBench(folder)
@@ -63,6 +87,7 @@ class UploadBench:
     def save(self) -> None:
         """What stands now is where runs start from."""
         self.saved = saved(self.bench)
+        self.ids.from_here()
 
     def restart(self) -> CardBench:
         """The card as at the start, with a fresh conversation and an empty folder."""
@@ -70,6 +95,7 @@ class UploadBench:
         for path in self.folder.iterdir():
             path.unlink() if path.is_file() else shutil.rmtree(path)
         self.bench.tap.sent = self.bench.tap.received = 0
+        self.ids.again()
         self.runs += 1
         return self.bench
 
@@ -88,6 +114,10 @@ class UploadBench:
             return ControllerState.OLD
         assert truth.entries == self.new.entries, "a table acts that nobody meant"
         return ControllerState.NEW
+
+    def places(self, way: Way, kind: FaultKind) -> list[range]:
+        """Every byte of the upload, in stretches in which a fault leaves the same."""
+        return stretches(self.restart, self.upload, way, kind=kind)
 
     def upload(self) -> None:
         upload.upload_tables(self.bench.link, self.bench.context, [self.new])
