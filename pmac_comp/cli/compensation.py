@@ -266,6 +266,8 @@ def verify(
     from pmac_comp.workflow.compensation_file import check_bench
     from pmac_comp.workflow.verify import verify_files, verify_on_controller
 
+    if law is not None:
+        check_bench(law, bench)
     progress = ProgressLines()
     if before or after:
         first = capture_paths(before or (), side="before")
@@ -278,8 +280,6 @@ def verify(
                 code="PC-CLI-011",
                 hint="Give a URL, or stored runs with --before and --after.",
             )
-        if law is not None:
-            check_bench(law, bench)
         confirmed(f"Run verification motions on {url}?", yes=yes)
         outcome = verify_on_controller(
             url,

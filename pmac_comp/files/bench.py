@@ -5,18 +5,18 @@ the SI quantities that follow from them. What may not: identified values (they g
 Imports ``base`` only.
 """
 
-import difflib
 import hashlib
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S, lead_m_per_rad
 from pmac_comp.files.resources import data_folder
+from pmac_comp.files.validation import problems
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -263,6 +263,27 @@ class Bench(_Table):
         return self.screw_rigidity_N * SHEAR_OVER_YOUNG * self.root_diameter_m**2 / 8.0
 
     @property
+    def axis_facts(self) -> dict[str, float | str]:
+        """What a model of this axis is tied to, by key: screw, sensors, output and clock.
+
+        Nominal values are not among them (a model holds its own), nor are gains and limits.
+        """
+        tables: dict[str, BaseModel | None] = {
+            "screw": self.screw,
+            "encoder": self.encoder,
+            "scale": self.scale,
+        }
+        facts: dict[str, float | str] = {
+            f"{name}.{key}": value
+            for name, table in tables.items()
+            if table is not None
+            for key, value in table.model_dump(exclude_none=True).items()
+        }
+        facts["drive.torque_per_dac_Nm"] = self.drive.torque_per_dac_Nm
+        facts["controller.servo_period_us"] = self.servo_period_s * US_PER_S
+        return facts
+
+    @property
     def mid_travel_m(self) -> float:
         """Middle of the travel in m."""
         return 0.5 * (self.travel.min_mm + self.travel.max_mm) / MM_PER_M
@@ -324,7 +345,7 @@ def parse_bench(text: str, *, name: str = "bench file") -> Bench:
     try:
         return Bench.model_validate({**data, "text": text})
     except ValidationError as error:
-        lines = [_explain(item) for item in error.errors()]
+        lines = problems(error, Bench)
         raise ConfigError(
             f"{name} has {len(lines)} problem(s):\n" + "\n".join(f"  - {line}" for line in lines),
             code="PC-CFG-004",
@@ -340,35 +361,3 @@ def _resolve(path: Path | str) -> Path:
         if bundled.exists():
             return bundled
     return source
-
-
-def _explain(item: Any) -> str:
-    location = [str(part) for part in item["loc"]]
-    where = ".".join(location)
-    if item["type"] == "extra_forbidden":
-        return f"unknown key '{where}'{_nearest(location)}"
-    if item["type"] == "missing":
-        return f"missing key '{where}'"
-    return f"'{where}': {item['msg']} (got {item.get('input')!r})"
-
-
-def _nearest(location: list[str]) -> str:
-    known = _keys_of(location[:-1])
-    close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.4)
-    if close:
-        return f"; the nearest known key is '{close[0]}'"
-    return f"; known keys here: {', '.join(sorted(known))}" if known else ""
-
-
-def _keys_of(table: list[str]) -> list[str]:
-    model: Any = Bench
-    for part in table:
-        field = model.model_fields.get(part)
-        if field is None:
-            return []
-        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
-        models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        if not models:
-            return []
-        model = models[0]
-    return [key for key in model.model_fields if key != "text"]

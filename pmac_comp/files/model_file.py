@@ -1,17 +1,20 @@
 """Model files: JSON with every parameter, its unit and its interval, readable by a person.
 
-Imports ``base`` only. Nothing in a model file is ever executed, and no path in it is followed.
+Imports ``base`` and ``bench``. Nothing in a model file is ever executed, no path in it followed.
 """
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ModelError
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.validation import problems
 
+_MOST_SHOWN = 5
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -58,7 +61,11 @@ class ModelFile(_Frozen):
     """Contents of a model file."""
 
     model_version: Literal[1] = 1
+    bench_name: str = ""
     bench_digest: str = ""
+    axis: dict[str, float | str] = Field(
+        default={}, description="keys of the bench file that the model is tied to"
+    )
     effects: list[str] = []
     parameters: dict[str, ModelParameter]
     correlation: Correlation = Correlation()
@@ -66,6 +73,15 @@ class ModelFile(_Frozen):
     data: list[DataSource] = []
     created_utc: str = ""
     notes: list[str] = []
+
+
+def written_for(bench: Bench) -> dict[str, Any]:
+    """Fields of a model file that say which bench file and axis it belongs to."""
+    return {
+        "bench_name": bench.name,
+        "bench_digest": bench.digest,
+        "axis": bench.axis_facts,
+    }
 
 
 def read_model(path: Path | str) -> ModelFile:
@@ -87,10 +103,19 @@ def read_model(path: Path | str) -> ModelFile:
         ) from error
     except (ValidationError, UnicodeDecodeError) as error:
         raise ModelError(
-            f"{source.name} is not a model file: {error}",
+            f"{source.name} is not a model file:\n"
+            + "\n".join(f"  - {line}" for line in _problems(error)),
             code="PC-MFL-002",
-            hint="Identify again, or correct the keys named above.",
+            hint="Give the file that `pmac-comp identify --out` wrote, or identify again.",
         ) from error
+
+
+def _problems(error: ValidationError | UnicodeDecodeError) -> list[str]:
+    if isinstance(error, UnicodeDecodeError):
+        return ["it is no text in UTF-8"]
+    found = problems(error, ModelFile)
+    more = [f"and {len(found) - _MOST_SHOWN} more"] if len(found) > _MOST_SHOWN else []
+    return [*found[:_MOST_SHOWN], *more]
 
 
 def write_model(path: Path | str, model: ModelFile) -> None:

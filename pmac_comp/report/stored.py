@@ -9,6 +9,7 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.report.page import Page, Section, Table, write_page
 
 _MOST_DEPTH = 6
+_MARKS = {"kind", "verdict"}  # each result has one of them
 
 
 def report_from_file(source: Path, out: Path) -> Path:
@@ -27,8 +28,13 @@ def report_from_file(source: Path, out: Path) -> Path:
             code="PC-REP-001",
             hint="Give the JSON file that verify, demo, identify or diagnose wrote.",
         ) from error
-    if not isinstance(data, dict):
-        raise ConfigError(f"{source} holds no result.", code="PC-REP-001")
+    if not isinstance(data, dict) or not _MARKS & data.keys():
+        raise ConfigError(
+            f"{source} is JSON, but not a result of this program.",
+            code="PC-REP-002",
+            hint="Give the JSON file that verify, demo, identify, compare, improve or diagnose "
+            "wrote.",
+        )
     simple = {k: v for k, v in data.items() if not isinstance(v, (dict, list))}
     sections = [Section("Result", tables=[Table(("item", "value"), list(simple.items()))])]
     sections += [

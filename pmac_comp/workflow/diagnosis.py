@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
-from pmac_comp.files.model_file import ModelFile, write_model
+from pmac_comp.files.model_file import ModelFile, write_model, written_for
 from pmac_comp.workflow.identification import check_period, load_model, user_effects
 from pmac_comp.workflow.same_axis import check_channels, check_not_twice, check_same_axis
 
@@ -208,7 +208,7 @@ def _model_file(found: "Diagnosis", bench: Bench, data: Sequence[tuple[str, str]
             tolerance=spec.tolerance_frac if known else None,
         )
     return ModelFile(
-        bench_digest=bench.digest,
+        **written_for(bench),
         effects=list(model.effects),
         parameters=parameters,
         data=[DataSource(name=name, sha256=digest) for name, digest in data],

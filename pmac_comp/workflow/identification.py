@@ -15,6 +15,7 @@ from pmac_comp.files.capture import Capture, file_digest, read_capture, write_ca
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.commands import read_command
+from pmac_comp.workflow.same_axis import check_same_drive
 
 if TYPE_CHECKING:
     from pmac_comp.physics.identify.result import Identification
@@ -71,10 +72,20 @@ class IdentificationOutcome:
 
 
 def load_model(path: Path, bench: Bench, *, effects: Path | None = None) -> "DriveModel":
-    """Drive model of a model file, with effects of the user's own file if one is named."""
+    """Drive model of a model file, with effects of the user's own file if one is named.
+
+    Raises
+    ------
+    ConfigError
+        The model was identified on another axis than the bench file states.
+    ModelError
+        Not a model file, or it holds effects or parameters that are not known.
+    """
     from pmac_comp.physics.identify import model_from_file
 
-    return model_from_file(read_model(path), bench, library=user_effects(effects))
+    stored = read_model(path)
+    check_same_drive(stored, bench, path.name)
+    return model_from_file(stored, bench, library=user_effects(effects))
 
 
 def user_effects(path: Path | None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import AmplitudeExceeded, ConfigError, MotorNotSafe, SafetyRefusal
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.physics.signals.trajectory import Trajectory
@@ -90,39 +90,58 @@ def check_motion(motion: Motion, bench: Bench) -> None:
 
 # Specifications -----------------------------------------------------------------------------------
 
-_Maker = Callable[[float, dict[str, float]], Trajectory]
+_Maker = Callable[[float, Mapping[str, float]], Trajectory]
+# Keys of each kind of motion with their defaults.
+KEYS: Mapping[str, Mapping[str, float]] = {
+    "sine": {"amplitude_mm": 10.0, "frequency_Hz": 1.0, "cycles": 4.0, "centre_mm": 0.0},
+    "trapezoid": {
+        "distance_mm": 100.0,
+        "speed_mm_per_s": 200.0,
+        "acceleration_m_per_s2": 2.0,
+        "s_curve_ms": 15.0,
+        "start_mm": 0.0,
+        "repeats": 1.0,
+    },
+    "triangle": {
+        "amplitude_mm": 10.0,
+        "speed_mm_per_s": 5.0,
+        "cycles": 2.0,
+        "centre_mm": 0.0,
+        "acceleration_m_per_s2": 1.0,
+    },
+}
 
 
-def _sine(period: float, v: dict[str, float]) -> Trajectory:
+def _sine(period: float, v: Mapping[str, float]) -> Trajectory:
     return tr.sinusoid(
         period_s=period,
-        amplitude_m=v.pop("amplitude_mm", 10.0) / MM_PER_M,
-        frequency_Hz=v.pop("frequency_Hz", 1.0),
-        cycles=v.pop("cycles", 4.0),
-        centre_m=v.pop("centre_mm", 0.0) / MM_PER_M,
+        amplitude_m=v["amplitude_mm"] / MM_PER_M,
+        frequency_Hz=v["frequency_Hz"],
+        cycles=v["cycles"],
+        centre_m=v["centre_mm"] / MM_PER_M,
     )
 
 
-def _trapezoid(period: float, v: dict[str, float]) -> Trajectory:
+def _trapezoid(period: float, v: Mapping[str, float]) -> Trajectory:
     return tr.trapezoid(
         period_s=period,
-        distance_m=v.pop("distance_mm", 100.0) / MM_PER_M,
-        speed_m_per_s=v.pop("speed_mm_per_s", 200.0) / MM_PER_M,
-        acceleration_m_per_s2=v.pop("acceleration_m_per_s2", 2.0),
-        s_curve_s=v.pop("s_curve_ms", 15.0) / 1e3,
-        start_m=v.pop("start_mm", 0.0) / MM_PER_M,
-        repeats=int(v.pop("repeats", 1.0)),
+        distance_m=v["distance_mm"] / MM_PER_M,
+        speed_m_per_s=v["speed_mm_per_s"] / MM_PER_M,
+        acceleration_m_per_s2=v["acceleration_m_per_s2"],
+        s_curve_s=v["s_curve_ms"] / MS_PER_S,
+        start_m=v["start_mm"] / MM_PER_M,
+        repeats=int(v["repeats"]),
     )
 
 
-def _triangle(period: float, v: dict[str, float]) -> Trajectory:
+def _triangle(period: float, v: Mapping[str, float]) -> Trajectory:
     return tr.triangle(
         period_s=period,
-        amplitude_m=v.pop("amplitude_mm", 10.0) / MM_PER_M,
-        speed_m_per_s=v.pop("speed_mm_per_s", 5.0) / MM_PER_M,
-        cycles=int(v.pop("cycles", 2.0)),
-        centre_m=v.pop("centre_mm", 0.0) / MM_PER_M,
-        acceleration_m_per_s2=v.pop("acceleration_m_per_s2", 1.0),
+        amplitude_m=v["amplitude_mm"] / MM_PER_M,
+        speed_m_per_s=v["speed_mm_per_s"] / MM_PER_M,
+        cycles=int(v["cycles"]),
+        centre_m=v["centre_mm"] / MM_PER_M,
+        acceleration_m_per_s2=v["acceleration_m_per_s2"],
     )
 
 
@@ -139,22 +158,24 @@ def parse_motion(text: str, bench: Bench) -> Motion:
     """
     if text.lower().endswith((".csv", ".h5", ".hdf5")):
         return _motion_from_file(Path(text), bench)
-    kind, _, rest = text.partition(":")
-    maker = _MAKERS.get(kind.strip().lower())
+    name, _, rest = text.partition(":")
+    kind = name.strip().lower()
+    maker = _MAKERS.get(kind)
     if maker is None:
         raise ConfigError(
-            f"'{kind}' is not a kind of motion.",
+            f"'{name}' is not a kind of motion.",
             code="PC-MOV-003",
             hint="Use " + ", ".join(_MAKERS) + " or the name of a CSV file.",
         )
     values = _key_values(rest, text)
-    motion = Motion(text, maker(bench.servo_period_s, values))
-    if values:
+    unknown = [key for key in values if key not in KEYS[kind]]
+    if unknown:
         raise ConfigError(
-            f"'{text}': unknown key(s) {', '.join(values)}.",
+            f"'{text}': a {kind} has no {', '.join(unknown)}.",
             code="PC-MOV-004",
-            hint="See `pmac-comp capture --help`.",
+            hint=f"Its keys are {', '.join(KEYS[kind])}.",
         )
+    motion = Motion(text, maker(bench.servo_period_s, {**KEYS[kind], **values}))
     check_motion(motion, bench)
     return motion
 
@@ -167,7 +188,9 @@ def _key_values(text: str, whole: str) -> dict[str, float]:
             values[key.strip()] = float(value)
         except ValueError as error:
             raise ConfigError(
-                f"'{whole}': '{item}' is not key=number.", code="PC-MOV-005"
+                f"'{whole}': '{item}' is not key=number.",
+                code="PC-MOV-005",
+                hint="For example: sine:amplitude_mm=10,frequency_Hz=2",
             ) from error
     return values
 

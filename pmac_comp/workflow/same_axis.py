@@ -1,8 +1,9 @@
-"""Whether captures belong together and to a bench: sensors, screw, controller, channels.
+"""Whether captures and models belong together and to a bench: sensors, screw, controller.
 
 What lives here: refusals before any computing. What may not: anything that changes data.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.files.model_file import ModelFile
 
 # What a capture depends on. Inertias and stiffnesses are not in it: they are being refined.
 _OF_THE_AXIS = ("screw.pitch_mm", "encoder.counts_per_rev", "scale.resolution_um")
@@ -48,6 +50,46 @@ def check_same_axis(capture: Capture, bench: Bench, name: str) -> None:
             hint="Give the bench file of this capture. If its stored text is wrong, take the "
             f"samples without it: `pmac-comp convert {name} {Path(name).stem}.csv`.",
         )
+
+
+def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
+    """Refuse a model of another axis: screw, sensors, output or clock differ.
+
+    Parameters
+    ----------
+    stored : ModelFile
+        Says what it was identified on; one that does not say is taken as it is.
+    bench : Bench
+        The bench file that was given.
+    name : str
+        Of the model file, for the error.
+
+    Raises
+    ------
+    ConfigError
+        With the keys that differ.
+    """
+    given = bench.axis_facts
+    differences = [
+        f"{key} {_shown(stored.axis.get(key))} in the model, {_shown(given.get(key))} in the "
+        "bench file"
+        for key in dict.fromkeys([*stored.axis, *given])
+        if stored.axis and not _equal(stored.axis.get(key), given.get(key))
+    ]
+    if differences:
+        raise ConfigError(
+            f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "
+            f"the bench file states ({bench.name or 'without a name'}): {'; '.join(differences)}.",
+            code="PC-DIA-013",
+            hint="Give the bench file that the model was identified with, or identify again with "
+            "this one.",
+        )
+
+
+def _equal(first: float | str | None, second: float | str | None) -> bool:
+    if isinstance(first, (int, float)) and isinstance(second, (int, float)):
+        return math.isclose(first, second, rel_tol=1e-6)
+    return first == second
 
 
 def _axis_of(bench: Bench) -> dict[str, Any]:

@@ -9,7 +9,14 @@ from datetime import UTC, datetime
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.model_file import Correlation, DataSource, ModelFile, ModelParameter, Noise
+from pmac_comp.files.model_file import (
+    Correlation,
+    DataSource,
+    ModelFile,
+    ModelParameter,
+    Noise,
+    written_for,
+)
 from pmac_comp.physics.identify.result import Identification, ParameterEstimate
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
@@ -56,7 +63,7 @@ def to_model_file(
         )
     noise = identification.noise
     return ModelFile(
-        bench_digest=bench.digest,
+        **written_for(bench),
         effects=list(model.effects),
         parameters=parameters,
         correlation=Correlation(

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from pmac_comp.cli.app import main
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
-from pmac_comp.files.model_file import read_model
+from pmac_comp.files.model_file import ModelFile, read_model, write_model, written_for
 from pmac_comp.physics.identify import model_from_file
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import load_effects
@@ -183,3 +183,14 @@ def test_a_bench_with_a_motor_encoder_only(tmp_path: Path) -> None:
 ROUND = tr.sinusoid(period_s=TS, amplitude_m=0.02, frequency_Hz=2.0, cycles=8).then(
     tr.triangle(period_s=TS, amplitude_m=0.02, speed_m_per_s=0.05, cycles=2)
 )
+
+
+def test_a_model_of_another_axis_is_not_predicted_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(tmp_path / "m.json", ModelFile(parameters={}, **written_for(load_bench("paper"))))
+    write_capture(tmp_path / "c.h5", record(DriveModel.base(PAPER), MOVE))
+    assert called("predict", "--bench", "paper_x4", "--model", tmp_path / "m.json",
+                  "--command", tmp_path / "c.h5", "--out", tmp_path / "o.csv") == 2  # fmt: skip
+    assert "encoder.counts_per_rev 10000 in the model, 40000" in capsys.readouterr().err
+    assert not (tmp_path / "o.csv").exists()

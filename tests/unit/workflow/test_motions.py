@@ -87,16 +87,18 @@ def test_motion_outside_travel_and_limits_is_refused_with_all_reasons() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "said", "known"),
     [
-        ("wiggle:amplitude_mm=1", "not a kind"),
-        ("sine:amplitude=1", "unknown key"),
-        ("sine:amplitude_mm=much", "key=number"),
+        ("wiggle:amplitude_mm=1", "not a kind", "sine, trapezoid, triangle"),
+        ("sine:amplitude=1", "no amplitude", "amplitude_mm, frequency_Hz, cycles, centre_mm"),
+        ("trapezoid:length_mm=3", "no length_mm", "distance_mm"),
+        ("sine:amplitude_mm=much", "key=number", "amplitude_mm=10"),
     ],
 )
-def test_bad_specification_is_told(text: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_bad_specification_is_told_with_what_is_known(text: str, said: str, known: str) -> None:
+    with pytest.raises(ConfigError, match=said) as caught:
         parse_motion(text, BENCH)
+    assert known in caught.value.hint
 
 
 def test_relaxing_wiggle_fades_and_ends_where_the_motion_starts() -> None:

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import CaptureError, ConfigError
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import load_bench, parse_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.workflow.same_axis import check_channels, check_not_twice, check_same_axis
+from pmac_comp.files.model_file import ModelFile, written_for
+from pmac_comp.workflow.same_axis import (
+    check_channels,
+    check_not_twice,
+    check_same_axis,
+    check_same_drive,
+)
 
 BENCH = load_bench("paper")
 
@@ -59,3 +65,23 @@ def test_a_capture_cannot_fit_and_judge():
     check_not_twice({"a.h5": "1"}, {"b.h5": "2"})
     with pytest.raises(CaptureError, match=r"copy\.h5 \(a\.h5\)"):
         check_not_twice({"a.h5": "1"}, {"copy.h5": "1"})
+
+
+def test_a_model_of_another_axis_is_refused_with_both_names_and_values():
+    stored = ModelFile(parameters={}, **written_for(load_bench("paper_x4")))
+    with pytest.raises(ConfigError, match=r"encoder\.counts_per_rev 40000 .* 10000") as caught:
+        check_same_drive(stored, BENCH, "m.json")
+    assert BENCH.name in str(caught.value)
+    assert load_bench("paper_x4").name in str(caught.value)
+
+
+def test_a_model_stays_valid_under_other_gains_limits_and_nominal_values():
+    stored = ModelFile(parameters={}, **written_for(BENCH))
+    text = BENCH.text.replace("I130 = 139449", "I130 = 100000")
+    text = text.replace("table_mass_kg = 122.86", "table_mass_kg = 130.0")
+    assert text != BENCH.text
+    check_same_drive(stored, parse_bench(text), "m.json")
+
+
+def test_a_model_that_does_not_say_where_it_is_from_passes():
+    check_same_drive(ModelFile(parameters={}), BENCH, "m.json")

@@ -1,0 +1,28 @@
+"""What ``--help`` says agrees with what the commands take."""
+
+import re
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from pmac_comp.cli.app import app
+from pmac_comp.workflow.motions import KEYS
+
+
+def option_help(command: str, option: str) -> str:
+    """Text of an option as it is declared."""
+    parameters = get_command(app).commands[command].params  # type: ignore[attr-defined]
+    return next(str(p.help) for p in parameters if option in p.opts)
+
+
+@pytest.mark.parametrize("kind", KEYS)
+def test_capture_names_every_key_of_a_motion(kind: str) -> None:
+    told = re.search(rf"\b{kind}: ([^;]*)", option_help("capture", "--motion"))
+    assert told is not None
+    assert told.group(1).split() == list(KEYS[kind])
+
+
+def test_exit_codes_are_told() -> None:
+    said = " ".join(CliRunner().invoke(app, ["--help"]).output.split())
+    assert "Exit codes: 0 done, 2 usage" in said

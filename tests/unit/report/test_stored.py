@@ -1,0 +1,26 @@
+"""Reports of stored results: any result of ours, nothing else."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.report.stored import report_from_file
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "no json", '{"model_version": 1, "parameters": {}}'])
+def test_what_is_no_result_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "bad.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        report_from_file(tmp_path / "bad.json", tmp_path / "report.html")
+    assert "verify, demo, identify" in caught.value.hint
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize("mark", [{"kind": "verification"}, {"verdict": "named"}])
+def test_a_result_becomes_a_page_with_its_figures(tmp_path: Path, mark: dict[str, str]) -> None:
+    result = {**mark, "motions": [{"name": "sine", "e_r_um": 0.25}]}
+    (tmp_path / "r.json").write_text(json.dumps(result), encoding="utf-8")
+    page = report_from_file(tmp_path / "r.json", tmp_path / "report.html")
+    assert "0.25" in page.read_text(encoding="utf-8")
