@@ -16,6 +16,7 @@ from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture
+from pmac_comp.physics.compensate.clearance import with_clearance
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
@@ -38,6 +39,12 @@ from pmac_comp.workflow.law_cost import (
     cheaper_laws,
     cost_remarks,
     share_frac,
+)
+from pmac_comp.workflow.loose_nut import (
+    clearance_note,
+    clearance_remarks,
+    found_clearance,
+    loosened,
 )
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
@@ -96,6 +103,10 @@ def compute_compensation(
         The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
+    if route != "table":  # that one takes the whole difference of the directions as it is
+        clearance = found_clearance(bench, model, slow, captures)
+        model = model if clearance is None else with_clearance(model, clearance.values)
+        provenance = {**(provenance or {}), **clearance_note(clearance)}
     law = dynamic_law(
         bench,
         model,
@@ -234,7 +245,8 @@ def compensate_files(
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
     if route == "law" and share_frac(loaded, law.every_cycles, law) > CHEAP_FRAC:
-        offers = cheaper_laws(loaded, without_turn(drive), model_law(law), progress, whole=law)
+        whole = without_turn(loosened(drive, law))
+        offers = cheaper_laws(loaded, whole, model_law(law), progress, whole=law)
     return {
         "route": route,
         "file": out,
@@ -243,6 +255,7 @@ def compensate_files(
             *cuts,
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
+            *clearance_remarks(law),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),
         ],
         "law": None if route in MOTION_ROUTES else law.as_mapping(),

@@ -16,13 +16,14 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.identification import load_model
+from pmac_comp.workflow.loose_nut import loosened
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
     MotionOutcome,
@@ -71,7 +72,7 @@ def verify_files(
         groups: dict[str, Pair] = {}
     else:
         groups = _paired(first, second)
-    loop = None if model is None else model_loop(without_turn(load_model(model, loaded)))
+    loop = None if model is None else _loop(load_model(model, loaded), compensation)
     outcomes = [
         outcome_of(
             name,
@@ -267,7 +268,7 @@ def verify_axis(
     found = truth() if truth is not None else None
     outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
-    loop = None if drive is None else model_loop(without_turn(drive))
+    loop = None if drive is None else _loop(drive, compensation)
     for motion, (before, after) in zip(runs.motions, groups, strict=True):
         outcomes.append(
             outcome_of(
@@ -291,6 +292,12 @@ def verify_axis(
         static=None if static is None else _static(rest.pop(0)),
         remarks=runs.remarks,
     )
+
+
+def _loop(drive: Any, compensation: Compensation | None) -> LoopRunner:
+    """Closed loop of what a compensation was computed with."""
+    law = None if compensation is None else compensation.law
+    return model_loop(without_turn(loosened(drive, law)))
 
 
 def alternating(

@@ -30,7 +30,9 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
     e = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s
-    c = e + GH e / (S0 / 5 + |e|) + J0 j                  the flank of a gap goes with the force
+    f = e + L1 (A0 j + V0 a)                              the same L1 cycles later
+    h = |v| dn S_INV     g = (g + h f / (S0 / 5 + |f|)) / (1 + h)    flank: goes with the force
+    c = e + GH g + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = (r + LR v) KP                                     angle of the screw, degrees
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(NH p + PH)
@@ -100,7 +102,7 @@ class WorkIndex(IntEnum):
     STATE = 4  # s
     TORQUE_STATE = 5  # t
     SPARE6 = 6
-    SPARE7 = 7
+    FLANK = 7  # g
     SPARE8 = 8
     CORRECTION = 9  # what was sent, counts
     TORQUE = 10  # what was sent, DAC units
@@ -247,12 +249,6 @@ class LawParameters:
                 "GH needs a positive S0, which tells the flank of the gap.", code="PC-LAW-006"
             )
 
-    def with_gap(self, elastic_ct: FloatArray) -> FloatArray:
-        """Elastic correction in counts with half the gap on the side to which the nut pushes."""
-        if self.GH == 0.0:
-            return elastic_ct
-        return elastic_ct * (1.0 + self.GH / (FLANK_FRAC * self.S0 + np.abs(elastic_ct)))
-
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """The 30 values of a bank, with seal and checksum unless ``sealed`` is False."""
         bank = [0.0] * BANK_SIZE
@@ -349,7 +345,7 @@ def evaluate(
     gain : float
         Constant gain (a finished ramp).
     start_state : Mapping, optional
-        ``s`` and ``t`` at the start.
+        ``s``, ``t`` and ``g`` at the start.
 
     Returns
     -------
@@ -369,7 +365,11 @@ def evaluate(
     t = _friction_state(way * p.T_INV, start.get("t", 0.0))
     x = r - p.X0
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
-    c = p.with_gap(c) + p.J0 * j
+    if p.GH > 0.0:
+        foreseen = c + p.L1 * (p.A0 * j + p.V0 * a)
+        goal = foreseen / (FLANK_FRAC * p.S0 + np.abs(foreseen))
+        c = c + p.GH * _flank(np.abs(v) * p.S_INV, goal, start.get("g", 0.0))
+    c = c + p.J0 * j
     angle = (r + p.LR * v) * p.KP
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
@@ -390,6 +390,16 @@ def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, F
         value += jerk[k]
         followed[k] = value
     return followed, jerk
+
+
+def _flank(way: FloatArray, goal: FloatArray, start: float) -> FloatArray:
+    """State that follows a goal along the way, in break-away distances."""
+    state = np.empty_like(way)
+    value = start
+    for k, (step, wanted) in enumerate(zip(way.tolist(), goal.tolist(), strict=True)):
+        value = (value + step * wanted) / (1.0 + step)
+        state[k] = value
+    return state
 
 
 def _friction_state(u: FloatArray, start: float) -> FloatArray:

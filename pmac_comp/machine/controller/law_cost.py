@@ -24,7 +24,7 @@ def operation_count(
 _SKIPPED = (
     "IF(M7003=1 OR M7004=0)",
     "IF(P7112>16)",
-    "IF(P7107!=P7001)",
+    "IF(P7120!=P7001)",
     "IF(P7115=0)",
     "IF(P7127>0)",
     "IF(ABS(P7118)>P7174)",

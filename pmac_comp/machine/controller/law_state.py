@@ -55,8 +55,8 @@ class LawHead:
         Passes in which the clamp acted.
     bank_in_use : int or None
         What the algorithm says it uses; None while the loop is open.
-    position_ct, friction_state : float
-        r and s of the law as the algorithm has them now.
+    position_ct, friction_state, flank_state : float
+        r, s and g of the law as the algorithm has them now.
     """
 
     signature: int
@@ -73,6 +73,7 @@ class LawHead:
     bank_in_use: int | None
     position_ct: float
     friction_state: float
+    flank_state: float = 0.0
 
     @property
     def form(self) -> LawForm:
@@ -110,6 +111,7 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         bank_in_use=live - 1 if live > 0 else None,
         position_ct=running[WorkIndex.POSITION],
         friction_state=running[WorkIndex.STATE],
+        flank_state=running[WorkIndex.FLANK],
     )
 
 

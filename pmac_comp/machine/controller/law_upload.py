@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
@@ -178,7 +176,7 @@ def _refusals(
 def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParameters) -> float:
     """Step of the correction in counts when an axis at rest changes over where it stands.
 
-    At rest only the friction state is left of the law: (S0 + S1 x) s, and the gap with it.
+    At rest only the states are left of the law: (S0 + S1 x) s for friction, GH g for a gap.
     """
     if not head.is_armed:
         return 0.0
@@ -187,7 +185,7 @@ def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParamete
         if law is None:
             return 0.0
         elastic = (law.S0 + law.S1 * (head.position_ct - law.X0)) * head.friction_state
-        value = float(law.with_gap(np.array([elastic]))[0])
+        value = elastic + law.GH * head.flank_state
         return max(-head.clamp_ct, min(head.clamp_ct, value))
 
     return head.gain * (at_rest(new) - at_rest(old))

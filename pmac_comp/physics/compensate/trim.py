@@ -15,6 +15,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.clearance import settled
 from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
 from pmac_comp.physics.compensate.grip import DISTANCES_m, gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
@@ -104,7 +105,7 @@ def _run(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap
     simulated = signals.table_position_m - signals.motor_position_m
     measured = (table if table is not None else r) - capture.motor_position_m
     rest = measured - simulated - (0.0 if lead is None else lead.at(r))
-    use = capture.mask
+    use = settled(capture) if law.gap_half_m > 0.0 else capture.mask
     motor = signals.motor_position_m
     return _Run(motor, rest[use] - rest[use].mean(), use, capture.sample_period_s)
 

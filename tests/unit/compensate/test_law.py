@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.law_bank import evaluate
@@ -135,12 +136,52 @@ def test_gap_is_taken_up_with_the_force_and_not_with_the_velocity() -> None:
     with_gap = evaluate_law(law.with_values(gap_half_m=2.5e-6), position, PERIOD).correction_m
     flank = (with_gap - plain) / 2.5e-6
     # Braking with 3.1 m/s2 at most, six times the friction: the flank turns long before the end.
-    clear = np.abs(plain) > 1e-6
+    clear = (np.abs(plain) > 1e-6) & (t > 0.02)  # the flank is known once the axis moves
     assert np.all(np.sign(flank[clear]) == np.sign(plain[clear]))
     assert np.all(np.abs(flank[clear]) > 0.8)
     still_forward = (np.gradient(position) > 1e-7) & (plain < -1e-6)
     assert np.all(flank[still_forward] < 0.0)
     assert np.count_nonzero(still_forward) > 0.15 * t.size
+
+
+def flank_of(
+    law: CompensationLaw, acceleration_m_per_s2: float, s_curve_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Flank from -1 to 1 and elastic correction in m along a move up."""
+    motion = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.1,
+        speed_m_per_s=0.3,
+        acceleration_m_per_s2=acceleration_m_per_s2,
+        s_curve_s=s_curve_s,
+        dwell_s=0.2,
+        both_ways=False,
+    )
+    both = evaluate_law(law, motion.position_m, PERIOD).correction_m
+    plain = evaluate_law(law.with_values(gap_half_m=0.0), motion.position_m, PERIOD).correction_m
+    return (both - plain) / law.gap_half_m, plain
+
+
+def test_nut_is_sent_across_the_gap_before_the_force_turns() -> None:
+    law = CompensationLaw(
+        inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, lookahead_s=2e-3, gap_half_m=2e-6
+    )
+    flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
+    turned = np.flatnonzero((flank[:-1] > 0.0) & (flank[1:] <= 0.0))
+    force = np.flatnonzero((plain[:-1] > 0.0) & (plain[1:] <= 0.0))
+    # The jerk falls there: less than the two milliseconds that it would be at a constant one.
+    assert 1e-3 < (force[0] - turned[0]) * PERIOD < 2.5e-3
+
+
+def test_flank_stays_where_the_force_turns_with_the_very_end_of_a_move() -> None:
+    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6)
+    flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
+    assert plain[-1] > 0.9e-6
+    assert flank[-1] < -0.4
+    # A slower end has way enough.
+    flank, plain = flank_of(law, acceleration_m_per_s2=1.0, s_curve_s=0.1)
+    assert plain[-1] > 0.9e-6
+    assert flank[-1] > 0.5
 
 
 @pytest.mark.parametrize("coulomb_m", [0.0, -1e-6])

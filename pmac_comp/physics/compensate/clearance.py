@@ -1,0 +1,179 @@
+"""Clearance of the nut that slow and fast runs show and the model does not hold.
+
+What lives here: the fit of a gap beside what it hides behind, to the mechanical error of captures,
+and the model that carries it. What may not: names of causes for people (``diagnose`` gives those),
+controllers.
+
+A model without a gap puts the lost motion of slow runs down to friction of the guide, which winds
+the screw up. Both look the same at constant speed. Under acceleration they part: wind-up follows
+the direction of motion, the flank follows the force in the nut. So gap, guide friction and axial
+stiffness are fitted together to table minus motor alone, where torque, which shows no gap, cannot
+pull. The friction that the guide loses stays at the motor: their sum is what the torque measured.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.lead import LeadMap
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
+_GAP, _GUIDE = "backlash.gap_m", "coulomb.guide_N"
+_MOTOR, _STIFFNESS = "coulomb.motor_Nm", "chain.axial_stiffness_N_per_m"
+_LEAST_GAP_m = 0.3e-6
+_LEAST_GAIN_FRAC = 0.1  # of the rms that stays without a gap: plants without one gain at most 0.01
+_SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
+_DECIMATION = 4
+_MOST_STEPS = 12
+_FACTORS = (0.05, 3.0), (0.3, 3.0)  # of guide friction and stiffness
+_MOST_GAP_um = 100.0
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """What captures show of a gap in the nut.
+
+    Parameters
+    ----------
+    values : Mapping of str to float
+        Gap and what changes beside it, full names, SI.
+    without_um, with_um : float
+        Rms of the mechanical error that stays, with these parameters fitted without and with gap.
+    """
+
+    values: Mapping[str, float]
+    without_um: float
+    with_um: float
+
+    @property
+    def gap_m(self) -> float:
+        """Full clearance in m."""
+        return self.values[_GAP]
+
+
+def with_clearance(model: "DriveModel", values: Mapping[str, float]) -> "DriveModel":
+    """Model with a gap in the nut and the parameters beside it (``Clearance.values``)."""
+    others = {name: value for name, value in values.items() if name != _GAP}
+    return model.with_parameters(others).with_effect("backlash", {_GAP: values[_GAP]})
+
+
+def measured_clearance(
+    model: "DriveModel", captures: Sequence[Capture], lead: LeadMap | None
+) -> Clearance | None:
+    """Gap that captures show beyond a model without one; None where there is none to speak of.
+
+    Parameters
+    ----------
+    model : DriveModel
+        Model whose dynamics fit otherwise, without torque per turn.
+    captures : sequence of Capture
+        Runs without compensation, fast ones among them.
+    lead : LeadMap or None
+        Static error, mean of both directions.
+
+    Returns
+    -------
+    Clearance or None
+        None too for a model with a gap of its own or without the parameters that hide one.
+    """
+    runs = [_Run.of(c, lead) for c in captures if c.table_position_m is not None]
+    runs = [run for run in runs if run.use.any()]
+    if not runs or model.is_rigid or not _can_hide(model):
+        return None
+    wound = _fit(model, runs, np.array([1.0, 1.0]))
+    loose = _fit(model, runs, np.array([0.6 * wound.point[0], 1.2 * wound.point[1], 1.0]))
+    gap_m = loose.point[2] / UM_PER_M
+    if gap_m < _LEAST_GAP_m or loose.rms_um > (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um:
+        return None
+    return Clearance(_values(model, loose.point), wound.rms_um, loose.rms_um)
+
+
+def settled(capture: Capture) -> BoolArray:
+    """Samples of a run after which it is known on which flank the nut is."""
+    steps = np.abs(np.diff(capture.commanded_position_m))
+    return capture.mask & (np.concatenate([[0.0], np.cumsum(steps)]) > _SETTLED_m)
+
+
+def _can_hide(model: "DriveModel") -> bool:
+    from pmac_comp.physics.model.effect import split_name
+
+    gaps = {"backlash", "preload_loss"} & {split_name(name)[0] for name in model.effects}
+    return not gaps and {_GUIDE, _MOTOR, _STIFFNESS} <= set(model.parameters)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Command, mechanical error and samples in use of a capture."""
+
+    commanded_m: FloatArray
+    error_m: FloatArray
+    use: BoolArray
+
+    @classmethod
+    def of(cls, capture: Capture, lead: LeadMap | None) -> "_Run":
+        r, table = capture.commanded_position_m, capture.table_position_m
+        error = (r if table is None else table) - capture.motor_position_m
+        return cls(r, error if lead is None else error - lead.at(r), settled(capture))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Factors of guide friction and stiffness, gap in um where it is fitted, and what stays."""
+
+    point: FloatArray
+    rms_um: float
+
+
+def _fit(model: "DriveModel", runs: Sequence[_Run], start: FloatArray) -> _Fit:
+    bounds = [*_FACTORS, (0.0, _MOST_GAP_um)][: start.size]
+    lower, upper = (np.array(side) for side in zip(*bounds, strict=True))
+    solved = least_squares(
+        lambda point: _rest_um(model, runs, point),
+        np.clip(start, lower + 1e-3, upper - 1e-3),
+        bounds=(lower, upper),
+        diff_step=1e-2,
+        max_nfev=_MOST_STEPS,
+        xtol=1e-3,
+        ftol=1e-3,
+    )
+    return _Fit(solved.x, math.sqrt(2.0 * solved.cost / len(runs)))
+
+
+def _rest_um(model: "DriveModel", runs: Sequence[_Run], point: FloatArray) -> FloatArray:
+    """What a model leaves of the mechanical error, each run with the same weight."""
+    loop = model_loop(_moved(model, point))
+    parts = []
+    for run in runs:
+        signals = loop(run.commanded_m, None, None)
+        simulated = signals.table_position_m - signals.motor_position_m
+        rest = (run.error_m - simulated)[run.use]
+        rest = (rest - rest.mean())[::_DECIMATION]
+        parts.append(rest * UM_PER_M / math.sqrt(rest.size))
+    return np.concatenate(parts)
+
+
+def _moved(model: "DriveModel", point: FloatArray) -> "DriveModel":
+    values = _values(model, point)
+    return with_clearance(model, values) if _GAP in values else model.with_parameters(values)
+
+
+def _values(model: "DriveModel", point: FloatArray) -> dict[str, float]:
+    own = model.parameters
+    guide_N = own[_GUIDE] * float(point[0])
+    per_N = model.bench.pitch_m / (2.0 * math.pi)
+    values = {
+        _GUIDE: guide_N,
+        _MOTOR: max(0.0, own[_MOTOR] + (own[_GUIDE] - guide_N) * per_N),
+        _STIFFNESS: own[_STIFFNESS] * float(point[1]),
+    }
+    return values if point.size < 3 else {**values, _GAP: float(point[2]) / UM_PER_M}

@@ -1,0 +1,60 @@
+"""A gap in the nut that the runs show and the model does not hold: taken up, and said.
+
+What lives here: when it is looked for, how the compensation file keeps it, the words for people.
+What may not: the fit (``physics.compensate.clearance``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance, with_clearance
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import lead_map
+from pmac_comp.workflow.dynamic_law import nut_gap, without_turn
+from pmac_comp.workflow.rendering import lead_spacing_m
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
+_KEY = "clearance"
+
+
+def found_clearance(
+    bench: Bench, model: "DriveModel", slow: Sequence[Capture], captures: Sequence[Capture]
+) -> Clearance | None:
+    """Gap that slow and fast runs together show beyond the model; None without fast runs."""
+    if not captures:
+        return None
+    lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench)) if slow else None
+    return measured_clearance(without_turn(model), (*captures, *slow), lead)
+
+
+def clearance_note(clearance: Clearance | None) -> dict[str, Any]:
+    """What the law keeps of it in its provenance."""
+    return {} if clearance is None else {_KEY: asdict(clearance)}
+
+
+def loosened(model: "DriveModel", law: CompensationLaw | None) -> "DriveModel":
+    """The model that a law was made with: with the gap that the runs showed, if they did."""
+    noted = None if law is None else law.provenance.get(_KEY)
+    if noted is None or nut_gap(model) is not None:
+        return model
+    return with_clearance(model, noted["values"])
+
+
+def clearance_remarks(law: CompensationLaw) -> list[str]:
+    """What was found and what it is not, for people."""
+    noted = law.provenance.get(_KEY)
+    if noted is None:
+        return []
+    found = Clearance(**noted)
+    return [
+        f"slow and fast runs show a lost motion of {found.gap_m * UM_PER_M:.2f} um that turns with "
+        "the force in the nut, as a gap does, and that the model does not hold: with it "
+        f"{found.with_um:.2f} um rms of the mechanical error of the runs stay, without it "
+        f"{found.without_um:.2f}. The law takes it up; `pmac-comp diagnose` tells what it is"
+    ]

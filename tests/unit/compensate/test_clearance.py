@@ -1,0 +1,100 @@
+"""A gap that the model does not hold, found beside what it hides behind."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.clearance import measured_clearance, settled, with_clearance
+from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.signals.trajectory import sinusoid, triangle
+
+BENCH = load_bench("paper")
+TRUE = {"coulomb.guide_N": 45.0, "coulomb.motor_Nm": 0.2, "coulomb.nut_Nm": 0.1}
+PERIOD = BENCH.servo_period_s
+MOTIONS = (
+    sinusoid(period_s=PERIOD, amplitude_m=0.01, frequency_Hz=4.0, cycles=4.0, centre_m=-0.2),
+    sinusoid(period_s=PERIOD, amplitude_m=0.04, frequency_Hz=0.8, cycles=2.0, centre_m=0.1),
+    triangle(
+        period_s=PERIOD,
+        amplitude_m=2e-3,
+        speed_m_per_s=4e-3,
+        cycles=2,
+        centre_m=0.0,
+        acceleration_m_per_s2=0.5,
+    ),
+)
+
+
+def runs_of(model: DriveModel) -> list[Capture]:
+    """Runs of a drive with readings of an encoder and a scale."""
+    found = []
+    for motion in MOTIONS:
+        run = simulate(model, motion)
+        found.append(
+            Capture(
+                run.time_s,
+                run.commanded_position_m,
+                steps(run.motor_position_m, BENCH.motor_resolution_m),
+                table_position_m=steps(run.table_position_m + 7e-6, BENCH.scale_resolution_m),
+            )
+        )
+    return found
+
+
+def steps(position_m: FloatArray, size_m: float | None) -> FloatArray:
+    return np.round(position_m / (size_m or 1e-9)) * (size_m or 1e-9)
+
+
+def winding(guide_N: float, stiffness: float) -> DriveModel:
+    """Model without a gap whose guide has more friction, and whose motor has less."""
+    true = DriveModel.base(BENCH, TRUE)
+    per_N = BENCH.pitch_m / (2.0 * np.pi)
+    return true.with_parameters(
+        {
+            "coulomb.guide_N": guide_N,
+            "coulomb.motor_Nm": max(0.0, 0.2 - (guide_N - 45.0) * per_N),
+            "chain.axial_stiffness_N_per_m": stiffness
+            * true.parameters["chain.axial_stiffness_N_per_m"],
+        }
+    )
+
+
+@pytest.mark.parametrize("gap_m", [1e-6, 4e-6])
+def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -> None:
+    true = DriveModel.base(BENCH, TRUE).with_effect("backlash", {"gap_m": gap_m})
+    found = measured_clearance(winding(110.0, 0.7), runs_of(true), None)
+    assert found is not None
+    assert found.gap_m == pytest.approx(gap_m, rel=0.1)
+    assert found.values["coulomb.guide_N"] == pytest.approx(45.0, rel=0.2)
+    assert found.values["chain.axial_stiffness_N_per_m"] == pytest.approx(
+        true.parameters["chain.axial_stiffness_N_per_m"], rel=0.1
+    )
+    assert found.with_um < 0.8 * found.without_um
+    # What the guide loses the motor keeps: the torque measured their sum.
+    loose = with_clearance(winding(110.0, 0.7), found.values)
+    assert loose.parameters["backlash.gap_m"] == found.gap_m
+    lost_Nm = (110.0 - found.values["coulomb.guide_N"]) * BENCH.pitch_m / (2.0 * np.pi)
+    start_Nm = winding(110.0, 0.7).parameters["coulomb.motor_Nm"]
+    assert loose.parameters["coulomb.motor_Nm"] == pytest.approx(start_Nm + lost_Nm)
+
+
+@pytest.mark.parametrize(("guide_N", "stiffness"), [(45.0, 1.0), (70.0, 0.85)])
+def test_wind_up_by_friction_is_no_gap(guide_N: float, stiffness: float) -> None:
+    runs = runs_of(DriveModel.base(BENCH, TRUE))
+    assert measured_clearance(winding(guide_N, stiffness), runs, None) is None
+
+
+def test_model_with_a_gap_of_its_own_is_left_alone() -> None:
+    true = DriveModel.base(BENCH, TRUE).with_effect("backlash", {"gap_m": 4e-6})
+    assert measured_clearance(true, runs_of(true), None) is None
+
+
+def test_samples_before_the_nut_has_moved_are_left_out() -> None:
+    run = runs_of(DriveModel.base(BENCH, TRUE))[0]
+    use = settled(run)
+    assert not use[0]
+    assert use[-1]
+    way = np.abs(run.commanded_position_m - run.commanded_position_m[0])
+    assert way[np.argmax(use)] == pytest.approx(0.2e-3, rel=0.2)
