@@ -17,7 +17,7 @@ from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 _INTERRUPTED = 130
-_CHANGING = frozenset(
+CHANGING = frozenset(
     {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup"}
 )
 app = typer.Typer(
@@ -48,7 +48,7 @@ def _root(
 
 def _interrupted(words: Sequence[str]) -> str:
     command = next(iter(words), "")
-    if command not in _CHANGING:
+    if command not in CHANGING:
         return "interrupted"
     return (
         "interrupted at once. If the change had begun, what the controller was left with is "

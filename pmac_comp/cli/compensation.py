@@ -1,7 +1,7 @@
 """Commands of the compensation: compute, compare, upload, take back, verify, improve."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,9 @@ from pmac_comp.cli.options import (
 )
 from pmac_comp.cli.output import ProgressLines
 from pmac_comp.files.resources import DEFAULT_JOURNAL
+
+if TYPE_CHECKING:
+    from pmac_comp.workflow.previews import RunsPreview
 
 RouteOption = Annotated[str, typer.Option("--route", help="table, law, servo, cam or program")]
 
@@ -190,11 +193,17 @@ def recover(
     url: UrlArgument,
     bench: BenchOption = "paper",
     journal: JournalOption = DEFAULT_JOURNAL,
+    dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
     """Settle what an interrupted upload left; ends in OLD, NEW or DISABLED."""
+    from pmac_comp.workflow.previews import preview_recovery
     from pmac_comp.workflow.upload_flow import recover_upload
 
+    if dry_run:
+        plan = preview_recovery(url, bench, journal)
+        output.finish(plan, json_target, lambda: output.echo_all(_told("settle", plan)))
+        return
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, progress=progress)
     progress.close()
@@ -209,18 +218,35 @@ def rollback(
     journal: JournalOption = DEFAULT_JOURNAL,
     persist: PersistOption = False,
     yes: YesOption = False,
+    dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
     """Bring back what the last upload replaced, verified."""
+    from pmac_comp.workflow.previews import preview_rollback
     from pmac_comp.workflow.upload_flow import rollback_upload
 
-    confirmed(f"Roll back the last upload on {url}?", yes=yes)
+    if dry_run:
+        plan = preview_rollback(url, bench, journal)
+        output.finish(plan, json_target, lambda: output.echo_all(_told("take back", plan)))
+        return
+    confirmed(f"Roll back the last upload on {url}?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
     progress.close()
     output.finish(
         result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
     )
+
+
+def _told(verb: str, plan: dict[str, Any]) -> list[str]:
+    return [f"would {verb}: {plan['summary']}", "nothing was changed"]
+
+
+def _show_runs(plan: "RunsPreview") -> None:
+    from pmac_comp.workflow.previews import MOTION_COLUMNS
+
+    output.table("motions", MOTION_COLUMNS, plan.rows())
+    output.echo_all(plan.lines())
 
 
 def verify(
@@ -259,11 +285,13 @@ def verify(
     ] = None,
     report: ReportOption = None,
     yes: YesOption = False,
+    dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
     """Measure before and after on fresh runs, alternating, against the promise."""
     from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.compensation_file import check_bench
+    from pmac_comp.workflow.compensation_file import check_bench, named_compensation
+    from pmac_comp.workflow.previews import preview_verification
     from pmac_comp.workflow.verify import verify_files, verify_on_controller
 
     if law is not None:
@@ -280,7 +308,19 @@ def verify(
                 code="PC-CLI-011",
                 hint="Give a URL, or stored runs with --before and --after.",
             )
-        confirmed(f"Run verification motions on {url}?", yes=yes)
+        if dry_run:
+            plan = preview_verification(
+                bench,
+                named_compensation(law),
+                motions=tuple(motion or ()),
+                repeats=repeats,
+                static_runs=static,
+                seed=seed,
+                refine=refine,
+            )
+            output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
+            return
+        confirmed(f"Run verification motions on {url}?", yes=yes, can_look=True)
         outcome = verify_on_controller(
             url,
             bench,
@@ -314,6 +354,7 @@ def improve(
     seed: SeedOption = 0,
     effects: EffectsOption = None,
     yes: YesOption = False,
+    dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
     """Diagnose, grow the model, recompute the compensation, upload it and verify.
@@ -322,8 +363,13 @@ def improve(
     the folder. Where the grown model is not better, the first compensation is put back.
     """
     from pmac_comp.workflow.improve import improve_on_controller
+    from pmac_comp.workflow.previews import preview_improvement
 
-    confirmed(f"Run motions on {url} and upload new compensation?", yes=yes)
+    if dry_run:
+        plan = preview_improvement(bench, route=route, seed=seed)
+        output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
+        return
+    confirmed(f"Run motions on {url} and upload new compensation?", yes=yes, can_look=True)
     progress = ProgressLines()
     result = improve_on_controller(
         url, bench, out, model=model, route=route, seed=seed, effects=effects, progress=progress

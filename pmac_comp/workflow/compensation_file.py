@@ -115,6 +115,18 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
     atomic_write_text(path, json.dumps(document, indent=1) + "\n")
 
 
+def named_compensation(path: Path | None) -> Compensation:
+    """Compensation that a verification switches; ConfigError if none is named."""
+    if path is None:
+        raise ConfigError(
+            "The compensation to verify is not named.",
+            code="PC-VER-003",
+            hint="Give the uploaded file with --compensation FILE, or stored runs with "
+            "--before and --after.",
+        )
+    return read_compensation(path)
+
+
 def read_compensation(path: Path) -> Compensation:
     """Compensation read from a file.
 

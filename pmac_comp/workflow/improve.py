@@ -116,6 +116,18 @@ def _together(values: list[float]) -> float:
     return float((sum(v * v for v in values) / max(len(values), 1)) ** 0.5)
 
 
+def require_many_motions(route: str) -> None:
+    """Refuse a route that is for one known motion: an improvement is measured on many."""
+    check_route(route)
+    if route in MOTION_ROUTES:
+        raise ConfigError(
+            f"The route {route} is for one known motion; an improvement is measured on many.",
+            code="PC-IMP-002",
+            hint="Use --route law, servo or table, then compute the other route from "
+            "grown_model.json.",
+        )
+
+
 def improve_on_controller(
     url: str,
     bench: str,
@@ -134,14 +146,7 @@ def improve_on_controller(
     ConfigError
         The route is for one known motion.
     """
-    check_route(route)
-    if route in MOTION_ROUTES:
-        raise ConfigError(
-            f"The route {route} is for one known motion; an improvement is measured on many.",
-            code="PC-IMP-002",
-            hint="Use --route law, servo or table, then compute the other route from "
-            "grown_model.json.",
-        )
+    require_many_motions(route)
     out.mkdir(parents=True, exist_ok=True)
     with open_axis(url, bench) as axis:
         prepare(axis)

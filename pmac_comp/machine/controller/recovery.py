@@ -23,6 +23,7 @@ from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
+    Part,
     how_it_stands,
     missing,
     parts_of,
@@ -224,6 +225,13 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
     ConfigError
         There is none in this folder, or it was taken back already.
     """
+    group, _ = last_upload(context)
+    notes = _take_group_back(link, context, group)
+    return UploadResult(ControllerState.OLD, "upload", 0, 0, journal=group.path, notes=tuple(notes))
+
+
+def last_upload(context: Context) -> tuple[Journal, tuple[Part, ...]]:
+    """The last upload and its parts that still stand, the last one first; ConfigError if none."""
     groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
     if not groups or groups[-1].last(ROLLED_BACK) is not None:
         raise ConfigError(
@@ -231,20 +239,19 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
             code="PC-REC-001",
             hint="Name the folder of the upload with --journal.",
         )
-    notes = _take_group_back(link, context, groups[-1])
-    return UploadResult(
-        ControllerState.OLD, "upload", 0, 0, journal=groups[-1].path, notes=tuple(notes)
-    )
+    return groups[-1], _standing_parts(context, groups[-1])
+
+
+def _standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
+    parts = [p for p in parts_of(context) if p.journal.group == group.group]
+    return tuple(p for p in reversed(parts) if p.closing != ROLLED_BACK)
 
 
 def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take back every part, the last one first; may be repeated after an interruption."""
-    number = group.group
     alone = replace(context, group=0, stop_requested=never)
     notes: list[str] = []
-    for part in reversed([p for p in parts_of(context) if p.journal.group == number]):
-        if part.closing == ROLLED_BACK:
-            continue
+    for part in _standing_parts(context, group):
         notes.append(take_back(link, alone, part))
         part.journal.write(ROLLED_BACK)
     group.write(ROLLED_BACK)

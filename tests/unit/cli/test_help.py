@@ -1,12 +1,13 @@
 """What ``--help`` says agrees with what the commands take."""
 
 import re
+from pathlib import Path
 
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from pmac_comp.cli.app import app
+from pmac_comp.cli.app import CHANGING, app
 from pmac_comp.workflow.motions import KEYS
 
 
@@ -26,3 +27,19 @@ def test_capture_names_every_key_of_a_motion(kind: str) -> None:
 def test_exit_codes_are_told() -> None:
     said = " ".join(CliRunner().invoke(app, ["--help"]).output.split())
     assert "Exit codes: 0 done, 2 usage" in said
+
+
+@pytest.mark.parametrize("command", sorted(CHANGING))
+def test_every_command_that_changes_something_can_tell_beforehand(command: str) -> None:
+    assert "change nothing" in option_help(command, "--dry-run")
+
+
+def test_a_dry_run_of_improve_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["improve", "tcp://192.0.2.1:1025", "--bench", "paper", "--dry-run"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0
+    assert "nothing was changed" in done.output
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,92 @@
+"""Dry runs: they say what would be done, and nothing is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.previews import (
+    preview_improvement,
+    preview_verification,
+    what_is_open,
+    what_was_uploaded,
+)
+
+BENCH = load_bench("paper")
+X = np.arange(-0.3, 0.3005, 1e-3)
+TABLE = Compensation("table", CompensationLaw(), LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0))
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_rollback_and_recovery_are_told_from_what_stands(axis: Axis, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no upload"):
+        what_was_uploaded(axis, tmp_path)
+    context = context_of(axis, tmp_path)
+    deploy(axis, TABLE, context)
+    stands, kept = read_tables(axis.link), files_of(tmp_path)
+    told = what_was_uploaded(axis, tmp_path)
+    assert told["would_take_back"] == ["tables", "settings"]  # the last one first
+    assert "tables" in told["summary"]
+    assert what_is_open(axis, tmp_path)["would_settle"] == []
+    assert read_tables(axis.link) == stands
+    assert files_of(tmp_path) == kept
+    recovery.rollback_last(axis.link, context)
+    with pytest.raises(ConfigError, match="no upload"):
+        what_was_uploaded(axis, tmp_path)
+
+
+def test_recovery_names_an_upload_that_was_interrupted(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    with pytest.raises(RuntimeError), recovery.grouped(axis.link, context, "law"):
+        raise RuntimeError
+    assert what_is_open(axis, tmp_path)["would_settle"] == ["an upload (law) was interrupted"]
+
+
+@pytest.mark.parametrize(("static_runs", "more"), [(0, 1), (5, 2)])
+def test_verification_tells_each_motion_and_how_often_it_runs(static_runs: int, more: int) -> None:
+    told = preview_verification(
+        "paper",
+        TABLE,
+        motions=("sine:amplitude_mm=8,frequency_Hz=3", "triangle:amplitude_mm=2"),
+        repeats=3,
+        static_runs=static_runs,
+        seed=0,
+    )
+    assert [row[1] for row in told.rows()[:2]] == [6, 6]
+    assert len(told.rows()) == 2 + more
+    assert told.lines()[-1] == "nothing was changed"
+
+
+def test_a_compensation_of_one_motion_is_verified_on_that_motion_only() -> None:
+    motion = parse_motion("sine:amplitude_mm=8,frequency_Hz=3", BENCH)
+    cam = Compensation(
+        "cam",
+        CompensationLaw(),
+        motion_time_s=motion.trajectory.time_s,
+        motion_position_m=motion.position_m,
+        motion_correction_m=np.zeros(motion.position_m.size),
+    )
+    told = preview_verification("paper", cam, repeats=2, static_runs=5, seed=0)
+    assert [row[:2] for row in told.rows()] == [("verification", 4)]
+
+
+def test_improvement_tells_its_runs_and_refuses_what_it_would_refuse() -> None:
+    told = preview_improvement("paper", route="law", seed=0)
+    assert {row[0] for row in told.rows()} == {
+        "calibration", "lead error", "verification of both models",
+    }  # fmt: skip
+    with pytest.raises(ConfigError, match="one known motion"):
+        preview_improvement("paper", route="cam", seed=0)
