@@ -137,11 +137,15 @@ class _Fit:
 def _fit(model: "DriveModel", runs: Sequence[_Run], start: FloatArray) -> _Fit:
     bounds = [*_FACTORS, (0.0, _MOST_GAP_um)][: start.size]
     lower, upper = (np.array(side) for side in zip(*bounds, strict=True))
+
+    def residual(point: FloatArray) -> FloatArray:
+        return _rest_um(model, runs, point)
+
     solved = least_squares(
-        lambda point: _rest_um(model, runs, point),
+        residual,
         np.clip(start, lower + 1e-3, upper - 1e-3),
         bounds=(lower, upper),
-        diff_step=1e-2,
+        diff_step=[1e-2],
         max_nfev=_MOST_STEPS,
         xtol=1e-3,
         ftol=1e-3,
