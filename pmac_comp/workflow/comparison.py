@@ -7,8 +7,8 @@ from typing import Any
 
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, read_capture
-from pmac_comp.workflow.identification import check_period
+from pmac_comp.files.capture import Capture
+from pmac_comp.workflow.same_axis import captures_of
 
 Progress = Callable[[str, float], None]
 
@@ -31,10 +31,7 @@ def compare_files(
     from pmac_comp.workflow.alternatives import BASIS, compare_alternatives
 
     loaded = load_bench(bench)
-    read = {path: read_capture(path) for path in [*captures, *validate]}
-    for path, capture in read.items():
-        check_period(capture, loaded, path.name)
-    given = [read[path] for path in captures], [read[path] for path in validate]
+    given = captures_of(captures, loaded), captures_of(validate, loaded)
     if loaded.scale is None:
         return _compare_rigid(given[0] + given[1], loaded, progress)
     found = compare_models(*given, loaded, progress=progress)

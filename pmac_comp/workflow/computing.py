@@ -15,7 +15,7 @@ import numpy as np
 from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, read_capture
+from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import with_clearance
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
@@ -49,6 +49,7 @@ from pmac_comp.workflow.loose_nut import (
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
@@ -220,8 +221,8 @@ def compensate_files(
         loaded,
         drive,
         route=route,
-        slow=tuple(read_capture(path) for path in slow),
-        captures=tuple(read_capture(path) for path in captures),
+        slow=tuple(captures_of(slow, loaded)),
+        captures=tuple(captures_of(captures, loaded)),
         motion=parse_motion(command, loaded) if command else None,
         aim=aim,
         provenance={

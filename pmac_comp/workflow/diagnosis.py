@@ -10,8 +10,13 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model, written_for
-from pmac_comp.workflow.identification import check_period, load_model, user_effects
-from pmac_comp.workflow.same_axis import check_channels, check_not_twice, check_same_axis
+from pmac_comp.workflow.identification import load_model, user_effects
+from pmac_comp.workflow.same_axis import (
+    check_channels,
+    check_not_twice,
+    check_period,
+    check_same_loop,
+)
 
 if TYPE_CHECKING:
     from pmac_comp.physics.diagnose import Diagnosis
@@ -139,7 +144,7 @@ def diagnose_files(
     read = {path: read_capture(path) for path in digests}
     for path, capture in read.items():
         check_period(capture, loaded, path.name)
-        check_same_axis(capture, loaded, path.name)
+        check_same_loop(capture, loaded, path.name)
     remark = check_channels({path.name: capture for path, capture in read.items()}, loaded)
     outcome = diagnose_captures(
         [read[path] for path in captures],

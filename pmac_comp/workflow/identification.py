@@ -15,7 +15,7 @@ from pmac_comp.files.capture import Capture, file_digest, read_capture, write_ca
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.commands import read_command
-from pmac_comp.workflow.same_axis import check_same_drive
+from pmac_comp.workflow.same_axis import PERIOD_TOLERANCE, captures_of, check_same_drive
 
 if TYPE_CHECKING:
     from pmac_comp.physics.identify.result import Identification
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
 Rounding = Literal["expected", "none"]
-_PERIOD_TOLERANCE = 1e-3
 _COARSEST = 12.0  # servo periods per sample of a command that is interpolated
 
 
@@ -148,12 +147,10 @@ def identify_files(
     Raises
     ------
     ConfigError
-        A capture was not sampled at the bench's servo period or a multiple of it.
+        A capture is of another axis, or not sampled at its servo period or a multiple of it.
     """
     loaded = load_bench(bench)
-    read = [read_capture(path) for path in captures]
-    for path, capture in zip(captures, read, strict=True):
-        check_period(capture, loaded, path.name)
+    read = captures_of(captures, loaded)
     return identify_captures(
         read,
         loaded,
@@ -177,18 +174,6 @@ def _start_model(
     for name in added:
         drive = drive.with_effect(name, library=library)
     return drive
-
-
-def check_period(capture: Capture, bench: Bench, name: str) -> None:
-    """Refuse a capture that does not fit the servo period; multiples of it do."""
-    ratio = capture.sample_period_s / bench.servo_period_s
-    if ratio < 1.0 - _PERIOD_TOLERANCE or abs(ratio / round(ratio) - 1.0) > _PERIOD_TOLERANCE:
-        raise ConfigError(
-            f"{name} is sampled every {capture.sample_period_s * 1e6:.2f} us, the servo period of "
-            f"the bench is {bench.servo_period_s * 1e6:.2f} us.",
-            code="PC-IDF-001",
-            hint="Use the bench file of this axis, or capture at the servo rate.",
-        )
 
 
 def predict_files(
@@ -301,7 +286,7 @@ class _ServoGrid:
         self._time = time_s - time_s[0]
         self._period = period_s
         self._given = float(self._time[-1] / (time_s.size - 1))
-        self.same = abs(self._given / period_s - 1.0) <= _PERIOD_TOLERANCE
+        self.same = abs(self._given / period_s - 1.0) <= PERIOD_TOLERANCE
         n = math.ceil(self._time[-1] / period_s - 1e-6) + 1
         if self._given > _COARSEST * period_s:
             raise ConfigError(

@@ -4,21 +4,61 @@ What lives here: refusals before any computing. What may not: anything that chan
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pmac_comp.base.errors import CaptureError, ConfigError
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench, parse_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, read_capture
 from pmac_comp.files.model_file import ModelFile
 
-# What a capture depends on. Inertias and stiffnesses are not in it: they are being refined.
-_OF_THE_AXIS = ("screw.pitch_mm", "encoder.counts_per_rev", "scale.resolution_um")
+# What the columns of a capture depend on. Inertias and stiffnesses do not count: they are being
+# refined.
+_OF_THE_AXIS = (
+    "screw.pitch_mm",
+    "encoder.counts_per_rev",
+    "scale.resolution_um",
+    "drive.torque_per_dac_Nm",
+)
+PERIOD_TOLERANCE = 1e-3
+_SAME_MOTION_FRAC = 0.05  # of the stroke: a run may begin some samples later than another
+
+
+def captures_of(paths: Sequence[Path], bench: Bench) -> list[Capture]:
+    """Captures read from files, each made on the axis of the bench file.
+
+    Raises
+    ------
+    CaptureError
+        A file cannot be read.
+    ConfigError
+        Another axis, or not sampled at the servo period or a multiple of it.
+    """
+    found = [read_capture(path) for path in paths]
+    for path, capture in zip(paths, found, strict=True):
+        check_same_axis(capture, bench, path.name)
+        check_period(capture, bench, path.name)
+    return found
+
+
+def check_period(capture: Capture, bench: Bench, name: str) -> None:
+    """Refuse a capture that does not fit the servo period; multiples of it do."""
+    ratio = capture.sample_period_s / bench.servo_period_s
+    if ratio < 1.0 - PERIOD_TOLERANCE or abs(ratio / round(ratio) - 1.0) > PERIOD_TOLERANCE:
+        raise ConfigError(
+            f"{name} is sampled every {capture.sample_period_s * 1e6:.2f} us, the servo period of "
+            f"the bench is {bench.servo_period_s * 1e6:.2f} us.",
+            code="PC-IDF-001",
+            hint="Use the bench file of this axis, or capture at the servo rate.",
+        )
 
 
 def check_same_axis(capture: Capture, bench: Bench, name: str) -> None:
-    """Refuse a capture whose own bench text tells of another axis or other gains.
+    """Refuse a capture whose own bench text tells of another axis.
 
     Parameters
     ----------
@@ -32,8 +72,22 @@ def check_same_axis(capture: Capture, bench: Bench, name: str) -> None:
     Raises
     ------
     ConfigError
-        Screw, sensors or control law differ.
+        Screw, sensors or output differ.
     """
+    _refuse_differences(capture, bench, name, _axis_of)
+
+
+def check_same_loop(capture: Capture, bench: Bench, name: str) -> None:
+    """Refuse a capture of another axis or under other gains: its loop is simulated.
+
+    As ``check_same_axis``, with the control law beside the axis.
+    """
+    _refuse_differences(capture, bench, name, lambda b: {**_axis_of(b), **_law_of(b)})
+
+
+def _refuse_differences(
+    capture: Capture, bench: Bench, name: str, facts: Callable[[Bench], Mapping[str, Any]]
+) -> None:
     text = str(capture.attributes.get("bench_text", ""))
     if not text:
         return
@@ -41,11 +95,11 @@ def check_same_axis(capture: Capture, bench: Bench, name: str) -> None:
         own = parse_bench(text, name=f"bench text in {name}")
     except ConfigError:
         return  # of an older version; the period is checked in any case
-    differences = _differences(_axis_of(own), _axis_of(bench))
+    differences = _differences(facts(own), facts(bench))
     if differences:
         raise ConfigError(
-            f"{name} was captured on another axis or under other gains than the bench file "
-            f"states: {'; '.join(differences)}.",
+            f"{name} was captured on another axis or under other gains ({_named(own)}) than the "
+            f"bench file states ({_named(bench)}): {'; '.join(differences)}.",
             code="PC-DIA-010",
             hint="Give the bench file of this capture. If its stored text is wrong, take the "
             f"samples without it: `pmac-comp convert {name} {Path(name).stem}.csv`.",
@@ -79,7 +133,7 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
     if differences:
         raise ConfigError(
             f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "
-            f"the bench file states ({bench.name or 'without a name'}): {'; '.join(differences)}.",
+            f"the bench file states ({_named(bench)}): {'; '.join(differences)}.",
             code="PC-DIA-013",
             hint="Give the bench file that the model was identified with, or identify again with "
             "this one.",
@@ -92,13 +146,18 @@ def _equal(first: float | str | None, second: float | str | None) -> bool:
     return first == second
 
 
+def _named(bench: Bench) -> str:
+    return bench.name or "without a name"
+
+
 def _axis_of(bench: Bench) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for path in _OF_THE_AXIS:
-        table, key = path.split(".")
-        found[path] = getattr(getattr(bench, table), key, None)
+    facts = bench.axis_facts
+    return {key: facts.get(key) for key in _OF_THE_AXIS}
+
+
+def _law_of(bench: Bench) -> dict[str, Any]:
     law = bench.controller
-    found["controller.kind"] = law.kind
+    found: dict[str, Any] = {"controller.kind": law.kind}
     found |= {f"controller.ivariables.{k}": v for k, v in _gains(bench).items()}
     stated = {"si": law.si, "cascade": law.cascade}.get(law.kind)
     if stated is not None:
@@ -126,6 +185,42 @@ def _differences(own: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
 
 def _shown(value: Any) -> str:
     return "not stated" if value is None else f"{value:g}" if isinstance(value, float) else value
+
+
+def check_one_motion(name: str, runs: Sequence[Capture]) -> None:
+    """Refuse runs whose commands are not one motion at one place.
+
+    Parameters
+    ----------
+    name : str
+        Of the comparison, for the error.
+    runs : sequence of Capture
+        To be compared with each other.
+
+    Raises
+    ------
+    ConfigError
+        With what two of the runs do.
+    """
+    first, *others = runs
+    stroke_m = float(np.ptp(first.commanded_position_m))
+    for other in others:
+        n = min(first.n, other.n)
+        apart_m = first.commanded_position_m[:n] - other.commanded_position_m[:n]
+        differs = float(np.sqrt(np.mean(apart_m**2))) > _SAME_MOTION_FRAC * stroke_m
+        if differs or n < (1.0 - _SAME_MOTION_FRAC) * max(first.n, other.n):
+            raise ConfigError(
+                f"{name}: the runs to be compared are of two motions, {_motion_of(first)} and "
+                f"{_motion_of(other)}.",
+                code="PC-VER-004",
+                hint="Give the same motions on both sides, in the same order.",
+            )
+
+
+def _motion_of(capture: Capture) -> str:
+    r_mm = capture.commanded_position_m * MM_PER_M
+    seconds = capture.n * capture.sample_period_s
+    return f"{r_mm.min():.1f} to {r_mm.max():.1f} mm in {seconds:.1f} s"
 
 
 def check_channels(captures: Mapping[str, Capture], bench: Bench) -> str:

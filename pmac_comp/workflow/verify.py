@@ -13,13 +13,17 @@ from typing import Any
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, read_capture, write_capture
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
-from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.compensation_file import (
+    Compensation,
+    named_compensation,
+    read_compensation,
+)
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.identification import load_model
@@ -38,6 +42,7 @@ from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, runs_of
+from pmac_comp.workflow.same_axis import captures_of, check_one_motion
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import check_law_sign
 from pmac_comp.workflow.simulated import Truth
@@ -61,10 +66,10 @@ def verify_files(
     Raises
     ------
     ConfigError
-        Numbers of captures differ and no motion names pair them.
+        Captures are of another axis, cannot be paired, or a pair is of two motions.
     """
     loaded = load_bench(bench)
-    sides = [[read_capture(path) for path in paths] for paths in (before, after)]
+    sides = [captures_of(before, loaded), captures_of(after, loaded)]
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     compensation = None if law is None else read_compensation(law)
@@ -72,6 +77,8 @@ def verify_files(
         groups: dict[str, Pair] = {}
     else:
         groups = _paired(first, second)
+        for name, pair in groups.items():
+            check_one_motion(name, [*pair[0], *pair[1]])
     loop = None if model is None else _loop(load_model(model, loaded), compensation)
     outcomes = [
         outcome_of(
@@ -179,14 +186,7 @@ def verify_on_controller(
     ConfigError
         No compensation file is named, so nobody knows what to switch.
     """
-    if law is None:
-        raise ConfigError(
-            "The compensation to verify is not named.",
-            code="PC-VER-003",
-            hint="Give the uploaded file with --compensation FILE, or stored runs with "
-            "--before and --after.",
-        )
-    compensation = read_compensation(law)
+    compensation = named_compensation(law)
     with open_axis(url, bench) as axis:
         chosen = [parse_motion(text, axis.bench) for text in motions] or verification_motions(
             axis.bench, seed

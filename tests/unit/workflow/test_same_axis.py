@@ -7,13 +7,16 @@ import pytest
 
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench, parse_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import ModelFile, written_for
 from pmac_comp.workflow.same_axis import (
+    captures_of,
     check_channels,
     check_not_twice,
+    check_one_motion,
     check_same_axis,
     check_same_drive,
+    check_same_loop,
 )
 
 BENCH = load_bench("paper")
@@ -45,10 +48,36 @@ def test_another_encoder_is_named_with_both_values():
     assert "pmac-comp convert a.h5" in str(caught.value.hint)
 
 
-def test_other_gains_are_refused():
+def test_other_gains_are_refused_where_the_loop_is_simulated():
     text = BENCH.text.replace("I130 = 139449", "I130 = 100000")
+    check_same_axis(capture(text), BENCH, "a.h5")
+    check_same_loop(capture(BENCH.text), BENCH, "a.h5")
     with pytest.raises(ConfigError, match="I130"):
-        check_same_axis(capture(text), BENCH, "a.h5")
+        check_same_loop(capture(text), BENCH, "a.h5")
+
+
+def test_files_of_another_axis_are_refused_when_they_are_read(tmp_path):
+    write_capture(tmp_path / "a.h5", capture(load_bench("paper_x4").text))
+    write_capture(tmp_path / "b.h5", capture(BENCH.text))
+    assert len(captures_of([tmp_path / "b.h5"], BENCH)) == 1
+    with pytest.raises(ConfigError, match=r"a\.h5 was captured on another axis"):
+        captures_of([tmp_path / "b.h5", tmp_path / "a.h5"], BENCH)
+
+
+def moving(stroke_m: float, centre_m: float, n: int = 1000) -> Capture:
+    time = BENCH.servo_period_s * np.arange(n)
+    r = centre_m + 0.5 * stroke_m * np.sin(2 * np.pi * 5.0 * time)
+    return Capture(time, r, r)
+
+
+@pytest.mark.parametrize(
+    "other", [moving(0.03, 0.1), moving(0.02, 0.13), moving(0.02, 0.1, 800), moving(0.0, 0.1)]
+)
+def test_runs_of_two_motions_are_not_compared(other):
+    first = moving(0.02, 0.1)
+    check_one_motion("run 1", [first, moving(0.02, 0.1), first.slice(2, 990)])
+    with pytest.raises(ConfigError, match=r"90\.0 to 110\.0 mm"):
+        check_one_motion("run 1", [first, other])
 
 
 def test_a_table_channel_missing_in_some_captures_is_refused_and_in_all_said():
