@@ -58,7 +58,7 @@ def config_show(
     bench: BenchArgument,
     json_target: JsonOption = "",
 ) -> None:
-    """Print every key of a bench file, defaults included, and what follows from it."""
+    """Print every key of a bench file and what it is, defaults included, and what follows."""
     from pmac_comp.files.bench import load_bench
     from pmac_comp.workflow.bench_view import bench_rows, derived
 
@@ -66,7 +66,9 @@ def config_show(
     result = {**loaded.model_dump(mode="json", exclude={"text"}), "derived": derived(loaded)}
 
     def show() -> None:
-        output.table(loaded.name or str(bench), ("key", "value", "from"), bench_rows(loaded))
+        output.table(
+            loaded.name or str(bench), ("key", "value", "from", "what it is"), bench_rows(loaded)
+        )
         output.table("follows from it", ("quantity", "value"), list(derived(loaded).items()))
 
     output.finish(result, json_target, show)

@@ -9,7 +9,7 @@ import hashlib
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -69,7 +69,7 @@ class Nominal(_Table):
     """Known quantities of the drive; ``None`` means not known."""
 
     motor_inertia_kgm2: Positive | None = Field(default=None, description="rotor with coupling")
-    screw_inertia_kgm2: Positive | None = None
+    screw_inertia_kgm2: Positive | None = Field(default=None, description="screw about its axis")
     table_mass_kg: Positive | None = Field(default=None, description="table with nut")
     torsional_stiffness_Nm_per_rad: Positive | None = Field(
         default=None, description="coupling with journal, without the screw itself"
@@ -81,34 +81,46 @@ class Nominal(_Table):
     efficiency: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None, description="nut efficiency, driving"
     )
-    current_bandwidth_Hz: Positive | None = None
-    actuator_delay_us: NonNegative | None = None
+    current_bandwidth_Hz: Positive | None = Field(
+        default=None, description="current loop of the drive, -3 dB"
+    )
+    actuator_delay_us: NonNegative | None = Field(
+        default=None, description="from the controller's output to torque, beside the current loop"
+    )
+
+
+def _tolerance(fraction: float) -> Any:
+    return Field(default=fraction, description="fraction of the nominal value, two std")
 
 
 class Tolerance(_Table):
     """Tolerances of the nominal quantities as fractions (one half-width)."""
 
-    motor_inertia_kgm2: Fraction = 0.05
-    screw_inertia_kgm2: Fraction = 0.05
-    table_mass_kg: Fraction = 0.05
-    torsional_stiffness_Nm_per_rad: Fraction = 0.20
-    axial_stiffness_N_per_um: Fraction = 0.20
-    screw_rigidity_N: Fraction = 0.05
-    efficiency: Fraction = 0.03
-    current_bandwidth_Hz: Fraction = 0.20
-    actuator_delay_us: Fraction = 0.20
+    motor_inertia_kgm2: Fraction = _tolerance(0.05)
+    screw_inertia_kgm2: Fraction = _tolerance(0.05)
+    table_mass_kg: Fraction = _tolerance(0.05)
+    torsional_stiffness_Nm_per_rad: Fraction = _tolerance(0.20)
+    axial_stiffness_N_per_um: Fraction = _tolerance(0.20)
+    screw_rigidity_N: Fraction = _tolerance(0.05)
+    efficiency: Fraction = _tolerance(0.03)
+    current_bandwidth_Hz: Fraction = _tolerance(0.20)
+    actuator_delay_us: Fraction = _tolerance(0.20)
 
 
 class Known(_Table):
     """Facts that were measured on the bench."""
 
-    resonance_Hz: Positive | None = None
+    resonance_Hz: Positive | None = Field(
+        default=None, description="first resonance of the drive, motor free"
+    )
     resonance_at_mm: Finite | None = Field(
         default=None, description="table position at which the resonance was measured"
     )
-    bandwidth_Hz: Positive | None = None
-    rated_torque_Nm: Positive | None = None
-    rated_speed_rpm: Positive | None = None
+    bandwidth_Hz: Positive | None = Field(
+        default=None, description="position loop from command to motor, -3 dB"
+    )
+    rated_torque_Nm: Positive | None = Field(default=None, description="of the motor, continuous")
+    rated_speed_rpm: Positive | None = Field(default=None, description="of the motor")
 
 
 class Drive(_Table):
@@ -121,29 +133,33 @@ class Drive(_Table):
 class SiControl(_Table):
     """PID with feed-forward in SI-like units (contract, section 2)."""
 
-    Kp_Nm_per_mm: NonNegative
-    Ki_Nm_per_mm_s: NonNegative = 0.0
-    Kd_Nm_s_per_mm: NonNegative = 0.0
-    Kvff_Nm_s_per_mm: Finite = 0.0
-    Kaff_Nm_s2_per_mm: Finite = 0.0
-    velocity_filter_alpha: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    Kp_Nm_per_mm: NonNegative = Field(description="on command - motor")
+    Ki_Nm_per_mm_s: NonNegative = Field(default=0.0, description="on its integral")
+    Kd_Nm_s_per_mm: NonNegative = Field(default=0.0, description="on filtered motor velocity")
+    Kvff_Nm_s_per_mm: Finite = Field(default=0.0, description="on command velocity")
+    Kaff_Nm_s2_per_mm: Finite = Field(default=0.0, description="on command acceleration")
+    velocity_filter_alpha: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        default=1.0, description="share of the newest velocity; 1 means no filter"
+    )
 
 
 class CascadeControl(_Table):
     """Position P over velocity P, as EMPS has it: V = kv (kp e - v)."""
 
-    kp_per_s: Positive
-    kv_V_per_m_per_s: Positive
-    gain_N_per_V: Positive
+    kp_per_s: Positive = Field(description="position loop")
+    kv_V_per_m_per_s: Positive = Field(description="velocity loop")
+    gain_N_per_V: Positive = Field(description="drive from voltage to force at the table")
 
 
 class Controller(_Table):
     """Servo controller."""
 
-    kind: Literal["pmac", "si", "cascade"]
-    servo_period_us: Positive
-    cpu_clock_MHz: Positive = 80.0
-    dpram: Literal["small", "large", "none"] = "large"
+    kind: Literal["pmac", "si", "cascade"] = Field(description="which of the laws below it runs")
+    servo_period_us: Positive = Field(description="servo cycle; I10 wins where it is given")
+    cpu_clock_MHz: Positive = Field(default=80.0, description="for the cost of the law")
+    dpram: Literal["small", "large", "none"] = Field(
+        default="large", description="dual-ported RAM of the card"
+    )
     p_block: Annotated[list[int], Field(min_length=2, max_length=2)] = Field(
         default=[7000, 7199], description="first and last P-variable that may be used"
     )
@@ -153,9 +169,11 @@ class Controller(_Table):
         le=32,
         description="unused PMAC motor that counts time for the route cam",
     )
-    ivariables: dict[str, float] = Field(default_factory=dict)
-    si: SiControl | None = None
-    cascade: CascadeControl | None = None
+    ivariables: dict[str, float] = Field(
+        default_factory=dict, description="I-variables by name, for kind pmac"
+    )
+    si: SiControl | None = Field(default=None, description="PID, for kind si")
+    cascade: CascadeControl | None = Field(default=None, description="P over P, for kind cascade")
 
     @model_validator(mode="after")
     def _law_is_given(self) -> "Controller":
@@ -174,8 +192,8 @@ class Controller(_Table):
 class Travel(_Table):
     """Usable table travel in the coordinates of the scale."""
 
-    min_mm: Finite
-    max_mm: Finite
+    min_mm: Finite = Field(description="lowest position that may be commanded")
+    max_mm: Finite = Field(description="highest position that may be commanded")
 
     @model_validator(mode="after")
     def _ascending(self) -> "Travel":
@@ -187,18 +205,20 @@ class Travel(_Table):
 class Safety(_Table):
     """Limits that no correction or motion may pass."""
 
-    max_correction_um: Positive = 60.0
-    max_slope_um_per_mm: Positive = 50.0
-    max_enable_step_um: Positive = 5.0
-    max_speed_mm_per_s: Positive = 500.0
-    max_acceleration_m_per_s2: Positive = 12.0
+    max_correction_um: Positive = Field(default=60.0, description="of tables and law together")
+    max_slope_um_per_mm: Positive = Field(default=50.0, description="of a table along the travel")
+    max_enable_step_um: Positive = Field(
+        default=5.0, description="of the command when compensation is switched"
+    )
+    max_speed_mm_per_s: Positive = Field(default=500.0, description="of commanded motions")
+    max_acceleration_m_per_s2: Positive = Field(default=12.0, description="of commanded motions")
 
 
 class Bench(_Table):
     """One bench file, checked once; ``text`` is the source it was read from."""
 
-    config_version: Literal[1] = 1
-    name: str = ""
+    config_version: Literal[1] = Field(default=1, description="version of this file's form")
+    name: str = Field(default="", description="for reports and errors")
     screw: Screw
     encoder: Encoder
     scale: Scale | None = None

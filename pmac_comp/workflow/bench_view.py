@@ -10,14 +10,14 @@ from pmac_comp.files.bench import Bench
 _RESONANCE_MARGIN = 0.25
 
 
-def bench_rows(bench: Bench) -> list[tuple[str, Any, str]]:
-    """Every key with its value and ``file`` or ``default``."""
+def bench_rows(bench: Bench) -> list[tuple[str, Any, str, str]]:
+    """Every key with its value, ``file`` or ``default``, and what it is."""
     return _rows(bench, "")
 
 
-def _rows(table: BaseModel, prefix: str) -> list[tuple[str, Any, str]]:
-    out: list[tuple[str, Any, str]] = []
-    for name in type(table).model_fields:
+def _rows(table: BaseModel, prefix: str) -> list[tuple[str, Any, str, str]]:
+    out: list[tuple[str, Any, str, str]] = []
+    for name, field in type(table).model_fields.items():
         if name == "text":
             continue
         value = getattr(table, name)
@@ -26,7 +26,9 @@ def _rows(table: BaseModel, prefix: str) -> list[tuple[str, Any, str]]:
             continue
         origin = "file" if name in table.model_fields_set else "default"
         shown = f"{len(value)} I-variables" if name == "ivariables" else value
-        out.append((prefix + name, shown, origin))
+        if isinstance(value, float):
+            shown = f"{value:.10g}"  # as in the file, not rounded for a table
+        out.append((prefix + name, shown, origin, field.description or ""))
     return out
 
 
