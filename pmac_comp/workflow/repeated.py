@@ -14,7 +14,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.exact import Learning, MEASURED_CUTOFF_Hz, learn
+from pmac_comp.physics.compensate.exact import Learning, MEASURED_CUTOFF_Hz, learn, rests_of
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -55,13 +55,14 @@ class Refinement:
         learning = self.learning
         steps = " -> ".join(f"{value:.2f}" for value in learning.history_um)
         part = " -> ".join(f"{value:.2f}" for value in learning.learnable_um)
-        proof = (
-            f"it converges: by {learning.contraction:.2f} per pass"
-            if learning.contraction < 1.0
-            else "nothing was left that learning could take away"
-        )
+        if learning.contraction < 1.0:
+            proof = f"it converges: by {learning.contraction:.2f} per pass"
+        elif learning.converged:
+            proof = "nothing was left that learning could take away"
+        else:
+            proof = "no pass made it smaller: what the model gives stands, with nothing learned"
         return (
-            f"'{self.motion}', total error rms: {self.without_um:.2f} um without anything, "
+            f"'{self.motion}', total error rms in motion: {self.without_um:.2f} um bare, "
             f"{self.model_um:.2f} um with the model alone, {self.confirmed_um:.2f} um with what "
             f"was learned (on {len(learning.confirmed_um)} fresh runs, which differ among "
             f"themselves by {learning.scatter_um:.2f} um)",
@@ -167,7 +168,11 @@ def refine_motion(
         return on_motion_grid(drawn, capture, table - capture.commanded_position_m)
 
     switch(axis, context, compensation, on=False)
-    without = float(np.std(total(nothing)) * 1e6)
+    rests = rests_of(motion.position_m, axis.scales.period_s)
+    moving = np.ones(nothing.size, dtype=bool)
+    for rest in rests:
+        moving[rest] = False
+    without = float(np.std(total(nothing)[moving]) * 1e6)
     switch(axis, context, compensation, on=True)
     limit = axis.bench.safety.max_correction_um / 1e6
     learned = learn(
@@ -179,6 +184,7 @@ def refine_motion(
         cutoff_Hz=MEASURED_CUTOFF_Hz,
         limit_m=limit,
         confirm=_FRESH_RUNS,
+        rests=rests,
     )
     return Refinement(motion.name, without, learned.history_um[0], learned)
 

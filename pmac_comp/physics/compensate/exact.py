@@ -9,7 +9,7 @@ where the loop's phase reaches 60 degrees; above that the filter stops the learn
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -17,7 +17,6 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import FloatArray, finite_array
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.signals.metrics import rms_um
 
@@ -31,6 +30,9 @@ _GROWTH_FRAC = 0.05  # an error that grows by more is taken back
 _RETREAT = 0.6  # cutoff after a pass that was taken back
 _MOST_RETREATS = 2
 _PAD_s = 0.2
+_LEAST_REST_s = 0.02  # a shorter stop is a reversal
+_REST_STEP_m = 1e-10  # commands nearer than this are one place
+_NOISE_MARGIN = 1.5  # times the scatter of repeats: nothing is left to learn below
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,9 @@ class Learning:
     correction_m : ndarray, shape (n,)
         Best offset found, added to the command.
     history_um : tuple of float
-        Rms of the total error before each pass and after the last, um.
+        Rms of the total error before each pass and after the last, rests apart, um.
     converged : bool
-        Whether learning ended by its stop rule rather than by the number of passes.
+        Whether the last pass changed next to nothing, or what is left is the scatter of repeats.
     cutoff_Hz : float
         Up to where the error was learned from at the end.
     learnable_um : tuple of float
@@ -86,10 +88,13 @@ def learn(
     cutoff_Hz: float = LEARNING_CUTOFF_Hz,
     limit_m: float = math.inf,
     confirm: int = 0,
+    rests: Sequence[slice] = (),
 ) -> Learning:
     """Offset that makes a repeated motion's total error small.
 
     A pass after which the error grew is taken back, and learning goes on below a lower cutoff.
+    Over rests the offset stays as it is: what moves a resting axis by micrometres turns its
+    friction over, and the next start finds it on the wrong side.
 
     Parameters
     ----------
@@ -109,6 +114,8 @@ def learn(
         Amplitude that the offset never passes.
     confirm : int
         Fresh runs with the best offset at the end: the least of noisy runs flatters.
+    rests : sequence of slice
+        Where the command stands (``rests_of``).
 
     Returns
     -------
@@ -121,12 +128,19 @@ def learn(
     learnable: list[float] = []
     retreats = 0
     converged, ended = False, f"the {passes} passes allowed were made"
+    moving = np.ones(n, dtype=bool)
+    for rest in rests:
+        moving[rest] = False
+
+    def measured(tried: FloatArray) -> FloatArray:
+        error = total_error_of(tried)
+        return error - np.mean(error[moving])
+
     for number in range(passes + 1):
-        error = total_error_of(offset)
-        error = error - np.mean(error)
-        left_um = rms_um(error)
+        error = measured(offset)
+        left_um = rms_um(error[moving])
         history.append(left_um)
-        learnable.append(rms_um(zero_phase(error, period_s, cutoff_Hz)))
+        learnable.append(rms_um(_step(error, period_s, cutoff_Hz, rests)))
         gained = best_um - left_um
         if gained > 0.0:
             best, best_error, best_um = offset.copy(), error, left_um
@@ -141,25 +155,60 @@ def learn(
             retreats += 1
             cutoff_Hz *= _RETREAT
             if retreats > _MOST_RETREATS:
-                converged, ended = True, f"the error grew {retreats} times and was taken back"
+                ended = f"the error grew {retreats} times and was taken back"
                 break
-        step = zero_phase(best_error, period_s, cutoff_Hz)
+        step = _step(best_error, period_s, cutoff_Hz, rests)
         offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
-    fresh = [total_error_of(best) for _ in range(confirm)]
-    fresh = [run - np.mean(run) for run in fresh]
-    mean = np.mean(fresh, axis=0) if fresh else np.zeros(n)
+    fresh = np.array([measured(best)[moving] for _ in range(confirm)])
+    scatter_um = rms_um(fresh - np.mean(fresh, axis=0)) if confirm > 1 else 0.0
     return Learning(
         best,
         tuple(history),
-        converged,
+        converged or min(learnable) <= _NOISE_MARGIN * scatter_um,
         cutoff_Hz,
         tuple(learnable),
         tuple(rms_um(run) for run in fresh),
-        float(np.sqrt(np.mean([np.mean((run - mean) ** 2) for run in fresh])) * UM_PER_M)
-        if len(fresh) > 1
-        else 0.0,
+        scatter_um,
         ended,
     )
+
+
+def rests_of(position_m: FloatArray, period_s: float) -> tuple[slice, ...]:
+    """Stretches of a command, shape (n,) in m, over which it stands for 20 ms or longer."""
+    still = np.abs(np.diff(position_m, prepend=position_m[0])) < _REST_STEP_m
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
+    least = _LEAST_REST_s / period_s
+    return tuple(
+        slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > least
+    )
+
+
+def _step(
+    error: FloatArray, period_s: float, cutoff_Hz: float, rests: Sequence[slice]
+) -> FloatArray:
+    """What is learned from an error: its slow part while the command moves, one value per rest.
+
+    A rest keeps the error of the motion that ends in it; before the first motion there is none.
+    What it creeps to within friction differs from run to run, and learning that turns friction
+    over. The way to a rest and from it lies in the motion beside it, for the same reason.
+    """
+    blend = round(1.0 / (cutoff_Hz * period_s))
+    filled = error.copy()
+    for rest in rests:
+        filled[rest] = np.mean(
+            error[max(0, rest.start - blend) : rest.start] if rest.start else 0.0
+        )
+    step = zero_phase(filled, period_s, cutoff_Hz)
+    rise = np.arange(1, blend + 1) / (blend + 1)
+    rise = rise**2 * (3.0 - 2.0 * rise)
+    for rest in rests:
+        held = filled[rest.start]
+        before = slice(max(0, rest.start - blend), rest.start)
+        after = slice(rest.stop, min(rest.stop + blend, error.size))
+        step[rest] = held
+        step[before] += rise[blend - (before.stop - before.start) :] * (held - step[before])
+        step[after] += rise[::-1][: after.stop - after.start] * (held - step[after])
+    return step
 
 
 def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatArray:
@@ -192,4 +241,10 @@ def exact_correction(
             return signals.table_position_m - signals.motor_position_m + offset
         return signals.table_position_m - position_m
 
-    return learn(run, position_m.size, period_s, limit_m=limit_m)
+    return learn(
+        run,
+        position_m.size,
+        period_s,
+        limit_m=limit_m,
+        rests=rests_of(position_m, period_s),
+    )
