@@ -4,7 +4,6 @@ import math
 
 UM_PER_M = 1e6
 MM_PER_M = 1e3
-UM_PER_MM = 1e3
 US_PER_S = 1e6
 MS_PER_S = 1e3
 RAD_PER_REV = 2.0 * math.pi

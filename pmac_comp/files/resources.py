@@ -27,11 +27,6 @@ def data_folder(name: str) -> Path:
     )
 
 
-def config_path(name: str) -> Path:
-    """Path of a bundled bench file such as ``paper.toml``."""
-    return data_folder("configs") / name
-
-
 def firmware_path(name: str) -> Path:
     """Path of a bundled firmware file such as ``comp_guard.plc``."""
     return data_folder("firmware_plc") / name

@@ -8,7 +8,6 @@ Source: Turbo PMAC Software Reference Manual p. 318-320, 385-393, 427, 509.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from pmac_comp.simulator import registers as r
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 SCAN_BUDGET = 200_000
 SCAN_EVENTS = 64  # statements for the rest of the card: a program that enables itself makes no end
 EXECUTION_ERROR = 1 << 23
-Doer = Callable[[Statement, tuple[float, ...], Context], None]
 
 
 class Plcs:

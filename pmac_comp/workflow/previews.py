@@ -142,7 +142,7 @@ def preview_rollback(url: str, bench: str, journal: Path) -> dict[str, Any]:
 
 def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
     """The last upload of a folder and its parts that still stand; ConfigError if there is none."""
-    group, parts = recovery.last_upload(replace(context_of(axis), store=journal))
+    group, parts = recovery.upload_to_take_back(replace(context_of(axis), store=journal))
     begin = group.first()
     name = "" if begin is None else str(begin.data.get("name", ""))
     kinds = [part.kind.value for part in parts]

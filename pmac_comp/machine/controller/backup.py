@@ -5,7 +5,7 @@ differences, restoring in an order the card takes. SAVE is never part of it.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,6 @@ from pmac_comp.base.errors import (
     ControllerState,
     FlashSuspect,
     RemoteProtocolError,
-    VerifyMismatch,
 )
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.link import Link
@@ -305,15 +304,3 @@ def _suspect(why: str, wrong: list[int]) -> FlashSuspect:
         context={"differ": [f"I{n}" for n in wrong[:20]]},
         left=ControllerState.DISABLED,
     )
-
-
-def require_same(remaining: Sequence[Difference], *, allowed: frozenset[str] = frozenset()) -> None:
-    """Raise VerifyMismatch unless only allowed items differ."""
-    wrong = [d for d in remaining if d.item not in allowed]
-    if wrong:
-        raise VerifyMismatch(
-            f"{len(wrong)} item(s) could not be restored, e.g. {wrong[0].item}: "
-            f"{wrong[0].after!r} instead of {wrong[0].before!r}.",
-            code="PC-BCK-006",
-            context={"items": [d.item for d in wrong]},
-        )

@@ -65,8 +65,6 @@ BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
-RESTART_GAP_SC: Final = 16  # a pause of more cycles than this restarts the differences
-HEARTBEAT_OFF: Final = -1
 FLANK_FRAC: Final = 0.2  # of S0: over this much of the elastic correction the gap is crossed
 _OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
 

@@ -345,11 +345,6 @@ def jog_to(link: Link, motor: int, position_ct: float) -> None:
     link.command(f"#{motor}J={nine_digits(position_ct)}")
 
 
-def jog_by(link: Link, motor: int, distance_ct: float) -> None:
-    """Start a jog by a distance in counts from the present commanded position."""
-    link.command(f"#{motor}J:{nine_digits(distance_ct)}")
-
-
 def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReading:
     """Wait until a motor is in position.
 

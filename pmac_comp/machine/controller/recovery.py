@@ -225,12 +225,12 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
     ConfigError
         There is none in this folder, or it was taken back already.
     """
-    group, _ = last_upload(context)
+    group, _ = upload_to_take_back(context)
     notes = _take_group_back(link, context, group)
     return UploadResult(ControllerState.OLD, "upload", 0, 0, journal=group.path, notes=tuple(notes))
 
 
-def last_upload(context: Context) -> tuple[Journal, tuple[Part, ...]]:
+def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
     """The last upload and its parts that still stand, the last one first; ConfigError if none."""
     groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
     if not groups or groups[-1].last(ROLLED_BACK) is not None:

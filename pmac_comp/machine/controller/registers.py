@@ -28,12 +28,8 @@ ACTUAL: Final = 0x0B
 MASTER: Final = 0x0D
 COMPENSATION: Final = 0x10
 FOLLOWING_ERROR: Final = 0x11
-STATUS_1: Final = 0x30  # X
 OUTPUT: Final = 0x3F  # X, 24 bits, DAC * 256
-STATUS_2: Final = 0x40  # Y
-POSITION_BIAS: Final = 0x4C
 
-Y_WORD: Final = 0x000000
 X_WORD: Final = 0x400000
 LONG: Final = 0x800000
 FLOAT: Final = 0xC00000
@@ -62,12 +58,6 @@ def dpram_offset(address: int) -> int:
     return 4 * (address - DPRAM_BASE)
 
 
-def i_motor(motor: int, number: int) -> int:
-    """I-variable number Ixx``number`` of a motor: Ixx30 of motor 1 is I130."""
-    motor_base(motor)
-    return 100 * motor + number
-
-
 @dataclass(frozen=True)
 class GatherAddress:
     """Source word of I5001-I5048: kind in the first hex digit, address below (p. 170)."""
@@ -82,8 +72,3 @@ class GatherAddress:
     def n_words(self) -> int:
         """24-bit words per sample: 1 or 2."""
         return 2 if self.word & LONG else 1
-
-    @property
-    def is_float(self) -> bool:
-        """Whether the register is a 48-bit float."""
-        return (self.word & FLOAT) == FLOAT

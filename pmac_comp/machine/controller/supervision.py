@@ -15,7 +15,6 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 
-LEAST_TRAVEL_FACTOR: Final = 4.0  # travel in limits before a ratio means anything
 DEAD: Final = 0.02
 AGREED: Final = 0.2  # of the limit
 RATIO_BAND: Final = 0.2

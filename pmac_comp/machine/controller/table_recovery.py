@@ -76,12 +76,6 @@ def last_upload(context: Context) -> Unfinished | None:
     return _unfinished(context, journal)
 
 
-def find_unfinished(context: Context) -> Unfinished | None:
-    """The last upload of tables, if it got as far as its intent and did not end."""
-    last = last_upload(context)
-    return last if last is not None and last.journal.is_open else None
-
-
 def _unfinished(context: Context, journal: Journal) -> Unfinished:
     entry = journal.last("intent")
     if entry is None:

@@ -16,7 +16,6 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.base.errors import LocalProtocolError, RemoteProtocolError
 
-WORD_24 = 1 << 24
 WORD_48 = 1 << 48
 _MAX_NUMBER_TEXT = 40
 _MANTISSA_BITS = 35

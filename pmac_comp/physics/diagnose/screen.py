@@ -337,8 +337,3 @@ def _rival_drops(
     gram = bench.gram(residuals, both, Prior(-free, free, np.zeros(2), free))
     left = [gram.block_chi2(Solution(np.array([i]), np.ones(1), np.eye(1), 0.0)) for i in (0, 1)]
     return left[0] - left[1], gram.fitting
-
-
-def names_of(items: Sequence[Screened]) -> list[str]:
-    """Effects of screened candidates in order."""
-    return [item.start.effect for item in items]

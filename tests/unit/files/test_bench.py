@@ -6,7 +6,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import bundled_benches, load_bench, parse_bench
-from pmac_comp.files.resources import config_path
+from pmac_comp.files.resources import data_folder
 
 
 @pytest.mark.parametrize("name", bundled_benches())
@@ -50,7 +50,7 @@ def test_rigidity_of_the_screw_follows_from_its_core():
 
 
 def _changed(old: str, new: str) -> str:
-    text = config_path("paper.toml").read_text()
+    text = (data_folder("configs") / "paper.toml").read_text()
     assert old in text
     return text.replace(old, new, 1)
 
