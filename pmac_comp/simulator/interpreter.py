@@ -15,8 +15,9 @@ from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
 from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.language.parser import StatementParser
 from pmac_comp.simulator.language.scanner import Scanner
-from pmac_comp.simulator.language.statements import MOTION, PLC, Statement, StatementParser
+from pmac_comp.simulator.language.statements import MOTION, PLC, Statement
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card

@@ -14,8 +14,9 @@ from itertools import accumulate, islice
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.assembler import Assembled, assemble
+from pmac_comp.simulator.language.parser import StatementParser
 from pmac_comp.simulator.language.scanner import Scanner
-from pmac_comp.simulator.language.statements import MOTION, PLC, Statement, StatementParser
+from pmac_comp.simulator.language.statements import MOTION, PLC, Statement
 from pmac_comp.simulator.memory import Memory
 from pmac_comp.simulator.user_memory import lowest_defined
 

@@ -45,7 +45,8 @@ def supported() -> dict[str, list[str]]:
     """Supported keywords, forms of the manual, requests and variables."""
     import pmac_comp.simulator.card  # noqa: F401  registers the commands
     from pmac_comp.simulator.commands.line import KEYWORDS
-    from pmac_comp.simulator.language.statements import MOTION, PLC, words_of
+    from pmac_comp.simulator.language.keywords import words_of
+    from pmac_comp.simulator.language.statements import MOTION, PLC
 
     return {
         "commands": sorted(KEYWORDS),

@@ -7,7 +7,9 @@ from pmac_comp.simulator.axes import read_definition
 from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.coordinate_system import CoordinateSystem
 from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.language.statements import AXES, MOTION, StatementParser, axis_modes
+from pmac_comp.simulator.language.keywords import axis_modes
+from pmac_comp.simulator.language.parser import StatementParser
+from pmac_comp.simulator.language.statements import AXES, MOTION
 from pmac_comp.simulator.numbers import format_number
 
 

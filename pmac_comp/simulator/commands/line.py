@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, ExpressionParser
+from pmac_comp.simulator.language.keywords import program_word
 from pmac_comp.simulator.language.scanner import Scanner
-from pmac_comp.simulator.language.statements import program_word
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
