@@ -8,8 +8,9 @@ Source: Turbo PMAC Software Reference Manual p. 254-263 (control characters), 40
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, ClassVar
 
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.line import LineContext, Modal, execute_command
@@ -161,41 +162,62 @@ class Interpreter:
         words[cell] = int(words[cell]) | bit
 
     def control_character(self, code: int) -> None:
-        """Control characters that act on the whole card."""
-        if code == 0x01:  # ^A
-            for system in self._card.systems.values():
-                system.stop_now()
-            for motor in self._card.servo.active_motors():
-                self._card.servo.abort(motor)
-        elif code == 0x04:  # ^D
-            self._card.plcs.disable_all()
-        elif code == 0x05:  # ^E
-            for motor in self._card.servo.active_motors():
-                if self._card.servo.is_killed(motor):
-                    self._card.servo.enable(motor)
-        elif code == 0x0B:  # ^K
-            for system in self._card.systems.values():
-                system.stop_now()
-            for motor in self._card.servo.active_motors():
-                self._card.servo.kill(motor)
-        elif code == 0x0F:  # ^O
-            for system in self._card.systems.values():
-                system.hold()
-        elif code == 0x11:  # ^Q
-            for system in self._card.systems.values():
-                system.quit()
-        elif code in (0x12, 0x13):  # ^R, ^S
-            for system in self._card.systems.values():
-                self._try_run(system, single=code == 0x13)
+        """Control characters that act on the whole card; others do nothing."""
+        act = self._on_control.get(code)
+        if act is not None:
+            act(self)
+
+    def _abort_all(self) -> None:
+        for system in self._card.systems.values():
+            system.stop_now()
+        for motor in self._card.servo.active_motors():
+            self._card.servo.abort(motor)
+
+    def _disable_plcs(self) -> None:
+        self._card.plcs.disable_all()
+
+    def _enable_killed(self) -> None:
+        for motor in self._card.servo.active_motors():
+            if self._card.servo.is_killed(motor):
+                self._card.servo.enable(motor)
+
+    def _kill_all(self) -> None:
+        for system in self._card.systems.values():
+            system.stop_now()
+        for motor in self._card.servo.active_motors():
+            self._card.servo.kill(motor)
+
+    def _hold_all(self) -> None:
+        for system in self._card.systems.values():
+            system.hold()
+
+    def _quit_all(self) -> None:
+        for system in self._card.systems.values():
+            system.quit()
+
+    def _run_all(self, *, single: bool = False) -> None:
+        for system in self._card.systems.values():
+            self._try_run(system, single=single)
+
+    def _step_all(self) -> None:
+        self._run_all(single=True)
 
     def _try_run(self, system: CoordinateSystem, *, single: bool) -> None:
         if not system.axes:
             return
-        try:
+        with suppress(CardError):  # a control character has no way to answer with an error
             system.run(single=single)
-        except CardError:
-            # A control character has no way to answer with an error.
-            return
+
+    _on_control: ClassVar[Mapping[int, Callable[[Interpreter], None]]] = {
+        0x01: _abort_all,  # ^A
+        0x04: _disable_plcs,  # ^D
+        0x05: _enable_killed,  # ^E
+        0x0B: _kill_all,  # ^K
+        0x0F: _hold_all,  # ^O
+        0x11: _quit_all,  # ^Q
+        0x12: _run_all,  # ^R
+        0x13: _step_all,  # ^S
+    }
 
 
 def _is_program_text(text: str) -> bool:
