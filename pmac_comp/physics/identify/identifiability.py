@@ -55,6 +55,7 @@ _SEPARATORS = {
     "load steps from the side screws at standstill, would",
 }
 _UNDETERMINED = 0.5  # std over size: worse than this and the sign is all that is known
+_USUAL = 0.5  # of the usual size, at least
 _TIED = 0.95
 _RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
 _SURELY = 2.0  # standard deviations beyond the end of the tolerance
@@ -133,9 +134,10 @@ def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
     # What the runs excite decides, not what the model misfits: that widens the intervals instead.
     excited = np.linalg.inv(fit.information + np.diag(fit.prior)) * np.outer(fit.scales, fit.scales)
     std = float(np.sqrt(excited[np.ix_(index, index)].sum()))
+    # A value that something unnamed has pushed to nothing is no less determined than it was before.
     size = max(
         sum(abs(fit.model.parameters[name]) for name in names),
-        0.25 * float(fit.scales[index].sum()),
+        _USUAL * float(fit.scales[index].sum()),
     )
     return std > _UNDETERMINED * size
 

@@ -1,11 +1,13 @@
 """What a fit says of parameters that the runs move together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.identify.identifiability import statements
+from pmac_comp.physics.identify.identifiability import require_identifiable, statements
 from pmac_comp.physics.identify.output_error import Fit
 from pmac_comp.physics.identify.regression import regress
 from pmac_comp.physics.model.drive import DriveModel
@@ -65,3 +67,22 @@ def test_a_refusal_speaks_of_friction_and_not_of_regressors() -> None:
         )
     assert "static0" not in str(caught.value)
     assert "slow runs in both directions" in str(caught.value.hint)
+
+
+def fit_with_viscous_std(std: float) -> Fit:
+    """Fit that misfit has pushed to hardly any viscous friction, known to what the runs excite."""
+    scales = np.array([0.2, 0.2, 45.0, 200.0])
+    return replace(
+        fit_with(np.eye(4)),
+        model=MODEL.with_parameters({"viscous.guide_Ns_per_m": 4.0}),
+        information=np.diag((scales / np.array([0.001, 0.001, 1.0, std])) ** 2),
+        prior=np.zeros(4),
+        scales=scales,
+    )
+
+
+def test_a_friction_that_something_unnamed_pushed_to_nothing_is_no_less_determined() -> None:
+    # 30 N s/m of 200 that are usual: the runs tell it, whatever value a gap leaves of it.
+    require_identifiable(fit_with_viscous_std(30.0), has_torque=True)
+    with pytest.raises(NotIdentifiable, match="viscous friction of the guide"):
+        require_identifiable(fit_with_viscous_std(200.0), has_torque=True)
