@@ -1,0 +1,63 @@
+"""Causes that others imitate: a torque limit that passes for friction, one out of the library."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose import diagnose
+from pmac_comp.physics.model.effect import Effect, effect_library
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+from tests.generators.motions import sine, strokes
+
+BENCH = load_bench("paper_x4")
+SECONDS = 2.0
+
+
+def library(*names: str) -> dict[str, Effect]:
+    return {name: effect_library()[name] for name in names}
+
+
+def runs(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
+    """Two gentle and two wild motions of a drive of nominal values; the last one judges."""
+    plant = make_plant(BENCH, effects=effects, seed=3, spread=0.0)
+    back_and_forth = strokes(BENCH, -0.1, 0.05, [0.2, 0.2, 0.2], 2.0)
+    commands = [
+        sine(BENCH, 0.05, 0.7, SECONDS, 0.0),
+        back_and_forth[: round(SECONDS / BENCH.servo_period_s)],
+        sine(BENCH, 0.012, 3.0, SECONDS, 0.2),
+        sine(BENCH, 0.012, 2.9, SECONDS, -0.1),
+    ]
+    return [closed_loop_capture(BENCH, plant, command) for command in commands]
+
+
+def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it():
+    captures = runs({"torque_saturation": {"limit_Nm": 2.8}})
+    largest = [float(np.max(np.abs(c.torque_command_Nm))) for c in captures]
+    # The controller of a run that meets the limit goes on asking for more.
+    assert max(largest[:2]) < 2.8
+    assert min(largest[2:]) > 10.0
+    offered = library("torque_saturation", "viscous_nonlinear", "cogging")
+    found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
+    assert found.named[0] == "torque_saturation"
+    limit = next(e for e in found.estimates if e.name == "torque_saturation.limit_Nm")
+    assert limit.value == pytest.approx(2.8, rel=0.01)
+    assert limit.std < 0.1
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "twin"),
+    [
+        ("current_bandwidth", {"bandwidth_Hz": 110.0}, "actuator_delay"),
+        (
+            "encoder_eccentricity",
+            {"amplitude_um": 1.0, "order_per_rev": 1.0, "phase_rad": 0.7},
+            "lead_cyclic",
+        ),
+    ],
+)
+def test_what_a_twin_in_its_place_leaves_makes_the_answer_unknown(effect, values, twin):
+    captures = runs({effect: values})
+    found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=library(twin, "payload"))
+    assert found.verdict == "unknown"
