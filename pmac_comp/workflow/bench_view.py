@@ -75,6 +75,12 @@ def resonance_Hz(bench: Bench) -> float | None:
     )
 
 
+def tuned_motors(bench: Bench) -> list[int]:
+    """Motors whose proportional gain (Ixx30) the bench file states."""
+    names = [name for name in bench.controller.ivariables if name[-2:] == "30"]
+    return [number for number in range(1, 33) if f"I{number}30" in names]
+
+
 def remarks(bench: Bench) -> list[str]:
     """Where the figures of a bench file do not fit each other."""
     out: list[str] = []
@@ -95,6 +101,12 @@ def remarks(bench: Bench) -> list[str]:
         out.append(
             f"the travel puts the nut at {min(ends) * 1e3:.0f} to {max(ends) * 1e3:.0f} mm of a "
             f"{bench.screw.length_mm:g} mm screw; check bearing_to_table_zero_mm"
+        )
+    tuned = tuned_motors(bench)
+    if tuned and bench.encoder.motor_number not in tuned:
+        out.append(
+            f"[controller.ivariables] holds gains of motor #{tuned[0]}, [encoder] motor_number is "
+            f"{bench.encoder.motor_number}: are encoder and scale swapped?"
         )
     if bench.scale is None:
         out.append("there is no [scale]: compensation at the table cannot be identified or checked")

@@ -23,6 +23,7 @@ from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.variables import read_many, same_value
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.bench_view import tuned_motors
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.session import open_axis
@@ -47,6 +48,7 @@ def require_as_described(axis: Axis) -> None:
         [
             *variable_refusals(axis.link, axis.bench),
             *motor_refusals(axis.link, axis.bench),
+            *swap_refusals(axis.bench),
             *conversion_refusals(axis.link, axis.bench),
             *program_refusals(axis.link),
         ],
@@ -105,6 +107,21 @@ def motor_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
         )
         for number, reading in readings.items()
         if not reading.status.is_activated
+    ]
+
+
+def swap_refusals(bench: Bench) -> list[SafetyRefusal]:
+    """Refusal where the gains of the bench file belong to another motor than would be enabled."""
+    tuned, motor = tuned_motors(bench), bench.encoder.motor_number
+    if not tuned or motor in tuned:
+        return []
+    return [
+        MotorNotSafe(
+            f"The bench file has gains of motor #{tuned[0]} (I{tuned[0]}30), but [encoder] "
+            f"motor_number is {motor}: motor #{motor} would be enabled.",
+            code="PC-COM-006",
+            hint="Check motor_number of [encoder] and [scale]; they may be swapped.",
+        )
     ]
 
 

@@ -66,7 +66,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
                             state.tables) or "none",
         "tables act (I51)": state.i51,
         "verdict": state.decision.state.value,
-        "why": f"tables: {state.decision.reason}",
+        "why": f"tables: {state.decision.reason}; law: {_law_text(form, head)}",
         "left open": f"{still_open}: run `pmac-comp recover`" if still_open else "nothing",
         "lease": lease,
         "law": form.name.lower(),
@@ -96,6 +96,12 @@ def _form(link: Link, head: law_state.LawHead) -> LawForm:
     if head.form is LawForm.PLC and not plc_runs(link, 0):
         return LawForm.NONE
     return head.form
+
+
+def _law_text(form: LawForm, head: law_state.LawHead) -> str:
+    if form is LawForm.NONE:
+        return "none runs"
+    return "armed" if head.gain != 0.0 else "loaded, not armed"
 
 
 def lease_text(lease: Lease, now: int) -> str:

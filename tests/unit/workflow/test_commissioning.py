@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
-from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.bench import Bench, load_bench, parse_bench
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.bench_view import remarks
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.commissioning import reference_remarks, set_up_axis
 from pmac_comp.workflow.deploy import context_of
@@ -155,3 +156,13 @@ def test_a_zero_that_nobody_looked_for_is_said_until_the_axis_is_homed() -> None
         axis.link.write_buffer(["I123=10", "I7012=1", "I126=0", "#1HM"])
         axis.link.clock.sleep_s(3.0)
         assert reference_remarks(axis.link, PAPER) == ()
+
+
+def test_encoder_and_scale_swapped_in_the_bench_file_enable_nothing() -> None:
+    text = PAPER.text.replace('extension = "none"\nmotor_number = 1', "motor_number = 2")
+    swapped = parse_bench(text.replace("0.125\nmotor_number = 2", "0.125\nmotor_number = 1"))
+    assert any("swapped" in remark for remark in remarks(swapped))
+    with axis_of(make_card(PAPER), swapped) as axis:
+        with pytest.raises(SafetyRefusal, match="motor #2 would be enabled"):
+            prepare(axis)
+        assert motors.read_motor(axis.link, 2).status.is_killed
