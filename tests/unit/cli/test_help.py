@@ -1,6 +1,7 @@
 """What ``--help`` says agrees with what the commands take."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from typer.testing import CliRunner
 
 from pmac_comp.cli.app import CHANGING, app
 from pmac_comp.workflow.motions import KEYS
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def option_help(command: str, option: str) -> str:
@@ -43,3 +46,24 @@ def test_a_dry_run_of_improve_leaves_nothing(
     assert done.exit_code == 0
     assert "nothing was changed" in done.output
     assert list(tmp_path.iterdir()) == []
+
+
+def named_commands() -> Iterator[tuple[str, str, str]]:
+    """Where a command line is named to people, its command and the rest of it."""
+    for path in (ROOT / "README.md", *sorted((ROOT / "pmac_comp").rglob("*.py"))):
+        text = path.read_text(encoding="utf-8")
+        for command, rest in re.findall(r"`pmac-comp ([a-z]+)([^`\n]*)`", text):
+            yield path.relative_to(ROOT).as_posix(), command, rest
+
+
+def test_commands_named_in_the_readme_and_in_errors_exist_with_their_options() -> None:
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    named = list(named_commands())
+    assert len(named) > 60
+    wrong = []
+    for place, command, rest in named:
+        known = {o for p in getattr(commands.get(command), "params", []) for o in p.opts}
+        unknown = sorted(set(re.findall(r"--[a-z][a-z-]*", rest)) - known - {"--help"})
+        if command not in commands or unknown:
+            wrong.append((place, command, unknown))
+    assert wrong == []
