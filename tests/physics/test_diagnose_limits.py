@@ -32,17 +32,18 @@ def runs(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
     return [closed_loop_capture(BENCH, plant, command) for command in commands]
 
 
-def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it():
-    captures = runs({"torque_saturation": {"limit_Nm": 2.8}})
+@pytest.mark.parametrize("limit_Nm", [2.8, 3.2])
+def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(limit_Nm):
+    captures = runs({"torque_saturation": {"limit_Nm": limit_Nm}})
     largest = [float(np.max(np.abs(c.torque_command_Nm))) for c in captures]
     # The controller of a run that meets the limit goes on asking for more.
-    assert max(largest[:2]) < 2.8
+    assert max(largest[:2]) < limit_Nm
     assert min(largest[2:]) > 10.0
     offered = library("torque_saturation", "viscous_nonlinear", "cogging")
     found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
     assert found.named[0] == "torque_saturation"
     limit = next(e for e in found.estimates if e.name == "torque_saturation.limit_Nm")
-    assert limit.value == pytest.approx(2.8, rel=0.01)
+    assert limit.value == pytest.approx(limit_Nm, rel=0.01)
     assert limit.std < 0.1
 
 

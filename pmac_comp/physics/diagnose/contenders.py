@@ -43,7 +43,7 @@ _LARGE, _KEPT = 0.2, 0.5
 _FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
 _MOST_FRESH = 2
 # Runs whose largest torques differ by less are not on two sides of a limit; levels between others.
-_APART, _LEVELS = 1.05, 12
+_APART, _LEVELS, _PER_OCTAVE = 1.05, 6, 24
 _LEADS = 0.5  # of the best candidate's gain: a search of limits takes seconds
 
 
@@ -227,13 +227,32 @@ def _limited(
             drive = refit(gentle, evaluate(gentle, fresh), rounds=_ROUNDS).model
         except ModelError:
             continue
-        for limit in np.geomspace(low, high, _LEVELS):
+        met = part.of([order[count]])
+        for limited in _best_levels(met, drive, start.start.key, name, (low, high)):
             try:
-                limited = drive.with_effect(start.start.key, {name: float(limit)})
                 found.append((start, evaluate(part, limited)))
             except ModelError:
                 continue
     return sorted(found, key=lambda f: f[1].chi2)[:_MOST_FRESH]
+
+
+def _best_levels(
+    met: Workbench, drive: DriveModel, key: str, name: str, ends_Nm: tuple[float, float]
+) -> list[DriveModel]:
+    """The drive at the limits between two torques that fit best the gentlest run that meets one.
+
+    The basin of a limit is narrow, a twentieth of it.
+    """
+    low, high = ends_Nm
+    tried = []
+    levels = max(_LEVELS, round(_PER_OCTAVE * np.log2(high / low)))
+    for limit in np.geomspace(low, high, levels):
+        limited = drive.with_effect(key, {name: float(limit)})
+        try:
+            tried.append((evaluate(met, limited).chi2, float(limit), limited))
+        except ModelError:
+            continue
+    return [limited for _, _, limited in sorted(tried, key=lambda t: t[:2])[:_MOST_FRESH]]
 
 
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
