@@ -1,34 +1,31 @@
 """The growth loop: screen, refit the leaders, let the best earn its place, go round again.
 
 What lives here: the order of work. The rules by which a candidate is accepted or tied stand in
-``acceptance``. May import the rest of this package.
+``acceptance``, second thoughts about accepted ones in ``revision``. May import the rest of this
+package.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ModelError
 from pmac_comp.physics.diagnose.acceptance import Round, best, earned, tied_with
 from pmac_comp.physics.diagnose.contenders import (
-    ELEMENTARY,
     Contender,
     Ground,
     Rules,
     afresh,
     contend,
-    judged,
     leaders,
     polished,
 )
-from pmac_comp.physics.diagnose.imitations import true_name
-from pmac_comp.physics.diagnose.lookalikes import alike
 from pmac_comp.physics.diagnose.noise import noise_floor_um
 from pmac_comp.physics.diagnose.onset import with_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
+from pmac_comp.physics.diagnose.revision import Reviser, accepted_of
 from pmac_comp.physics.diagnose.screen import (
     Look,
     Screening,
@@ -37,19 +34,14 @@ from pmac_comp.physics.diagnose.screen import (
     refreshed,
     screen,
 )
-from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.model.effect import Effect, split_name
+from pmac_comp.physics.model.effect import Effect
 
 Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
-# Where a few steps of the others leave so much chi-square per sample, and so much of what an effect
-# explained, more steps do not replace it.
-_FIRST_LESS, _MORE_LESS = 3, 5
-_MISSED, _SLOWLY = 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -77,15 +69,11 @@ class Grown:
     @property
     def accepted(self) -> tuple[Contender, ...]:
         """Accepted candidates in order."""
-        return _accepted(self.rounds)
+        return accepted_of(self.rounds)
 
     def final_on(self, part: Workbench) -> Fitted:
         """The grown model evaluated on some of the records."""
         return evaluate(part, self.final.model)
-
-
-def _accepted(rounds: Sequence[Round]) -> tuple[Contender, ...]:
-    return tuple(r.accepted for r in rounds if r.accepted is not None)
 
 
 def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
@@ -151,153 +139,27 @@ def grow(
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        whole, rounds = _renamed(bench, done.accepted.fitted, rounds, library, rules, progress)
-        whole, rounds = _widened(bench, whole, rounds, library, rules, progress)
-        whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
+        reviser = Reviser(bench, library, rules, progress)
+        whole, rounds = reviser.renamed(done.accepted.fitted, rounds)
+        whole, rounds = reviser.widened(whole, rounds)
+        whole, rounds = reviser.pruned(whole, rounds)
         point = evaluate(bench.fitting_bench(), whole.model)
     open_SI: Mapping[str, float] = {}
-    if _accepted(rounds):
+    if accepted_of(rounds):
         progress("settling all parameters")
         part = bench.fitting_bench()
         point, open_SI = settled(part, evaluate(part, point.model))
-        grown, kept = evaluate(bench, point.model), rounds
-        whole, rounds = _renamed(bench, grown, kept, library, rules, progress)
-        whole, rounds = _pruned(bench, whole, rounds, library, rules, progress)
+        grown = evaluate(bench, point.model)
+        reviser = Reviser(bench, library, rules, progress)
+        whole, rounds = reviser.renamed(grown, rounds)
+        whole, rounds = reviser.pruned(whole, rounds)
         if whole is not grown:
             point, open_SI = settled(part, evaluate(part, whole.model))
     progress("looking at how friction sets in")
     final = with_onset(bench, evaluate(bench, point.model))
-    grew = base is not None and bool(_accepted(rounds))
+    grew = base is not None and bool(accepted_of(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)
-
-
-def _renamed(
-    bench: Workbench,
-    whole: Fitted,
-    rounds: Sequence[Round],
-    library: Mapping[str, Effect],
-    rules: Rules,
-    progress: Progress,
-) -> tuple[Fitted, list[Round]]:
-    """The model with effects in corners of their range replaced by those that they are there.
-
-    A cable whose rest lies far outside the travel is a bias: it would be withheld as a name, and
-    what it stands for has one.
-    """
-    kept = list(rounds)
-    for i, done in enumerate(kept):
-        name = "" if done.accepted is None else true_name(done.accepted.effect, whole.model)
-        present = {split_name(n)[0] for n in whole.model.effects}
-        if done.accepted is None or name not in done.screening.starts or name in present:
-            continue
-        progress(f"{done.accepted.effect} is {name} here: refitting with that")
-        found = _instead(bench, whole, done, name, library)
-        if found is None or not earned(found[0], found[1], rules):
-            continue
-        tied = tuple(n for n in done.tied if n != name and alike(n, name, library))
-        kept[i] = replace(done, accepted=found[0], tied=tied)
-        whole = found[0].fitted
-    return whole, kept
-
-
-def _instead(
-    bench: Workbench, whole: Fitted, done: Round, name: str, library: Mapping[str, Effect]
-) -> tuple[Contender, Round] | None:
-    """Another effect in the place of a round's, with the round judged against neither of them."""
-    if done.accepted is None:
-        return None
-    part = bench.fitting_bench()
-    bare = whole.model.without_effect(done.accepted.effect)
-    try:
-        less = evaluate(bench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model)
-    except ModelError:
-        return None
-    start = replace(done.screening.starts[name][0], own_SI={})
-    tried = contend(Ground.of(bench, less, library), start, Frozen((), []))
-    left = gap(bench.calm_records, less.model, bench.executor)
-    return (tried[0], done.judged_against(left)) if tried else None
-
-
-def _widened(
-    bench: Workbench,
-    whole: Fitted,
-    rounds: Sequence[Round],
-    library: Mapping[str, Effect],
-    rules: Rules,
-    progress: Progress,
-) -> tuple[Fitted, list[Round]]:
-    """The model with accepted effects at further places where those earn themselves."""
-    kept = list(rounds)
-    for i, done in enumerate(kept):
-        if done.accepted is None or not library[done.accepted.effect].joint_places:
-            continue
-        found = wider(Ground.of(bench, whole, library), done.accepted)
-        left = gap(bench.calm_records, whole.model, bench.executor)
-        if found is None or not earned(found, done.judged_against(left), rules):
-            continue
-        progress(f"{done.accepted.effect} acts at further places: {found.key}")
-        whole = found.fitted
-        both = replace(
-            found,
-            fit_gain=found.fit_gain + done.accepted.fit_gain,
-            judged_gain=found.judged_gain + done.accepted.judged_gain,
-        )
-        kept[i] = replace(done, accepted=both)
-    return whole, kept
-
-
-def _pruned(
-    bench: Workbench,
-    whole: Fitted,
-    rounds: Sequence[Round],
-    library: Mapping[str, Effect],
-    rules: Rules,
-    progress: Progress,
-) -> tuple[Fitted, list[Round]]:
-    """The model less the effects that no longer earn their place beside the later ones.
-
-    What was added first stood for everything that was missing then; once its true cause is in the
-    model, an imitation has nothing left to explain.
-    """
-    kept = list(rounds)
-    while len(_accepted(kept)) > 1:
-        for i, done in enumerate(kept):
-            less = _without(bench, whole, done, library, rules)
-            if less is not None:
-                progress("an effect is no longer needed beside those found after it")
-                kept[i] = replace(done, accepted=None, tied=())
-                whole = less
-                break
-        else:
-            break
-    return whole, kept
-
-
-def _without(
-    bench: Workbench, whole: Fitted, done: Round, library: Mapping[str, Effect], rules: Rules
-) -> Fitted | None:
-    """The model refitted without a round's effect, or None where that earns its place.
-
-    Elementary friction stays: every drive has it, and a flexible form can always stand in for it.
-    """
-    if done.accepted is None or done.accepted.effect in ELEMENTARY:
-        return None
-    part = bench.fitting_bench()
-    try:
-        bare = whole.model.without_effect(done.accepted.effect)
-        begun, had = evaluate(part, bare), evaluate(part, whole.model).chi2
-        fitted = refit(part, begun, rounds=_FIRST_LESS)
-        lost = fitted.chi2 - had
-        if lost > max(_MISSED * done.rows_fit, _SLOWLY * (begun.chi2 - had)):
-            return None
-        less = evaluate(bench, refit(part, fitted, rounds=_MORE_LESS).model)
-    except ModelError:
-        return None
-    left = gap(bench.calm_records, less.model, bench.executor)
-    back = judged(Ground.of(bench, less, library), done.accepted.screened, whole)
-    needed = left.position_um > rules.widened * back.gap_um
-    return None if needed or earned(back, done.judged_against(left), rules) else less
 
 
 def _look_around(

@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from pmac_comp.physics.diagnose import contenders, growth
+from pmac_comp.physics.diagnose import contenders
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
+from pmac_comp.physics.diagnose.revision import Reviser
 from pmac_comp.physics.diagnose.words import Story, _size, statements_of
 from pmac_comp.physics.model.effect import effect_library
 
@@ -15,7 +16,8 @@ from pmac_comp.physics.model.effect import effect_library
 def test_elementary_friction_is_never_taken_out_again(effect):
     # Nothing may be simulated: where it were, the missing workbench would show.
     done = SimpleNamespace(accepted=SimpleNamespace(effect=effect))
-    assert growth._without(None, None, done, {}, growth.Rules()) is None  # type: ignore[arg-type]
+    reviser = Reviser(None, {}, contenders.Rules(), print)  # type: ignore[arg-type]
+    assert reviser._without(None, done) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +43,7 @@ def test_a_late_current_loop_is_tried_where_a_delay_leads_although_no_linear_ste
     screening = SimpleNamespace(
         ranked=ranked, starts={item.start.effect: (item,) for item in ranked}
     )
-    chosen = contenders.leaders(screening, 1000.0, effect_library(), growth.Rules())  # type: ignore[arg-type]
+    chosen = contenders.leaders(screening, 1000.0, effect_library(), contenders.Rules())  # type: ignore[arg-type]
     names = [item.start.effect for item in chosen]
     assert names == ["actuator_delay", "stribeck", "current_bandwidth"]
 
@@ -51,7 +53,7 @@ def test_the_partner_is_not_tried_where_neither_of_the_pair_leads():
     screening = SimpleNamespace(
         ranked=ranked, starts={item.start.effect: (item,) for item in ranked}
     )
-    chosen = contenders.leaders(screening, 1000.0, effect_library(), growth.Rules())  # type: ignore[arg-type]
+    chosen = contenders.leaders(screening, 1000.0, effect_library(), contenders.Rules())  # type: ignore[arg-type]
     assert [item.start.effect for item in chosen] == ["stribeck"]
 
 

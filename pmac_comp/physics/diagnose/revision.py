@@ -1,0 +1,157 @@
+"""Second thoughts about the effects of a grown model.
+
+What lives here: an accepted effect that is another one in truth, acts at further places, or is no
+longer needed. May import ``acceptance``, ``contenders`` and ``widening``.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from pmac_comp.base.errors import ModelError
+from pmac_comp.physics.diagnose.acceptance import Round, earned
+from pmac_comp.physics.diagnose.contenders import (
+    ELEMENTARY,
+    Contender,
+    Ground,
+    Rules,
+    contend,
+    judged,
+)
+from pmac_comp.physics.diagnose.imitations import true_name
+from pmac_comp.physics.diagnose.lookalikes import alike
+from pmac_comp.physics.diagnose.records import gap
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit
+from pmac_comp.physics.diagnose.widening import wider
+from pmac_comp.physics.diagnose.workbench import Workbench
+from pmac_comp.physics.model.effect import Effect, split_name
+
+# Where a few steps of the others leave so much chi-square per sample, and so much of what an effect
+# explained, more steps do not replace it.
+_FIRST_LESS, _MORE_LESS = 3, 5
+_MISSED, _SLOWLY = 0.5, 0.1
+
+
+def accepted_of(rounds: Sequence[Round]) -> tuple[Contender, ...]:
+    """Accepted candidates in order."""
+    return tuple(r.accepted for r in rounds if r.accepted is not None)
+
+
+@dataclass(frozen=True)
+class Reviser:
+    """What every second thought needs: records, candidates, rules and someone to tell.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records with their noise.
+    library : Mapping of str to Effect
+        Candidates.
+    rules : Rules
+        Figures of the decisions.
+    progress : callable
+        Told in words what is being done.
+    """
+
+    bench: Workbench
+    library: Mapping[str, Effect]
+    rules: Rules
+    progress: Callable[[str], None]
+
+    def renamed(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
+        """The model with effects in corners of their range replaced by those that they are there.
+
+        A cable whose rest lies far outside the travel is a bias: it would be withheld as a name,
+        and what it stands for has one.
+        """
+        kept = list(rounds)
+        for i, done in enumerate(kept):
+            name = "" if done.accepted is None else true_name(done.accepted.effect, whole.model)
+            present = {split_name(n)[0] for n in whole.model.effects}
+            if done.accepted is None or name not in done.screening.starts or name in present:
+                continue
+            self.progress(f"{done.accepted.effect} is {name} here: refitting with that")
+            found = self._instead(whole, done, name)
+            if found is None or not earned(found[0], found[1], self.rules):
+                continue
+            tied = tuple(n for n in done.tied if n != name and alike(n, name, self.library))
+            kept[i] = replace(done, accepted=found[0], tied=tied)
+            whole = found[0].fitted
+        return whole, kept
+
+    def _instead(self, whole: Fitted, done: Round, name: str) -> tuple[Contender, Round] | None:
+        """Another effect in the place of a round's, the round judged against neither of them."""
+        if done.accepted is None:
+            return None
+        part = self.bench.fitting_bench()
+        bare = whole.model.without_effect(done.accepted.effect)
+        try:
+            less = evaluate(self.bench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model)
+        except ModelError:
+            return None
+        start = replace(done.screening.starts[name][0], own_SI={})
+        tried = contend(Ground.of(self.bench, less, self.library), start, Frozen((), []))
+        left = gap(self.bench.calm_records, less.model, self.bench.executor)
+        return (tried[0], done.judged_against(left)) if tried else None
+
+    def widened(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
+        """The model with accepted effects at further places where those earn themselves."""
+        kept = list(rounds)
+        for i, done in enumerate(kept):
+            if done.accepted is None or not self.library[done.accepted.effect].joint_places:
+                continue
+            found = wider(Ground.of(self.bench, whole, self.library), done.accepted)
+            left = gap(self.bench.calm_records, whole.model, self.bench.executor)
+            if found is None or not earned(found, done.judged_against(left), self.rules):
+                continue
+            self.progress(f"{done.accepted.effect} acts at further places: {found.key}")
+            whole = found.fitted
+            both = replace(
+                found,
+                fit_gain=found.fit_gain + done.accepted.fit_gain,
+                judged_gain=found.judged_gain + done.accepted.judged_gain,
+            )
+            kept[i] = replace(done, accepted=both)
+        return whole, kept
+
+    def pruned(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
+        """The model less the effects that no longer earn their place beside the later ones.
+
+        What was added first stood for everything that was missing then; once its true cause is in
+        the model, an imitation has nothing left to explain.
+        """
+        kept = list(rounds)
+        while len(accepted_of(kept)) > 1:
+            for i, done in enumerate(kept):
+                less = self._without(whole, done)
+                if less is not None:
+                    self.progress("an effect is no longer needed beside those found after it")
+                    kept[i] = replace(done, accepted=None, tied=())
+                    whole = less
+                    break
+            else:
+                break
+        return whole, kept
+
+    def _without(self, whole: Fitted, done: Round) -> Fitted | None:
+        """The model refitted without a round's effect, or None where that earns its place.
+
+        Elementary friction stays: every drive has it, and a flexible form can always stand in for
+        it.
+        """
+        if done.accepted is None or done.accepted.effect in ELEMENTARY:
+            return None
+        part = self.bench.fitting_bench()
+        try:
+            bare = whole.model.without_effect(done.accepted.effect)
+            begun, had = evaluate(part, bare), evaluate(part, whole.model).chi2
+            fitted = refit(part, begun, rounds=_FIRST_LESS)
+            lost = fitted.chi2 - had
+            if lost > max(_MISSED * done.rows_fit, _SLOWLY * (begun.chi2 - had)):
+                return None
+            less = evaluate(self.bench, refit(part, fitted, rounds=_MORE_LESS).model)
+        except ModelError:
+            return None
+        left = gap(self.bench.calm_records, less.model, self.bench.executor)
+        back = judged(Ground.of(self.bench, less, self.library), done.accepted.screened, whole)
+        needed = left.position_um > self.rules.widened * back.gap_um
+        return None if needed or earned(back, done.judged_against(left), self.rules) else less
