@@ -5,6 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
 
 _RESONANCE_MARGIN = 0.25
@@ -35,19 +36,19 @@ def _rows(table: BaseModel, prefix: str) -> list[tuple[str, Any, str, str]]:
 def derived(bench: Bench) -> dict[str, float]:
     """Quantities that follow from a bench file."""
     out = {
-        "servo period us": bench.servo_period_s * 1e6,
-        "servo rate Hz": 1.0 / bench.servo_period_s,
-        "lead mm per rad": bench.lead_m_per_rad * 1e3,
-        "encoder count um": bench.motor_resolution_m * 1e6,
-        "screw rigidity EA N": bench.screw_rigidity_N,
-        "torsional rigidity GJ N m2": bench.torsional_rigidity_Nm2,
+        "servo_period_us": bench.servo_period_s * US_PER_S,
+        "servo_rate_Hz": 1.0 / bench.servo_period_s,
+        "lead_mm_per_rad": bench.lead_m_per_rad * MM_PER_M,
+        "encoder_count_um": bench.motor_resolution_m * UM_PER_M,
+        "screw_rigidity_EA_N": bench.screw_rigidity_N,
+        "torsional_rigidity_GJ_Nm2": bench.torsional_rigidity_Nm2,
     }
     compliance = compliance_m_per_N(bench)
     if compliance is not None:
-        out["compliance at mid travel nm/N"] = compliance * 1e9
+        out["compliance_at_mid_travel_nm_per_N"] = compliance * 1e9
     resonance = resonance_Hz(bench)
     if resonance is not None:
-        out["first resonance at mid travel Hz"] = resonance
+        out["first_resonance_at_mid_travel_Hz"] = resonance
     return out
 
 

@@ -39,7 +39,7 @@ def controller_info(url: str) -> dict[str, Any]:
         "url": url,
         "simulated": simulated,
         **identity.as_dict(),
-        "servo rate Hz": 1.0 / identity.servo_period_s,
+        "servo_rate_Hz": 1.0 / identity.servo_period_s,
         **{name: int(value) for name, value in values.items()},
     }
 
