@@ -64,6 +64,8 @@ PLANTS: dict[str, Effects | None] = {
         "payload": {"mass_kg": 15.0},
         "nut_efficiency": {},
     },
+    "loose": {"backlash": {"gap_um": 2.0}},  # unnamed: neither model nor bench file knows of it
+    "worn": {"backlash": {"gap_um": 4.0}},
 }
 ROUTES = ("law", "servo", "table", "cam", "program")
 

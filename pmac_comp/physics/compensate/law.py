@@ -26,11 +26,14 @@ ends is not taken for one that turns, and at rest the place expected is the plac
 foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
 which motions with limited jerk never meet.
 
-Both states hold at rest, as friction does. It holds the spring wound up: in closed-loop simulation
-with Coulomb friction, and with presliding at guide, nut or motor, the table's lag stays within some
-per cent over the first half second of a dwell. A torque that faded instead would let the motor
-creep back by its presliding distance, and the integrator, which then holds the axis, would push the
-wrong way at the next reversal. A card starts ``t`` at zero when the law is armed.
+The friction of the table holds at rest, as its guide does: in closed-loop simulation with Coulomb
+friction, and with presliding at guide, nut or motor, the table's lag stays within some per cent
+over the first half second of a dwell. The torque's state fades to 0.6 over the first 100 cycles of
+a rest. All of it is just what breaks the motor loose: with what the integrator holds beside it, a
+motor whose bearings slide into their friction creeps on by micrometres (10 um of 20 mm pitch). Were
+nothing left, it would creep back by its presliding distance, and the integrator, which then holds
+the axis, would push the wrong way at the next reversal. A card starts ``t`` at zero when the law is
+armed.
 
 An axis that stops inside its friction is not at rest for the controller: its integrator winds
 until the motor creeps, and what it wound would act on top of ``t`` when the next motion begins (60
@@ -58,6 +61,9 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
 
 FLANK_FRAC = 0.2  # of the friction's elastic part: over this the law crosses the gap
+REST_CYCLES = 100.0  # servo cycles of rest in which the friction torque fades
+REST_FADE_PER_CYCLE = 0.005  # of it: 0.6 is left
+_STILL_m = 1e-12  # of a cycle: a card's register of the commanded position has coarser steps
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 
 
@@ -243,7 +249,7 @@ def evaluate_law(
     values = np.array([float(getattr(law, name)) for name in coefficient_names()])
     every = law.every_cycles
     correction, torque = _evaluate(
-        values, position[::every], every * period_s, law.jerk_limit_m_per_s3
+        values, position[::every], every * period_s, law.jerk_limit_m_per_s3, float(every)
     )
     correction = np.repeat(correction, every)[: position.size]
     torque = np.repeat(torque, every)[: position.size]
@@ -277,12 +283,12 @@ def delayed(values: FloatArray, cycles: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _evaluate(
-    p: FloatArray, r: FloatArray, period: float, limit: float
+    p: FloatArray, r: FloatArray, period: float, limit: float, every: float
 ) -> tuple[FloatArray, FloatArray]:
     n = r.size
     correction = np.empty(n)
     torque = np.empty(n)
-    v = a = s = t = g = 0.0
+    v = a = s = t = g = rest = 0.0
     ahead = r[0]
     for k in range(n):
         v1 = v
@@ -295,6 +301,9 @@ def _evaluate(
         # Implicit Euler of the friction states: holds at standstill, never overshoots.
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
+        rest = rest + every if abs(v) * period < _STILL_m else 0.0
+        if 0.0 < rest < REST_CYCLES:
+            t *= 1.0 - REST_FADE_PER_CYCLE * every
         w = step / p[15]
         t = (t + w) / (1.0 + abs(w))
         x = r[k] - p[23]
