@@ -5,7 +5,7 @@ from typing import Any
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table
-from pmac_comp.workflow.outcome import MotionOutcome, error_signals
+from pmac_comp.workflow.outcome import PROMISED, MotionOutcome, error_signals
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -76,7 +76,11 @@ def verification_sections(verification: Verification) -> list[Section]:
                 ),
                 *verification.remarks,
             ],
-            tables=[*_main_tables(verification.motions), *_promise_tables(verification.motions)],
+            tables=[
+                *_main_tables(verification.motions),
+                *_promise_tables(verification.motions),
+                *_interval_tables(verification),
+            ],
             figures=[(figures.summary_bars(bars), "Mechanical error per motion, measured.")],
         )
     ]
@@ -208,11 +212,42 @@ def _promise_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
     for motion in motions:
         for label, values in (("promised", motion.promise), ("true", motion.truth)):
             if values is not None:
-                rows.append((f"{motion.name}: {label}", *(values[name] for name, _ in names)))
+                texts = (f"{values[name]:.2f}" for name, _ in names)
+                rows.append((f"{motion.name}: {label}", *texts))
     if not rows:
         return []
-    caption = "What the model promised, and what the plant really did (simulated cards only)"
+    caption = "What the model promised"
+    if any(motion.truth is not None for motion in motions):
+        caption += ", and what the simulated plant really did"
     return [Table(("um rms", *(label for _, label in names)), rows, caption)]
+
+
+def _interval_tables(verification: Verification) -> list[Table]:
+    """Promised intervals beside what was measured, per motion and quantity."""
+    rows: list[tuple[Any, ...]] = []
+    for motion in verification.motions:
+        for name in PROMISED:
+            kept = motion.kept_of(name, verification.floor_um)
+            if kept is None or motion.promise is None:
+                continue
+            lower = motion.promise.get(f"{name}_lower_um", 0.0)
+            upper = motion.promise[f"{name}_upper_um"]
+            measured = getattr(motion, name).value
+            rows.append(
+                (
+                    f"{motion.name}: {name.removesuffix('_after')}",
+                    f"{lower:.2f} to {upper:.2f}",
+                    f"{measured:.2f}",
+                    "kept" if kept else "missed",
+                )
+            )
+    if not rows:
+        return []
+    caption = (
+        "Promised intervals. Kept: measured below the upper end, with the sensors' own steps of "
+        f"{verification.floor_um:.2f} um allowed"
+    )
+    return [Table(("um rms", "promised", "measured", "promise"), rows, caption)]
 
 
 def _motion_section(verification: Verification, motion: MotionOutcome) -> Section:

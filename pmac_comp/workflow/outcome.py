@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 
+PROMISED = ("e_r_after", "total_after")  # what a promise gives with an interval
 _BLOCK_s = 0.1
 _DRAWS = 400
 _SEED = 20_261
@@ -172,18 +173,25 @@ class MotionOutcome:
     truth: Mapping[str, float] | None = None
 
     def promise_kept(self, floor_um: float) -> bool | None:
-        """Whether what was measured lies within the promise's interval and the sensor noise.
+        """Whether what was measured lies within the promise's interval and the sensors' steps.
 
-        ``floor_um`` is the noise of table minus motor. Better than promised is kept.
+        ``floor_um`` is what these make of table minus motor. Better than promised is kept. The
+        interval of what was measured does not excuse a miss: its value is held against the promise.
         """
-        if self.promise is None:
+        judged = [
+            self.kept_of(name, floor_um)
+            for name in PROMISED
+            if self.promise is not None and f"{name}_upper_um" in self.promise
+        ]
+        return None if self.promise is None else all(judged)
+
+    def kept_of(self, name: str, floor_um: float) -> bool | None:
+        """The same of one quantity, ``e_r_after`` or ``total_after``; None without its interval."""
+        upper = None if self.promise is None else self.promise.get(f"{name}_upper_um")
+        if upper is None:
             return None
-        parts = (("e_r_after", self.e_r_after), ("total_after", self.total_after))
-        return all(
-            spread.lower95 <= math.hypot(self.promise[f"{name}_upper_um"], floor_um)
-            for name, spread in parts
-            if f"{name}_upper_um" in self.promise
-        )
+        measured: Spread = getattr(self, name)
+        return measured.value <= math.hypot(upper, floor_um)
 
     def e_r_beyond_um(self, floor_um: float) -> float:
         """Rms of e_r in um beyond ``floor_um``, the noise of table minus motor."""

@@ -8,7 +8,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread
+from pmac_comp.workflow.outcome import PROMISED, MotionOutcome, Ratio, Spread
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -127,6 +127,7 @@ class Verification:
                     f"{m.promise['e_c_before_um']:8.2f}>{m.promise['e_c_after_um']:8.2f} "
                     f"{m.promise['total_before_um']:8.2f}>{m.promise['total_after_um']:8.2f}"
                 )
+                out += [f"      {text}" for text in interval_texts(m, self.floor_um)]
             if m.truth is not None:
                 out.append(
                     f"  {'  on the true positions of the plant':44s} "
@@ -142,6 +143,20 @@ class Verification:
 
 def _pair(before: Spread, after: Spread) -> str:
     return f"{before.value:8.2f}>{after.value:8.3f}"
+
+
+def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
+    """Intervals of a promise and whether each was kept, one line; nothing without intervals."""
+    parts = []
+    for name in PROMISED:
+        kept = outcome.kept_of(name, floor_um)
+        if kept is None or outcome.promise is None:
+            continue
+        lower = outcome.promise.get(f"{name}_lower_um", 0.0)
+        upper = outcome.promise[f"{name}_upper_um"]
+        label = name.removesuffix("_after")
+        parts.append(f"{label} {lower:.2f} to {upper:.2f} um {'kept' if kept else 'MISSED'}")
+    return ["interval promised: " + ", ".join(parts)] if parts else []
 
 
 def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:

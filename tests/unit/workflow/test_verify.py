@@ -1,5 +1,7 @@
 """Before and after: error terms of the contract, intervals, verdict on the promise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,12 @@ def test_promise_is_kept_or_missed() -> None:
         missed = outcome_of("a", before, after, promise={**promised, name: most})
         assert missed.promise_kept(0.02) is False
     assert outcome_of("a", before, after).promise_kept(0.05) is None
+    # The wide interval of one pair of runs is no excuse: its value is beyond the promise.
+    scattered = outcome_of("a", before, after, promise={"e_r_after_upper_um": 0.9})
+    wide = replace(scattered, e_r_after=Spread(1.0, 0.4, 1.6, 3.0))
+    assert wide.promise_kept(0.05) is False
+    assert wide.kept_of("e_r_after", 0.05) is False
+    assert wide.kept_of("total_after", 0.05) is None
 
 
 def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept() -> None:
