@@ -22,7 +22,7 @@ from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.trim import trimmed_law
-from pmac_comp.physics.compensate.unmodelled import model_law
+from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
@@ -304,9 +304,16 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
         "motion": f"{(position.size - 1) * bench.servo_period_s:.3f} s, {position.size} samples",
         "largest correction um": float(np.max(np.abs(correction)) * UM_PER_M),
         f"{aim} error before um rms": history[0],
-        f"{aim} error after um rms (model)": min(history),
+        f"{aim} error after um rms (model alone)": min(history),
         "passes": len(history) - 1,
     }
+    rest = compensation.law.provenance.get("unmodelled")
+    if rest is not None:
+        found = Unmodelled.from_mapping(rest)
+        _, typical_um, most_um = found.total_um if aim == Aim.TOTAL.value else found.mechanical_um
+        own = min(history)
+        out[f"{aim} error after um rms, promised"] = math.sqrt(own * math.hypot(own, typical_um))
+        out[f"{aim} error after um rms, at most"] = math.hypot(own, most_um)
     if compensation.route == "cam":
         return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
     drawn = draw_motion(compensation, bench)

@@ -117,8 +117,11 @@ def cost_remarks(
     slower = [offer for offer in offers if offer.every_cycles > every_cycles]
     here = [offer for offer in offers if offer.every_cycles == every_cycles]
     ways = "; ".join(_offer_text(offer, here) for offer in slower)
-    if not ways:
+    if not ways and every_cycles == 1:
         ways = "run it every second cycle (`pmac-comp compensate --every 2`)"
+    elif not ways and every_cycles < _SLOWEST_CYCLES:
+        ways = f"`pmac-comp compensate --every {_SLOWEST_CYCLES}`"
+    ways = ways or "no slower rhythm is left"
     return [
         f"{text}: more than a quarter. Cheaper: {ways}; or --route servo, whose compiled form "
         "costs about a tenth"

@@ -31,6 +31,12 @@ def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
     assert cost_remarks(BENCH, "servo") == []
 
 
+def test_a_law_of_every_second_cycle_is_not_offered_itself() -> None:
+    (text,) = cost_remarks(BENCH, "law", 2)
+    assert "--every 2`" not in text
+    assert "--every 4`" in text
+
+
 def test_what_a_law_lacks_is_said() -> None:
     model = DriveModel.base(BENCH)
     (text,) = law_remarks(model, "law", has_captures=False)

@@ -1,0 +1,46 @@
+"""A gap that the runs showed: kept with the law, in its model and in words."""
+
+import json
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.clearance import Clearance
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow.dynamic_law import nut_gap
+from pmac_comp.workflow.loose_nut import (
+    clearance_note,
+    clearance_remarks,
+    found_clearance,
+    loosened,
+)
+
+BENCH = load_bench("paper")
+MODEL = DriveModel.base(BENCH)
+FOUND = Clearance({"backlash.gap_m": 2e-6, "coulomb.guide_N": 41.0}, 0.64, 0.22)
+
+
+def test_promise_is_made_by_the_model_with_the_gap_also_from_a_file() -> None:
+    note = json.loads(json.dumps(clearance_note(FOUND)))
+    loose = loosened(MODEL, CompensationLaw(provenance=note))
+    gap = nut_gap(loose)
+    assert gap is not None
+    assert gap[0] == pytest.approx(1e-6)
+    assert loose.parameters["coulomb.guide_N"] == 41.0
+    assert loosened(loose, CompensationLaw(provenance=note)) == loose
+
+
+def test_nothing_found_changes_and_says_nothing() -> None:
+    law = CompensationLaw(provenance=clearance_note(None))
+    assert loosened(MODEL, law) is MODEL
+    assert loosened(MODEL, None) is MODEL
+    assert clearance_remarks(law) == []
+    assert found_clearance(BENCH, MODEL, (), ()) is None
+
+
+def test_person_reads_what_was_found_and_who_names_it() -> None:
+    (text,) = clearance_remarks(CompensationLaw(provenance=clearance_note(FOUND)))
+    assert "2.00 um" in text
+    assert "0.22 um rms" in text
+    assert "diagnose" in text
