@@ -1,5 +1,7 @@
 """Causes that others imitate: a torque limit that passes for friction, one out of the library."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def runs(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
     return [closed_loop_capture(BENCH, plant, command) for command in commands]
 
 
-@pytest.mark.parametrize("limit_Nm", [2.8, 3.2])
+@pytest.mark.parametrize("limit_Nm", [3.0, 3.2])
 def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(limit_Nm):
     captures = runs({"torque_saturation": {"limit_Nm": limit_Nm}})
     largest = [float(np.max(np.abs(c.torque_command_Nm))) for c in captures]
@@ -62,3 +64,16 @@ def test_what_a_twin_in_its_place_leaves_makes_the_answer_unknown(effect, values
     captures = runs({effect: values})
     found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=library(twin, "payload"))
     assert found.verdict == "unknown"
+
+
+def test_what_grows_slowly_is_found_wherever_the_scale_has_its_zero():
+    grown = runs({"thermal_growth": {"final_um_per_m": 15.0, "time_constant_s": 2.0}})
+    captures = [
+        replace(c, table_position_m=c.table_position_m + 50e-6 * (i - 1.5))
+        for i, c in enumerate(grown)
+        if c.table_position_m is not None
+    ]
+    offered = library("thermal_growth", "payload")
+    found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
+    assert (found.verdict, found.named) == ("named", ("thermal_growth",))
+    assert found.gap_after_um < 1.2 * found.noise_floor_um

@@ -323,11 +323,10 @@ class Workbench:
     def noise_from(self, noise_like: Sequence[FloatArray], floor_m: FloatArray) -> Noise:
         """Whitener and robust weights from what a flexible refit leaves."""
         usable = self.counted
-        whitener = fit_whitener(noise_like, usable, order=_ORDER, floor=floor_m)
-        weights = tuple(
-            huber_weights(whitener.apply(n - n[u].mean(axis=0)))
-            for n, u in zip(noise_like, usable, strict=True)
-        )
+        # Where a scale has its zero is no noise, least of all an infinitely slow one.
+        level = [n - n[u].mean(axis=0) for n, u in zip(noise_like, usable, strict=True)]
+        whitener = fit_whitener(level, usable, order=_ORDER, floor=floor_m)
+        weights = tuple(huber_weights(whitener.apply(n)) for n in level)
         if self.noise is None:
             return Noise(whitener, weights)
         return replace(self.noise, whitener=whitener, robust=weights)

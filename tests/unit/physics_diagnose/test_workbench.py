@@ -1,0 +1,20 @@
+"""What the workbench takes for noise."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pmac_comp.physics.diagnose.workbench import Workbench
+
+
+@pytest.mark.parametrize("zero_m", [0.0, 1e-6, 50e-6])
+def test_where_a_scale_has_its_zero_is_no_slow_noise(zero_m):
+    # A constant per run that counted as noise would hide whatever grows slowly.
+    rng = np.random.default_rng(3)
+    runs = [1e-7 * rng.standard_normal((2000, 2)) for _ in range(3)]
+    moved = [r + np.array([0.0, zero_m * (i - 1)]) for i, r in enumerate(runs)]
+    bench = SimpleNamespace(counted=[np.ones(2000, dtype=np.bool_)] * 3, noise=None)
+    noise = Workbench.noise_from(bench, moved, np.full(2, 1e-10))  # type: ignore[arg-type]
+    slow = noise.whitener.scale @ (np.eye(2) - noise.whitener.lags.sum(axis=0))
+    assert np.diag(slow) == pytest.approx(1e7, rel=0.2)
