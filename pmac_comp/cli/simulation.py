@@ -88,6 +88,7 @@ def sim(
         return
     from pmac_comp.workflow.simulated import serve_forever
 
+    output.say("starting; the first time on a machine its kernels are compiled, about a minute")
     serve_forever(
         tcp=tcp,
         udp=udp,

@@ -23,6 +23,7 @@ from pmac_comp.workflow.motions import Motion
 Progress = Callable[[str, float], None]
 _FRESH_RUNS = 2
 _STEP_m = 1e-9  # a command that moved by more has begun
+_SOFT_START = 150  # samples by which beginnings may lie apart
 
 
 @dataclass(frozen=True)
@@ -112,27 +113,37 @@ def run_with_offset(
 
 def as_compensated(capture: Capture, motion: Motion, drawn: Motion) -> Capture:
     """Capture of a drawn motion in the terms of the contract: command and desired position."""
-    planned = drawn.position_m
-    first = int(np.flatnonzero(np.abs(planned - planned[0]) > _STEP_m)[0])
-    gathered = capture.commanded_position_m
-    start = int(np.flatnonzero(np.abs(gathered - gathered[0]) > _STEP_m)[0])
-    index = np.clip(np.arange(capture.n) - start + first, 0, planned.size - 1)
+    planned, gathered = drawn.position_m, capture.commanded_position_m
+    index = np.clip(np.arange(capture.n) - delay_samples(planned, gathered), 0, planned.size - 1)
     correction = (planned - motion.position_m)[index]
     return replace(
         capture, commanded_position_m=gathered - correction, desired_position_m=capture.desired_m
     )
 
 
-def on_motion_grid(drawn: Motion, capture: Capture, values: FloatArray) -> FloatArray:
-    """Values of a capture at the samples of the motion that was drawn, aligned by its first step.
+def on_motion_grid(motion: Motion, capture: Capture, values: FloatArray) -> FloatArray:
+    """Values of a capture at the samples of the motion that is its command."""
+    planned = motion.position_m
+    late = delay_samples(planned, capture.commanded_position_m)
+    return np.asarray(values[np.clip(np.arange(planned.size) + late, 0, capture.n - 1)])
 
-    The offset is part of what was drawn: it may move the axis before the motion itself does.
+
+def delay_samples(planned: FloatArray, gathered: FloatArray) -> int:
+    """Samples by which a gathered command comes after the one that was planned.
+
+    Both are laid over each other as a whole: the first step of a soft start lies some
+    milliseconds off, as the card draws parabolas between points.
     """
-    seen, planned = capture.desired_m, drawn.position_m
-    start = int(np.flatnonzero(np.abs(seen - seen[0]) > _STEP_m)[0])
     first = int(np.flatnonzero(np.abs(planned - planned[0]) > _STEP_m)[0])
-    index = np.clip(np.arange(planned.size) - first + start, 0, capture.n - 1)
-    return np.asarray(values[index])
+    start = int(np.flatnonzero(np.abs(gathered - gathered[0]) > _STEP_m)[0])
+    at = np.arange(planned.size)
+
+    def distance(late: int) -> float:
+        laid = gathered[np.clip(at + late, 0, gathered.size - 1)]
+        return float(np.sum((laid - planned) ** 2))
+
+    near = start - first
+    return min(range(near - _SOFT_START, near + _SOFT_START + 1), key=distance)
 
 
 def refine_motion(
@@ -164,8 +175,7 @@ def refine_motion(
         table = capture.table_position_m
         if table is None:
             raise ConfigError("Learning needs a scale at the table.", code="PC-REF-001")
-        drawn = with_offset(motion, offset)
-        return on_motion_grid(drawn, capture, table - capture.commanded_position_m)
+        return on_motion_grid(motion, capture, table - capture.commanded_position_m)
 
     switch(axis, context, compensation, on=False)
     rests = rests_of(motion.position_m, axis.scales.period_s)
