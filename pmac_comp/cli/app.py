@@ -18,7 +18,7 @@ from pmac_comp.cli import compensation, controller, drive, output, simulation, t
 
 _INTERRUPTED = 130
 CHANGING = frozenset(
-    {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup"}
+    {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup", "remove"}
 )
 app = typer.Typer(
     name="pmac-comp",

@@ -37,6 +37,7 @@ def register(app: typer.Typer) -> None:
     app.command("upload")(upload)
     app.command("recover")(recover)
     app.command("rollback")(rollback)
+    app.command("remove")(remove)
     app.command("verify")(verify)
     app.command("improve")(improve)
 
@@ -236,6 +237,31 @@ def rollback(
     output.finish(
         result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
     )
+
+
+def remove(
+    url: UrlArgument,
+    bench: BenchOption = "paper",
+    journal: JournalOption = DEFAULT_JOURNAL,
+    yes: YesOption = False,
+    dry_run: DryRunOption = False,
+    json_target: JsonOption = "",
+) -> None:
+    """Take the axis' compensation tables and law off, whoever put them on; `rollback` undoes it."""
+    from pmac_comp.workflow.removal import plan_removal, remove_compensation
+
+    plan = plan_removal(url, bench)
+    parts = plan["would_remove"]
+    if dry_run or not parts:
+        output.finish(plan, json_target, lambda: output.echo_all(parts or ["nothing to remove"]))
+        return
+    if json_target != "-":
+        output.echo_all(parts)
+    confirmed(f"Take this off {url}?", yes=yes, can_look=True)
+    progress = ProgressLines()
+    result = remove_compensation(url, bench, journal, progress=progress)
+    progress.close()
+    output.finish(result, json_target, lambda: output.echo("removed and verified"))
 
 
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:

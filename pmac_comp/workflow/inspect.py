@@ -58,7 +58,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         head = law_state.read_law_head(
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
-        form = _form(axis.link, head)
+        form = running_form(axis.link, head)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
     still_open = "; ".join(recovery.left_open(context))
     compensation = {
@@ -91,7 +91,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     }
 
 
-def _form(link: Link, head: law_state.LawHead) -> LawForm:
+def running_form(link: Link, head: law_state.LawHead) -> LawForm:
     """The form that runs; a PLC 0 that was taken off leaves its signature behind."""
     if head.form is LawForm.PLC and not plc_runs(link, 0):
         return LawForm.NONE

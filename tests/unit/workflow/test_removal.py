@@ -1,0 +1,38 @@
+"""`remove` takes off what compensates an axis, with no journal of the upload, and can be undone."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.recovery import rollback_last
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.removal import remove_from, standing_on
+from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
+
+
+def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Path) -> None:
+    deploy(axis, Compensation("law", LAW, LEAD), context_of(axis, tmp_path / "upload"))
+    before = read_tables(axis.link)
+    context = context_of(axis, tmp_path / "elsewhere")  # another host, another journal
+    found = standing_on(axis)
+    assert found.law is LawForm.PLC
+    assert len(found.tables) == len(before) >= 1
+
+    at_zero = motors.read_motor(axis.link, axis.motor).position_ct
+    remove_from(axis, context, found)
+    reading = motors.read_motor(axis.link, axis.motor)
+    assert abs(reading.position_ct - at_zero) < 20.0
+    assert not reading.status.is_killed
+    assert standing_on(axis).is_empty
+    assert axis.link.query("I106I129I51") == ["0", "0", "0"]
+    capture = axis.run(MOTION)
+    assert np.max(np.abs(capture.desired_m - capture.commanded_position_m)) < 1e-9
+
+    rollback_last(axis.link, context)
+    assert read_tables(axis.link) == before
+    assert standing_on(axis).law is LawForm.PLC
