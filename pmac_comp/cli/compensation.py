@@ -178,7 +178,7 @@ def upload(
     if json_target != "-":
         show_plan()
     plan.require_allowed()
-    confirmed(f"Upload {new} to {url}?", yes=yes, can_look=True)
+    confirmed(f"Upload {new} to {url}?", yes=yes)
     progress = ProgressLines()
     result = upload_file(url, bench, new, journal, persist=persist, progress=progress)
     progress.close()
@@ -230,7 +230,7 @@ def rollback(
         plan = preview_rollback(url, bench, journal)
         output.finish(plan, json_target, lambda: output.echo_all(_told("take back", plan)))
         return
-    confirmed(f"Roll back the last upload on {url}?", yes=yes, can_look=True)
+    confirmed(f"Roll back the last upload on {url}?", yes=yes)
     progress = ProgressLines()
     result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
     progress.close()
@@ -257,7 +257,7 @@ def remove(
         return
     if json_target != "-":
         output.echo_all(parts)
-    confirmed(f"Take this off {url}?", yes=yes, can_look=True)
+    confirmed(f"Take this off {url}?", yes=yes)
     progress = ProgressLines()
     result = remove_compensation(url, bench, journal, progress=progress)
     progress.close()
@@ -346,7 +346,7 @@ def verify(
             )
             output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
             return
-        confirmed(f"Run verification motions on {url}?", yes=yes, can_look=True)
+        confirmed(f"Run verification motions on {url}?", yes=yes)
         outcome = verify_on_controller(
             url,
             bench,
@@ -395,7 +395,7 @@ def improve(
         plan = preview_improvement(bench, route=route, seed=seed)
         output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
         return
-    confirmed(f"Run motions on {url} and upload new compensation?", yes=yes, can_look=True)
+    confirmed(f"Run motions on {url} and upload new compensation?", yes=yes)
     progress = ProgressLines()
     result = improve_on_controller(
         url, bench, out, model=model, route=route, seed=seed, effects=effects, progress=progress

@@ -35,19 +35,15 @@ def register(app: typer.Typer) -> None:
     app.command("capture")(capture)
 
 
-def confirmed(question: str, *, yes: bool, can_look: bool = False) -> None:
-    """Ask before something changes; a pipe without ``--yes`` counts as no.
-
-    ``can_look`` says that the command has ``--dry-run``.
-    """
+def confirmed(question: str, *, yes: bool) -> None:
+    """Ask before something changes; a pipe without ``--yes`` counts as no."""
     if yes:
         return
     if not sys.stdin.isatty():
         raise ConfigError(
             f"{question} Nobody can answer here.",
             code="PC-CLI-010",
-            hint="Nothing was changed. Add --yes to go on without asking"
-            + (", or --dry-run to look." if can_look else "."),
+            hint="Nothing was changed. Add --yes to go on without asking, or --dry-run to look.",
         )
     if not typer.confirm(question, err=True):
         output.say("nothing was changed")
@@ -184,7 +180,7 @@ def restore(
     if dry_run:
         output.finish(plan, json_target, lambda: output.echo_all(plan["lines"]))
         return
-    confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes, can_look=True)
+    confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes)
     progress = ProgressLines()
     result = restore_from_file(
         url, bench, source, journal=journal, other_card=other_card, progress=progress
@@ -224,7 +220,7 @@ def setup(
         return
     if json_target != "-":
         show_plan()
-    confirmed(f"Change {len(plan)} I-variables on {url}?", yes=yes, can_look=True)
+    confirmed(f"Change {len(plan)} I-variables on {url}?", yes=yes)
     result = set_up(url, bench, journal)
     output.finish(
         result,
@@ -281,7 +277,7 @@ def capture(
         return
     if json_target != "-":
         show_plan()
-    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes, can_look=True)
+    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
     progress = ProgressLines()
     result = capture_to_folder(url, bench, plan, out, progress=progress)
     progress.close()

@@ -60,8 +60,8 @@ def test_terminal_in_a_pipe_answers_as_json(tmp_path: Path) -> None:
     assert "ERR003" in answers[1]["answer"][0]
 
 
-def test_only_commands_with_a_dry_run_advise_it(tmp_path: Path) -> None:
-    assert "--dry-run" not in run("rollback", "sim://", cwd=tmp_path).stderr
+def test_a_command_that_cannot_ask_advises_its_dry_run(tmp_path: Path) -> None:
+    assert "--dry-run" in run("rollback", "sim://", cwd=tmp_path).stderr
     capture = run(
         "capture", "sim://", "-b", "paper", "--motion", "sine:amplitude_mm=2", cwd=tmp_path
     )
