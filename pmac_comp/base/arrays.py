@@ -1,4 +1,4 @@
-"""Array types and the one check that keeps NaN and infinity out of results."""
+"""Array types, stretches of samples, and the check that keeps NaN and infinity out of results."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,6 +11,12 @@ from pmac_comp.base.errors import ModelError, NonFinite
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+
+def stretches(chosen: BoolArray) -> tuple[slice, ...]:
+    """Stretches of consecutive chosen samples of an array, shape (n,), in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], chosen, [False]))))
+    return tuple(slice(int(a), int(b)) for a, b in edges.reshape(-1, 2))
 
 
 def finite_array(name: str, value: Iterable[Any] | Any, *, min_size: int = 1) -> FloatArray:

@@ -309,6 +309,12 @@ class Bench(_Table):
         return 0.5 * (self.travel.min_mm + self.travel.max_mm) / MM_PER_M
 
     @property
+    def motor_numbers(self) -> tuple[int, ...]:
+        """The motor that closes the loop and, with a scale, the one that reads it."""
+        scale = (self.scale.motor_number,) if self.scale is not None else ()
+        return (self.encoder.motor_number, *scale)
+
+    @property
     def bearing_to_table_zero_m(self) -> float:
         """Fixed bearing to nut in m when the table reads zero."""
         stated = self.screw.bearing_to_table_zero_mm

@@ -5,7 +5,7 @@ from typing import Any
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table
-from pmac_comp.workflow.outcome import PROMISED, MotionOutcome, error_signals
+from pmac_comp.workflow.outcome import MotionOutcome, error_signals
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -224,23 +224,16 @@ def _promise_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
 
 def _interval_tables(verification: Verification) -> list[Table]:
     """Promised intervals beside what was measured, per motion and quantity."""
-    rows: list[tuple[Any, ...]] = []
-    for motion in verification.motions:
-        for name in PROMISED:
-            kept = motion.kept_of(name, verification.floor_um)
-            if kept is None or motion.promise is None:
-                continue
-            lower = motion.promise.get(f"{name}_lower_um", 0.0)
-            upper = motion.promise[f"{name}_upper_um"]
-            measured = getattr(motion, name).value
-            rows.append(
-                (
-                    f"{motion.name}: {name.removesuffix('_after')}",
-                    f"{lower:.2f} to {upper:.2f}",
-                    f"{measured:.2f}",
-                    "kept" if kept else "missed",
-                )
-            )
+    rows: list[tuple[Any, ...]] = [
+        (
+            f"{motion.name}: {j.quantity}",
+            f"{j.lower_um:.2f} to {j.upper_um:.2f}",
+            f"{j.measured_um:.2f}",
+            "kept" if j.is_kept else "missed",
+        )
+        for motion in verification.motions
+        for j in motion.judged(verification.floor_um)
+    ]
     if not rows:
         return []
     caption = (

@@ -71,10 +71,7 @@ def _apply_bench(card: Card) -> None:
     bench = card.bench
     for number, value in ((3, 2.0), (4, 0.0), (6, 1.0), (9, 2.0)):
         card.variables.write_i(number, value)
-    numbers = [bench.encoder.motor_number]
-    if bench.scale is not None:
-        numbers.append(bench.scale.motor_number)
-    for motor in numbers:
+    for motor in bench.motor_numbers:
         card.variables.write_i(100 * motor, 1.0)
         entry = 8000 + motor - 1
         is_encoder = motor == bench.encoder.motor_number

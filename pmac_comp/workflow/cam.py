@@ -40,7 +40,7 @@ from pmac_comp.machine.controller.settings import (
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
-from pmac_comp.machine.controller.variables import read_many, same_value
+from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
@@ -294,7 +294,7 @@ def deploy_program(axis: Axis, cam: Cam, context: Context) -> UploadResult:
     number = axis.bench.controller.cam_motor_number
     with untouched():
         gather.stop(axis.link)
-        active = read_many(axis.link, [f"I{number}00"])[f"I{number}00"]
+        active = read_one(axis.link, f"I{number}00")
         refusals = _time_motor_refusals(axis, time_motor_variables(axis.bench), active)
         if active and not refusals:
             rest_time_motor(axis)

@@ -5,6 +5,7 @@ another loop than the one that is measured, so the run is refused and the differ
 Putting the bench file's values on is a command of its own, one journalled change.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.variables import read_many, same_value
+from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import tuned_motors
 from pmac_comp.workflow.deploy import context_of
@@ -97,7 +98,7 @@ def variable_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
 
 def motor_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
     """Refusals where a motor of the bench file is not activated: its position stands still."""
-    readings = read_motors(link, _motors(bench))
+    readings = read_motors(link, bench.motor_numbers)
     return [
         MotorNotSafe(
             f"Motor #{number} of the bench file is not activated (I{number}00 = 0).",
@@ -128,10 +129,10 @@ def swap_refusals(bench: Bench) -> list[SafetyRefusal]:
 def conversion_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
     """Refusal where the encoder conversion extends counts and the bench file says otherwise."""
     motor = bench.encoder.motor_number
-    line = int(read_many(link, [f"I{motor}03"])[f"I{motor}03"]) - ENTRY_RESULT
+    line = int(read_one(link, f"I{motor}03")) - ENTRY_RESULT
     if not 0 <= line <= 191:
         return []  # the loop is closed by something else than a conversion entry
-    entry = int(read_many(link, [f"I{8000 + line}"])[f"I{8000 + line}"])
+    entry = int(read_one(link, f"I{8000 + line}"))
     if entry & 0x7FFFF < _LOWEST_CHANNEL:
         return []
     extended = {_SOFTWARE_1T: True, _NO_EXTENSION: bool(entry & 0x80000)}.get(entry >> 20)
@@ -179,19 +180,21 @@ def reference_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
 def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
     """What ``set_up`` would change: value on the card, value in the bench file."""
     with open_axis(url, bench) as axis:
-        return _settable(axis)
+        return settable_variables(axis)
 
 
 def set_up(url: str, bench: str, journal: Path = DEFAULT_JOURNAL) -> dict[str, Any]:
     """Put the bench file's I-variables onto a controller; ``rollback`` brings the old ones back."""
     with open_axis(url, bench) as axis:
-        differing = _settable(axis)
-        result = set_up_axis(axis, context_of(axis, journal))
+        differing = settable_variables(axis)
+        result = set_up_axis(axis, context_of(axis, journal), differing)
     return {**result.as_dict(), "changed": differing}
 
 
-def set_up_axis(axis: Axis, context: Context) -> UploadResult:
-    """The same on a connected axis, as one journalled change.
+def set_up_axis(
+    axis: Axis, context: Context, differing: Mapping[str, tuple[float, float]]
+) -> UploadResult:
+    """The same on a connected axis, as one journalled change of what differs.
 
     The clocks (I7000-I7002, I10) are those of the card; ``doctor`` compares them.
 
@@ -200,18 +203,19 @@ def set_up_axis(axis: Axis, context: Context) -> UploadResult:
     MotorNotSafe
         A motor of the bench file is enabled: gains must not change under a closed loop.
     """
-    motors = _motors(axis.bench)
+    motors = axis.bench.motor_numbers
     raise_all(_enabled_refusals(axis.link, motors), "The set-up")
-    goal = Settings(texts({name: wanted for name, (_, wanted) in _settable(axis).items()}))
+    goal = Settings(texts({name: wanted for name, (_, wanted) in differing.items()}))
     with grouped(axis.link, context, "setup") as inner:
         return change_settings(axis.link, inner, goal, route="setup", motors=motors)
 
 
-def _settable(axis: Axis) -> dict[str, tuple[float, float]]:
+def settable_variables(axis: Axis) -> dict[str, tuple[float, float]]:
+    """Variables of the bench file that stand otherwise and may be set, the clocks apart."""
     return {k: v for k, v in differing_variables(axis.link, axis.bench).items() if k not in CLOCK}
 
 
-def _enabled_refusals(link: Link, numbers: list[int]) -> list[SafetyRefusal]:
+def _enabled_refusals(link: Link, numbers: Sequence[int]) -> list[SafetyRefusal]:
     readings = read_motors(link, numbers)
     return [
         MotorNotSafe(
@@ -222,7 +226,3 @@ def _enabled_refusals(link: Link, numbers: list[int]) -> list[SafetyRefusal]:
         for number, reading in readings.items()
         if not reading.status.is_killed
     ]
-
-
-def _motors(bench: Bench) -> list[int]:
-    return [bench.encoder.motor_number, *([bench.scale.motor_number] if bench.scale else [])]

@@ -12,9 +12,7 @@ from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
-from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
-from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
@@ -47,10 +45,7 @@ def controller_info(url: str) -> dict[str, Any]:
 def controller_status(url: str, bench: str, journal: Path | None = None) -> dict[str, Any]:
     """Motors and compensation of a controller, and what ``journal`` knows; nothing is changed."""
     with open_axis(url, bench) as axis:
-        numbers = [axis.motor]
-        if axis.bench.scale is not None:
-            numbers.append(axis.bench.scale.motor_number)
-        readings = motors.read_motors(axis.link, numbers)
+        readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_of(axis)
         if journal is not None:
             context = replace(context, store=journal)
@@ -58,7 +53,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         head = law_state.read_law_head(
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
-        form = running_form(axis.link, head)
+        form = law_state.running_form(axis.link, head)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
     still_open = "; ".join(recovery.left_open(context))
     compensation = {
@@ -91,17 +86,10 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     }
 
 
-def running_form(link: Link, head: law_state.LawHead) -> LawForm:
-    """The form that runs; a PLC 0 that was taken off leaves its signature behind."""
-    if head.form is LawForm.PLC and not plc_runs(link, 0):
-        return LawForm.NONE
-    return head.form
-
-
 def _law_text(form: LawForm, head: law_state.LawHead) -> str:
     if form is LawForm.NONE:
         return "none runs"
-    return "armed" if head.gain != 0.0 else "loaded, not armed"
+    return "armed" if head.is_armed else "loaded, not armed"
 
 
 def lease_text(lease: Lease, now: int) -> str:

@@ -140,6 +140,17 @@ def _block_means(values: FloatArray, block: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class JudgedPromise:
+    """One promised interval in um, what was measured, and whether it stays below its upper end."""
+
+    quantity: str
+    lower_um: float
+    upper_um: float
+    measured_um: float
+    is_kept: bool
+
+
+@dataclass(frozen=True)
 class MotionOutcome:
     """One motion before and after; um.
 
@@ -178,20 +189,23 @@ class MotionOutcome:
         ``floor_um`` is what these make of table minus motor. Better than promised is kept. The
         interval of what was measured does not excuse a miss: its value is held against the promise.
         """
-        judged = [
-            self.kept_of(name, floor_um)
-            for name in PROMISED
-            if self.promise is not None and f"{name}_upper_um" in self.promise
-        ]
-        return None if self.promise is None else all(judged)
-
-    def kept_of(self, name: str, floor_um: float) -> bool | None:
-        """The same of one quantity, ``e_r_after`` or ``total_after``; None without its interval."""
-        upper = None if self.promise is None else self.promise.get(f"{name}_upper_um")
-        if upper is None:
+        if self.promise is None:
             return None
-        measured: Spread = getattr(self, name)
-        return measured.value <= math.hypot(upper, floor_um)
+        return all(judged.is_kept for judged in self.judged(floor_um))
+
+    def judged(self, floor_um: float) -> list[JudgedPromise]:
+        """Each promised interval beside what was measured; quantities without one are left out."""
+        promise = self.promise or {}
+        found: list[JudgedPromise] = []
+        for name in PROMISED:
+            upper = promise.get(f"{name}_upper_um")
+            if upper is not None:
+                measured: Spread = getattr(self, name)
+                lower = promise.get(f"{name}_lower_um", 0.0)
+                is_kept = measured.value <= math.hypot(upper, floor_um)
+                label = name.removesuffix("_after")
+                found.append(JudgedPromise(label, lower, upper, measured.value, is_kept))
+        return found
 
     def e_r_beyond_um(self, floor_um: float) -> float:
         """Rms of e_r in um beyond ``floor_um``, the noise of table minus motor."""

@@ -18,7 +18,6 @@ from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import rest_time_motor
 from pmac_comp.workflow.deploy import Progress, context_of, stand_at_zero
-from pmac_comp.workflow.inspect import running_form
 from pmac_comp.workflow.session import open_axis
 
 
@@ -49,7 +48,7 @@ def standing_on(axis: Axis) -> Standing:
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
     head = law_state.read_law_head(axis.link, context_of(axis).block)
-    form = running_form(axis.link, head)
+    form = law_state.running_form(axis.link, head)
     return Standing(tables, form if head.motor == axis.motor else LawForm.NONE)
 
 

@@ -14,7 +14,13 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.exact import Learning, MEASURED_CUTOFF_Hz, learn, rests_of
+from pmac_comp.physics.compensate.exact import (
+    Learning,
+    MEASURED_CUTOFF_Hz,
+    learn,
+    moving_of,
+    rests_of,
+)
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -179,9 +185,7 @@ def refine_motion(
 
     switch(axis, context, compensation, on=False)
     rests = rests_of(motion.position_m, axis.scales.period_s)
-    moving = np.ones(nothing.size, dtype=bool)
-    for rest in rests:
-        moving[rest] = False
+    moving = moving_of(nothing.size, rests)
     without = float(np.std(total(nothing)[moving]) * 1e6)
     switch(axis, context, compensation, on=True)
     limit = axis.bench.safety.max_correction_um / 1e6

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -110,4 +110,4 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
 def _acting(axis: Axis, context: Context) -> tuple[bool, bool]:
     """Whether a law acts, and whether tables do."""
     law = law_state.read_law_head(axis.link, context.block).is_armed
-    return law, read_many(axis.link, ["I51"])["I51"] == 1.0
+    return law, read_one(axis.link, "I51") == 1.0

@@ -4,6 +4,7 @@ What lives here: refusals before any computing. What may not: anything that chan
 """
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,7 @@ def _refuse_differences(
         own = parse_bench(text, name=f"bench text in {name}")
     except ConfigError:
         return  # of an older version; the period is checked in any case
-    differences = _differences(facts(own), facts(bench))
+    differences = _differences(facts(own), facts(bench), "capture")
     if differences:
         raise ConfigError(
             f"{name} was captured on another axis or under other gains ({_named(own)}) than the "
@@ -123,13 +124,9 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
     ConfigError
         With the keys that differ.
     """
-    given = bench.axis_facts
-    differences = [
-        f"{key} {_shown(stored.axis.get(key))} in the model, {_shown(given.get(key))} in the "
-        "bench file"
-        for key in dict.fromkeys([*stored.axis, *given])
-        if stored.axis and not _equal(stored.axis.get(key), given.get(key))
-    ]
+    if not stored.axis:
+        return
+    differences = _differences(stored.axis, bench.axis_facts, "model", same=_equal)
     if differences:
         raise ConfigError(
             f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "
@@ -140,10 +137,11 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
         )
 
 
-def _equal(first: float | str | None, second: float | str | None) -> bool:
+def _equal(first: Any, second: Any) -> bool:
+    """Equal as far as a model file keeps digits."""
     if isinstance(first, (int, float)) and isinstance(second, (int, float)):
         return math.isclose(first, second, rel_tol=1e-6)
-    return first == second
+    return bool(first == second)
 
 
 def _named(bench: Bench) -> str:
@@ -175,11 +173,17 @@ def _gains(bench: Bench) -> Mapping[str, float]:
     return {name: held[name] for name in names if name in held}
 
 
-def _differences(own: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
+def _differences(
+    own: Mapping[str, Any],
+    given: Mapping[str, Any],
+    owner: str,
+    *,
+    same: Callable[[Any, Any], bool] = operator.eq,
+) -> list[str]:
     return [
-        f"{key} {_shown(own.get(key))} in the capture, {_shown(given.get(key))} in the bench file"
+        f"{key} {_shown(own.get(key))} in the {owner}, {_shown(given.get(key))} in the bench file"
         for key in dict.fromkeys([*own, *given])
-        if own.get(key) != given.get(key)
+        if not same(own.get(key), given.get(key))
     ]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import FloatArray, stretches
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.capture import Capture
@@ -187,9 +187,9 @@ def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
     up: list[Rest] = []
     down: list[Rest] = []
     still = np.abs(np.diff(r, prepend=r[0])) < _STILL_m
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     last = float(r[0])
-    for first, end in edges.reshape(-1, 2):
+    for rest in stretches(still):
+        first, end = rest.start, rest.stop
         if end - first < least:
             continue
         place = float(r[first])

@@ -8,7 +8,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.outcome import PROMISED, MotionOutcome, Ratio, Spread
+from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -147,15 +147,10 @@ def _pair(before: Spread, after: Spread) -> str:
 
 def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
     """Intervals of a promise and whether each was kept, one line; nothing without intervals."""
-    parts = []
-    for name in PROMISED:
-        kept = outcome.kept_of(name, floor_um)
-        if kept is None or outcome.promise is None:
-            continue
-        lower = outcome.promise.get(f"{name}_lower_um", 0.0)
-        upper = outcome.promise[f"{name}_upper_um"]
-        label = name.removesuffix("_after")
-        parts.append(f"{label} {lower:.2f} to {upper:.2f} um {'kept' if kept else 'MISSED'}")
+    parts = [
+        f"{j.quantity} {j.lower_um:.2f} to {j.upper_um:.2f} um {'kept' if j.is_kept else 'MISSED'}"
+        for j in outcome.judged(floor_um)
+    ]
     return ["interval promised: " + ", ".join(parts)] if parts else []
 
 

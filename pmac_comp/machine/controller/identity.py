@@ -8,7 +8,7 @@ from pmac_comp.base.errors import CommandRefused, ConnectFailed
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.registers import DPRAM_BASE, DPRAM_END
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.wire.identity import SIMULATED_ID
 
 # Software Reference Manual p. 296.
@@ -87,7 +87,7 @@ def read_identity(link: Link) -> Identity:
             code="PC-CID-002",
             hint=f"A Turbo PMAC with firmware {OLDEST_FIRMWARE} or later is needed.",
         )
-    clock = read_many(link, ["I10"])["I10"]
+    clock = read_one(link, "I10")
     return Identity(
         card=int(card),
         card_name=CARDS.get(int(card), "unknown card"),

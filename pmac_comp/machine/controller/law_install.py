@@ -43,7 +43,7 @@ from pmac_comp.machine.controller.settings import MOTORS, Settings, differences,
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
-from pmac_comp.machine.controller.variables import read_many, same_value
+from pmac_comp.machine.controller.variables import read_one, same_value
 
 DEFAULT_RAMP_s: Final = 0.5
 LAW: Final = (ProgramKind.PLC, 0)
@@ -263,7 +263,7 @@ def _following(motor: int) -> dict[str, str]:
 
 def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
     found: list[SafetyRefusal] = degree_refusals(link)
-    if int(read_many(link, [f"I{motor}59"])[f"I{motor}59"]) & 1:
+    if int(read_one(link, f"I{motor}59")) & 1:
         found.append(
             MotorNotSafe(
                 f"The open servo has the law already (I{motor}59 = 1): PLC 0 would correct twice.",
@@ -346,7 +346,7 @@ def _require_life(link: Link, context: Context) -> None:
 def _head_values(link: Link, context: Context, motor: int, ramp_s: float) -> dict[str, str]:
     """Head of the block for a motor, disarmed, with empty banks."""
     block = context.block
-    i08 = read_many(link, [f"I{motor}08"])[f"I{motor}08"]
+    i08 = read_one(link, f"I{motor}08")
     return texts(
         {
             f"P{block.p(Index.TARGET)}": 0,
@@ -379,7 +379,7 @@ def require_open_servo(
         A law is armed in PLC 0, or the block must be set up while the motor moves.
     """
     with untouched():
-        mode = int(read_many(link, [f"I{motor}59"])[f"I{motor}59"])
+        mode = int(read_one(link, f"I{motor}59"))
         if not mode & 1:
             raise _no_servo(context, motor, mode)
         head = read_law_head(link, context.block)

@@ -15,7 +15,8 @@ from pmac_comp.machine.controller.law_bank import (
     WorkIndex,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.variables import read_many, read_range
+from pmac_comp.machine.controller.settings import plc_runs
+from pmac_comp.machine.controller.variables import read_one, read_range
 
 SIGN_OF_LIFE_CYCLES: Final = 400
 GAIN_TOLERANCE: Final = 1e-6
@@ -115,6 +116,13 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
     )
 
 
+def running_form(link: Link, head: LawHead) -> LawForm:
+    """The form that runs; a PLC 0 that was taken off leaves its signature behind."""
+    if head.form is LawForm.PLC and not plc_runs(link, 0):
+        return LawForm.NONE
+    return head.form
+
+
 def read_bank(link: Link, block: LawBlock, bank: int) -> LawParameters | None:
     """Parameters of a sealed bank, None if it is not sealed or its checksum does not fit."""
     first = block.bank(bank)
@@ -133,7 +141,7 @@ def is_running(link: Link, block: LawBlock, servo_period_s: float) -> LawForm:
 
 def degree_refusals(link: Link) -> list[SafetyRefusal]:
     """Refusal while I15 = 1: the law takes sines of degrees, in radians they would be others."""
-    if int(read_many(link, ["I15"])["I15"]) == 0:
+    if int(read_one(link, "I15")) == 0:
         return []
     return [
         SafetyRefusal(

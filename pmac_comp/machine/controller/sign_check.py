@@ -16,7 +16,7 @@ from pmac_comp.machine.controller.law_bank import MASTER_WORD_ADDRESS
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motor, require_stationary
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.variables import read_many, read_one
 
 STEPS: Final = 20
 STEP_PAUSE_s: Final = 0.01
@@ -64,11 +64,11 @@ def check_register_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> S
     MotorNotSafe
         Not in closed loop, not at rest, tables on, or no clear answer.
     """
-    if read_many(link, ["I51"])["I51"] != 0:
+    if read_one(link, "I51") != 0:
         raise MotorNotSafe(
             "Tables act (I51 = 1); the register is theirs.", code="PC-SGN-001", hint="I51=0 first."
         )
-    unit = 32.0 * read_many(link, [f"I{motor}08"])[f"I{motor}08"]
+    unit = 32.0 * read_one(link, f"I{motor}08")
     address = reg.motor_register(motor, reg.COMPENSATION)
 
     def put(value_ct: float) -> None:
@@ -132,6 +132,6 @@ def _measure(
 
 def _positions(link: Link, motor: int) -> tuple[float, float]:
     """Encoder position and P, counts."""
-    unit = 32.0 * read_many(link, [f"I{motor}08"])[f"I{motor}08"]
+    unit = 32.0 * read_one(link, f"I{motor}08")
     raw = parse_integer(link.query(f"RL${reg.motor_register(motor, reg.ACTUAL):X}")[0])
     return raw / unit, read_motor(link, motor).position_ct

@@ -211,6 +211,11 @@ def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:
     return dict(zip(names, map(read_number, ask(link, names)), strict=True))
 
 
+def read_one(link: Link, name: str) -> float:
+    """Value of one variable."""
+    return read_many(link, [name])[name]
+
+
 def read_range(link: Link, letter: str, first: int, last: int) -> list[float]:
     """Values of consecutive variables, e.g. P7010 to P7039, as one question."""
     lines = link.query(f"{letter}{first}..{last}")

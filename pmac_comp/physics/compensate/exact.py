@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.arrays import BoolArray, FloatArray, finite_array, stretches
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.signals.metrics import rms_um
 
@@ -128,9 +128,7 @@ def learn(
     learnable: list[float] = []
     retreats = 0
     converged, ended = False, f"the {passes} passes allowed were made"
-    moving = np.ones(n, dtype=bool)
-    for rest in rests:
-        moving[rest] = False
+    moving = moving_of(n, rests)
 
     def measured(tried: FloatArray) -> FloatArray:
         error = total_error_of(tried)
@@ -176,11 +174,16 @@ def learn(
 def rests_of(position_m: FloatArray, period_s: float) -> tuple[slice, ...]:
     """Stretches of a command, shape (n,) in m, over which it stands for 20 ms or longer."""
     still = np.abs(np.diff(position_m, prepend=position_m[0])) < _REST_STEP_m
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
     least = _LEAST_REST_s / period_s
-    return tuple(
-        slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > least
-    )
+    return tuple(rest for rest in stretches(still) if rest.stop - rest.start > least)
+
+
+def moving_of(n: int, rests: Sequence[slice]) -> BoolArray:
+    """Samples outside rests, shape (n,)."""
+    moving = np.ones(n, dtype=np.bool_)
+    for rest in rests:
+        moving[rest] = False
+    return moving
 
 
 def _step(

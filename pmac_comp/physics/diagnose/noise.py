@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray, stretches
 from pmac_comp.physics.diagnose.records import Record
 from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
@@ -161,12 +161,7 @@ def _later(values: FloatArray, lag: float) -> FloatArray:
 
 def _longest(chosen: BoolArray) -> slice:
     """The longest stretch of chosen samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], chosen, [False]))))
-    if edges.size == 0:
-        return slice(0, 0)
-    starts, ends = edges[::2], edges[1::2]
-    at = int(np.argmax(ends - starts))
-    return slice(int(starts[at]), int(ends[at]))
+    return max(stretches(chosen), key=lambda s: s.stop - s.start, default=slice(0, 0))
 
 
 def _noise_parts_m(

@@ -16,7 +16,11 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import remarks
 from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.commissioning import reference_remarks, set_up_axis
+from pmac_comp.workflow.commissioning import (
+    reference_remarks,
+    set_up_axis,
+    settable_variables,
+)
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.simulated import embedded, make_card
@@ -138,11 +142,11 @@ def test_set_up_puts_the_bench_file_on_and_rollback_takes_it_back(tmp_path: Path
     with axis_of(make_card(PAPER), PAPER) as axis:
         axis.link.write_buffer(["I116=400", "I130=1000"])
         context = context_of(axis, tmp_path / "journal")
-        set_up_axis(axis, context)
+        set_up_axis(axis, context, settable_variables(axis))
         assert axis.link.query("I116I130") == ["500", "139449"]
         prepare(axis)
         with pytest.raises(MotorNotSafe, match="enabled"):
-            set_up_axis(axis, context)
+            set_up_axis(axis, context, settable_variables(axis))
         axis.kill()
         rollback_last(axis.link, context)
         assert axis.link.query("I116I130") == ["400", "1000"]

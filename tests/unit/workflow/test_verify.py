@@ -67,8 +67,7 @@ def test_promise_is_kept_or_missed() -> None:
     scattered = outcome_of("a", before, after, promise={"e_r_after_upper_um": 0.9})
     wide = replace(scattered, e_r_after=Spread(1.0, 0.4, 1.6, 3.0))
     assert wide.promise_kept(0.05) is False
-    assert wide.kept_of("e_r_after", 0.05) is False
-    assert wide.kept_of("total_after", 0.05) is None
+    assert [(j.quantity, j.is_kept) for j in wide.judged(0.05)] == [("e_r", False)]
 
 
 def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept() -> None:

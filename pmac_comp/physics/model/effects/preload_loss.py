@@ -9,7 +9,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import parameter
+from pmac_comp.physics.model.parameters import ParameterSpec, parameter
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
@@ -21,6 +21,17 @@ def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None
         vector[s.SOFT_RATIO] = 1.0 / values["stiffness_ratio"]
 
 
+def _half_width(description: str) -> ParameterSpec:
+    return parameter(
+        "half_width_m",
+        "m",
+        2e-6,
+        (0.0, 1e-3),
+        file=("half_width_um", "um", UM_PER_M),
+        description=description,
+    )
+
+
 _LIFTS_OFF = (
     parameter(
         "stiffness_ratio",
@@ -30,28 +41,14 @@ _LIFTS_OFF = (
         scale=0.1,
         description="stiffness beyond the threshold over that below it",
     ),
-    parameter(
-        "half_width_m",
-        "m",
-        2e-6,
-        (0.0, 1e-3),
-        file=("half_width_um", "um", UM_PER_M),
-        description="deflection up to which both halves bear",
-    ),
+    _half_width("deflection up to which both halves bear"),
 )
 
 
 EFFECT = Effect(
     name="preload_loss",
     parameters=(
-        parameter(
-            "half_width_m",
-            "m",
-            2e-6,
-            (0.0, 1e-3),
-            file=("half_width_um", "um", UM_PER_M),
-            description="deflection up to which the joint is soft",
-        ),
+        _half_width("deflection up to which the joint is soft"),
         parameter(
             "stiffness_ratio",
             "1",
