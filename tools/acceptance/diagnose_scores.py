@@ -20,6 +20,8 @@ TIES = (
     {"lead_linear", "scale_slope"},
     {"actuator_delay", "current_bandwidth"},
     {"backlash", "preload_loss"},
+    # A nut with too little preload for the forces, whether it gives way at one or towards it.
+    {"axial_stiffness_nonlinear", "preload_loss"},
     {"viscous", "channel_skew"},
 )
 

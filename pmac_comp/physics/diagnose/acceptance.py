@@ -18,6 +18,9 @@ from pmac_comp.physics.diagnose.statistics import studentised
 from pmac_comp.physics.model.effect import Effect, split_name
 
 _FAR_MORE = 4.0
+# Laws of a contact that softens (a series in the deflection, one in the force, Hertz's own) leave
+# of each other, refitted, so much of what softening does: a corner may win by that among them.
+_LAWS = 0.25
 # Effects that are a quantity of the bench file at another value.
 _STATED = frozenset({"payload", "actuator_delay", "current_bandwidth"})
 
@@ -115,6 +118,8 @@ def tied_with(
     library: Mapping[str, Effect],
     rows: FloatArray,
     rules: Rules,
+    *,
+    gap_um: float,
 ) -> tuple[str, ...]:
     """Look-alikes that the data cannot tell from the winner."""
     tied = [
@@ -124,7 +129,7 @@ def tied_with(
         and alike(other.effect, winner.effect, library)
         # In that corner of its range it is the winner, not a rival of it.
         and true_name(other.effect, other.fitted.model) != winner.effect
-        and _inseparable(winner, other, rows, rules)
+        and (_inseparable(winner, other, rows, rules) or _bends(winner, other, gap_um))
     ]
     tied += [name for name in exact_twins(winner.effect) if name not in tied]
     return tuple(tied)
@@ -137,3 +142,13 @@ def _inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: R
         close = other.gain > rules.tie_share * winner.gain
         return close and per_row < rules.tie_material and studentised(lost) < rules.tie_z
     return per_row < rules.tie_material or studentised(lost) < rules.tie_z
+
+
+def _bends(winner: Contender, other: Contender, gap_um: float) -> bool:
+    """Whether a joint that gives way beyond a force may as well soften towards it.
+
+    Both are a nut with too little preload for the forces: only how sharply it gives way differs.
+    """
+    corner = winner.key == "preload_loss@beyond" and other.effect == "axial_stiffness_nonlinear"
+    closed_um2 = gap_um**2 - winner.gap_um**2
+    return corner and other.gap_um**2 - winner.gap_um**2 < _LAWS**2 * closed_um2

@@ -234,5 +234,5 @@ def _round(
     winner = best([c for c in contenders if earned(c, bare, rules)], contenders, left.position_um)
     if winner is None:
         return bare
-    tied = tied_with(winner, contenders, library, rows, rules)
+    tied = tied_with(winner, contenders, library, rows, rules, gap_um=left.position_um)
     return replace(bare, accepted=winner, tied=tied)

@@ -126,6 +126,10 @@ def _loads(room: _Room) -> tuple[str, ...]:
     )
 
 
+def _rising(room: _Room) -> tuple[str, ...]:
+    return tuple(room.sine(0.02 * room.span_mm, f, 0.0, 12) for f in (2.0, 3.0, 4.0, 5.0, 6.0))
+
+
 def _both_ends(room: _Room) -> tuple[str, ...]:
     return tuple(room.sine(0.05 * room.span_mm, 2.0, share, 8) for share in (-0.4, 0.4))
 
@@ -164,6 +168,13 @@ _EXPERIMENTS: Mapping[frozenset[str], tuple[str, _Motions]] = {
         "way more the larger the force. Or push the table by the loading screws at standstill, "
         "both ways and in steps: a gap gives way without force.",
         _loads,
+    ),
+    frozenset({"axial_stiffness_nonlinear", "preload_loss"}): (
+        "Push the table by the loading screws at standstill in small steps up to the largest "
+        "force of the runs, both ways: a preload that is lost beyond a force gives two straight "
+        "lines with a corner, a contact that softens gives a curve. Or repeat one sinusoid at "
+        "rising frequency: below the corner the table lags in proportion to the force.",
+        _rising,
     ),
     frozenset({"channel_skew", "viscous"}): (
         "Repeat one sinusoid at both ends of the travel: viscous deformation grows along the "

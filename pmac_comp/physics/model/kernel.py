@@ -24,6 +24,9 @@ _TAYLOR = 9
 _HISTORY = 256
 _MOST_RISE = 4.0  # of a level over its own part, as far as the bristle's distance follows
 _NEAR_LEVEL = 0.01  # share of the level that may be missing while a bristle slips on
+# Where one half of a double nut is unloaded, at sqrt(8) preloads, the series for its stiffness ends
+# with so much of the stiffness lost.
+_SOFTENED = 2.0 / 3.0
 _SETTLED = 1e-4  # share of the level by which a sweep may still move a friction force
 _COMMAND_RESOLUTION_m = 1e-11  # a thirtieth of the finest unit of a Turbo PMAC register
 # Gauss-Legendre, 8 points: distances from the middle and weights.
@@ -420,8 +423,7 @@ def _slip_elements(
 def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
     """Elastic force of the nut joint beyond k_n delta, its derivative, and the share of damping.
 
-    Dead zone (backlash), soft centre (preload loss) and softening of a preloaded double nut, which
-    has half its stiffness once one half is unloaded.
+    Dead zone (backlash), soft centre (preload loss) and softening of a preloaded double nut.
     """
     k = par[s.K_NUT]
     force = 0.0
@@ -445,13 +447,13 @@ def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
             force -= loss * math.copysign(soft, rest)
     softening = par[s.HERTZ]
     if softening > 0.0:
-        # F = k d (1 - (k d)^2 / (36 F0^2)) until the stiffness has fallen to k / 2, then that.
+        # F = k d (1 - (k d)^2 / (36 F0^2)) up to there, then straight on.
         spring = k * abs(rest)
-        knee = 1.0 / math.sqrt(6.0 * softening)
+        knee = math.sqrt(_SOFTENED / (3.0 * softening))
         bend = min(spring, knee)
-        lost = softening * bend * bend * bend + 0.5 * max(spring - knee, 0.0)
+        lost = softening * bend * bend * bend + _SOFTENED * max(spring - knee, 0.0)
         force -= math.copysign(lost, rest)
-        slope -= k * (3.0 * softening * bend * bend if spring <= knee else 0.5)
+        slope -= k * (3.0 * softening * bend * bend if spring <= knee else _SOFTENED)
     return force, slope, share
 
 

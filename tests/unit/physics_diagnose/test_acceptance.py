@@ -3,10 +3,12 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from pmac_comp.physics.diagnose.acceptance import earned
+from pmac_comp.physics.diagnose.acceptance import earned, tied_with
 from pmac_comp.physics.diagnose.contenders import Rules
+from pmac_comp.physics.model.effect import effect_library
 
 
 def _round(effects: tuple[str, ...] = ("coulomb", "viscous")) -> Any:
@@ -51,3 +53,31 @@ def test_what_a_first_effect_leaves_is_not_named_so_easily():
 def test_a_large_change_is_named_whatever_it_is():
     candidate = _candidate("stribeck", fit_gain=3000.0, judged_gain=900.0)
     assert earned(candidate, _round(("coulomb", "viscous", "backlash")), Rules())
+
+
+def _spring(effect: str, place: str, gap_um: float, lost: float) -> Any:
+    blocks = np.array([900.0, 1100.0, 1000.0, 1050.0]) + lost
+    key = f"{effect}@{place}" if place else effect
+    return SimpleNamespace(
+        effect=effect, key=key, gap_um=gap_um, gain=1000.0 - lost,
+        fitted=SimpleNamespace(blocks=blocks, model=SimpleNamespace(parameters={})),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("place", "gap_um", "tied"),
+    [
+        # A corner and a curve that leave nearly the same: which of them data does not say.
+        ("beyond", 0.2185, ("axial_stiffness_nonlinear",)),
+        ("beyond", 0.26, ()),
+        # Soft in the middle is no contact that softens with the force.
+        ("centre", 0.2185, ()),
+    ],
+)
+def test_a_joint_that_gives_way_beyond_a_force_may_as_well_soften_towards_it(place, gap_um, tied):
+    corner = _spring("preload_loss", place, 0.2136, 0.0)
+    corner.fitted.model.parameters["preload_loss.stiffness_ratio"] = 0.5
+    curve = _spring("axial_stiffness_nonlinear", "", gap_um, 400.0)
+    rows = np.full(4, 500.0)
+    found = tied_with(corner, [corner, curve], effect_library(), rows, Rules(), gap_um=0.312)
+    assert found == tied

@@ -54,3 +54,17 @@ def test_motion_follows_the_closed_form(place):
     other = mechanical_error_m(BASE, command, speed, np.gradient(speed, period))
     usual = (plain - other)[settled] - np.median((plain - other)[settled])
     assert np.std(apart) < 1.3 * np.std(usual)
+
+
+def test_a_contact_softens_smoothly_up_to_where_one_half_is_unloaded() -> None:
+    model = DriveModel.base(BENCH).with_effect("axial_stiffness_nonlinear", {"preload_N": 400.0})
+    vector = model.kernel_vector()
+    stiffness = vector[s.K_NUT]
+    spring_N = np.linspace(0.0, 4.0 * 400.0, 801)
+    force_N = np.array([f + joint_force(vector, f / stiffness)[0] for f in spring_N])
+    slope = np.gradient(force_N, spring_N)
+    series_N = spring_N * (1.0 - (spring_N / 400.0) ** 2 / 36.0)
+    below = spring_N < np.sqrt(8.0) * 400.0
+    assert np.allclose(force_N[below], series_N[below], rtol=1e-9)
+    assert np.all(np.diff(slope) < 1e-9)  # no corner
+    assert slope.min() == pytest.approx(1.0 / 3.0, abs=1e-3)
