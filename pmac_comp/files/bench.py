@@ -85,7 +85,9 @@ class Nominal(_Table):
         default=None, description="current loop of the drive, -3 dB"
     )
     actuator_delay_us: NonNegative | None = Field(
-        default=None, description="from the controller's output to torque, beside the current loop"
+        default=None,
+        description="from the controller's output to torque, beside the current loop; not stated: "
+        "one servo period (two without current_bandwidth_Hz) with 100 % tolerance",
     )
 
 

@@ -4,6 +4,7 @@ Parameters ``chain.*`` and their place in the kernel vector. Imports ``files.ben
 """
 
 import math
+from dataclasses import replace
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
@@ -78,7 +79,21 @@ def _actuator_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
     if bench.nominal.actuator_delay_us is not None:
         value = bench.nominal.actuator_delay_us / US_PER_S
         specs.append(_known(bench, "actuator_delay_us", "s", value, factor=US_PER_S, lower=0.0))
+    elif not is_rigid(bench):
+        specs.append(_usual_delay(bench))
     return tuple(specs)
+
+
+def _usual_delay(bench: Bench) -> ParameterSpec:
+    """Dead time where a bench file states none: no controller's output acts at once.
+
+    A servo period until the next interrupt, about as much again where the current loop is not
+    stated either, and nothing known of both.
+    """
+    periods = 1.0 if bench.nominal.current_bandwidth_Hz is not None else 2.0
+    value = periods * bench.servo_period_s
+    usual = _known(bench, "actuator_delay_us", "s", value, factor=US_PER_S, lower=0.0)
+    return replace(usual, tolerance_frac=1.0)
 
 
 def _known(

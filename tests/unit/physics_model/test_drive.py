@@ -345,3 +345,12 @@ def test_a_dask_cluster_runs_many_simulations():
     ):
         there = simulate_many([MODEL, MODEL], [MOTION], executor=client.get_executor())
     assert np.array_equal(there[0].table_position_m, simulate(MODEL, MOTION).table_position_m)
+
+
+@pytest.mark.parametrize(("stated_Hz", "periods"), [(400.0, 1.0), (None, 2.0)])
+def test_a_bench_that_states_no_delay_has_the_usual_one(stated_Hz, periods):
+    nominal = {"actuator_delay_us": None, "current_bandwidth_Hz": stated_Hz}
+    bench = BENCH.model_copy(update={"nominal": BENCH.nominal.model_copy(update=nominal)})
+    spec = DriveModel.base(bench).spec("chain.actuator_delay_s")
+    assert spec.nominal == pytest.approx(periods * bench.servo_period_s)
+    assert (spec.kind, spec.tolerance_frac) == ("known", 1.0)
