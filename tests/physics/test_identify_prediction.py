@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.diagnose.onset import without_onset
 from pmac_comp.physics.identify import identify, identify_with_friction
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.expected import expected_response
 from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
+from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.workflow.campaigns import calibration_motions
 from tools.acceptance import prediction_table as tool
 from tools.acceptance.identify_coverage import truth_si
@@ -88,6 +91,41 @@ def test_damping_of_bristles_does_not_bend_the_other_parameters() -> None:
     assert found.parameters["presliding.damping_ratio"].value < 0.02
     inertia = found.parameters["chain.motor_inertia_kgm2"]
     assert inertia.value == pytest.approx(BENCH.nominal.motor_inertia_kgm2, rel=0.04)
+    for name, truth in truth_si(plant.truth).items():
+        estimate = found.parameters[name]
+        assert abs(estimate.value - truth) < 4.0 * estimate.std, name
+
+
+def _sharp(plant: BallscrewPlant, distance_m: float) -> BallscrewPlant:
+    """Bristles everywhere that give way within a distance, a twentieth of critically damped."""
+    par, turning = plant.par, distance_m / BENCH.lead_m_per_rad
+    par[[k.P_GUIDE_BRISTLE, k.P_NUT_BRISTLE, k.P_MOTOR_BRISTLE]] = 1.0
+    par[k.P_GUIDE_BREAK] = distance_m
+    par[[k.P_NUT_BREAK, k.P_MOTOR_BREAK]] = turning
+    for damping, level, distance, mass in (
+        (k.P_GUIDE_DAMPING, k.P_GUIDE_LEVEL, distance_m, k.P_M_TABLE),
+        (k.P_NUT_DAMPING, k.P_NUT_LEVEL, turning, k.P_J_SCREW),
+        (k.P_MOTOR_DAMPING, k.P_MOTOR_LEVEL, turning, k.P_J_MOTOR),
+    ):
+        par[damping] = 0.1 * np.sqrt(par[level] / distance * par[mass])
+    plant.reset()
+    return plant
+
+
+def test_friction_that_sets_in_unseen_is_fitted_and_is_no_finding() -> None:
+    plant = _sharp(make_plant(BENCH, effects={}, seed=7), 0.15e-6)
+    names = {"sine_low_end", "sine_small", "sine_long", "move_long"}
+    motions = [m for m in calibration_motions(BENCH) if m.name in names]
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
+    plain, found = identify(runs, BENCH), identify_with_friction(runs, BENCH)
+    assert found.model is not None
+    assert "every drive has that, it is no finding" in found.statements[0]
+    assert found.parameters["presliding.rotary_m"].value == pytest.approx(0.15e-6, rel=0.3)
+    assert without_onset(found.model).effects == ("coulomb", "viscous")
+    some = {name: MOTIONS[name] for name in list(MOTIONS)[::4]}
+    before, after = (tool.judged(plant, BENCH, each, some) for each in (plain, found))
+    for name in some:
+        assert after[name]["left_um"] < 0.7 * before[name]["left_um"], name
     for name, truth in truth_si(plant.truth).items():
         estimate = found.parameters[name]
         assert abs(estimate.value - truth) < 4.0 * estimate.std, name

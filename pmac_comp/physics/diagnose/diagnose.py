@@ -18,7 +18,7 @@ from pmac_comp.physics.diagnose.estimates import estimates_of
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
-from pmac_comp.physics.diagnose.onset import told
+from pmac_comp.physics.diagnose.onset import told, without_onset
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare
 from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
 from pmac_comp.physics.diagnose.result import (
@@ -94,7 +94,7 @@ def diagnose(
         )
     tell = progress or _silent
     rules = rules or Rules()
-    start = DriveModel.base(bench) if model is None else model
+    start = DriveModel.base(bench) if model is None else without_onset(model)
     library = _candidates(effects, start)
     fit = prepare([*captures, *validate], bench, prefix="capture")
     records, judges = fit[: len(captures)], fit[len(captures) :]

@@ -67,6 +67,16 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     return evaluate(bench, fitted.model)
 
 
+def without_onset(model: DriveModel) -> DriveModel:
+    """The model with Coulomb friction that sets in at once, where it did so unseen.
+
+    What a drive has since then of presliding is a finding, not another value of that distance.
+    """
+    if _resolved(model) or not any(name in model.parameters for name in _DISTANCES):
+        return model
+    return model.without_effect("presliding")
+
+
 def told(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:
     """A sentence on an onset that is part of a model and no finding; none where there is none."""
     names = [name for name in _DISTANCES if name in model.parameters]

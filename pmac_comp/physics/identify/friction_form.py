@@ -105,6 +105,10 @@ class _Form:
 
 
 _FIRST_GUESS = _Form(guide_m=10e-6, rotary_m=5e-6, excess_N=10.0, stribeck_m_per_s=0.005)
+# No friction turns over at once: Coulomb's, as drives have it.
+_ONSET = _Form(0.2e-6, 0.2e-6, excess_N=0.0, stribeck_m_per_s=0.005, has_stribeck=False)
+_ANY_m = 1e-9
+_LENGTHS = ("presliding.distance_m", "presliding.rotary_m")
 
 
 @dataclass(frozen=True)
@@ -225,9 +229,10 @@ def identify_with_friction(
     The base model is fitted first, to within the noise. Where it leaves clearly more around
     reversals than elsewhere, presliding at guide, nut and motor with Stribeck friction is fitted to
     alternate stretches of the captures and judged, like the base model, by table minus motor on the
-    other stretches; then the same with memory at the guide. What is clearly better, without the
-    parts that came out as nothing, is fitted to everything. Otherwise the fit of the base model
-    goes on to its end.
+    other stretches; then the same with memory at the guide. Where nothing comes of it, Coulomb
+    friction that sets in over some tenths of a micrometre is tried in the same way. What is clearly
+    better, without the parts that came out as nothing, is fitted to everything. Otherwise the fit
+    of the base model goes on to its end.
 
     Parameters
     ----------
@@ -271,10 +276,10 @@ def _chosen(
     """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
     found = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
     if found is None or not _better(trial.errors(found), plain, _CLEARLY):
-        return None
+        return _set_in(trial, base, plain, figures)
     form = _form_of(found)
     if form.is_coulomb:
-        return None
+        return _set_in(trial, base, plain, figures)
     if not form.is_whole:
         # What came out as nothing is left out, from the start: it can hold the rest in a corner.
         found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
@@ -290,6 +295,18 @@ def _chosen(
     left = trial.errors(other)
     figures["held_out_gms_um"] = _rms_um(left)
     return other if _better(left, errors, _RATHER) else found
+
+
+def _set_in(
+    trial: _Trial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
+) -> Identification | None:
+    """Coulomb friction with the distances over which it sets in, where held-out samples show it."""
+    found = trial.fitted(_start(base, _ONSET, _ANY_m))
+    if found is None:
+        return None
+    errors = trial.errors(found)
+    figures["held_out_onset_um"] = _rms_um(errors)
+    return found if _better(errors, plain, _CLEARLY) else None
 
 
 def _asked(model: DriveModel) -> list[str]:
@@ -331,11 +348,25 @@ def _in_words(found: Identification, before_um: float, after_um: float) -> str:
     model = found.model
     effects = () if model is None else tuple(n for n in model.effects if n not in BASE_EFFECTS)
     words = ", ".join(_WORDS[name] for name in effects)
+    what = f"Friction beside Coulomb and viscous: {words}."
+    if model is not None and sets_in_unseen(model):
+        over = " and ".join(f"{UM_PER_M * model.parameters[name]:.2g}" for name in _LENGTHS)
+        what = (
+            f"Coulomb friction sets in over {over} um (guide; nut and motor), which is less than "
+            "the motor's encoder resolves: every drive has that, it is no finding."
+        )
     return (
-        f"Friction beside Coulomb and viscous: {words}. On stretches of the captures that were not "
-        f"fitted it leaves {after_um:.2f} um rms of table minus motor, Coulomb and viscous "
-        f"friction alone {before_um:.2f} um. --friction coulomb keeps to the base model."
+        f"{what} On stretches of the captures that were not fitted this leaves {after_um:.2f} um "
+        f"rms of table minus motor, Coulomb and viscous friction alone {before_um:.2f} um. "
+        "--friction coulomb keeps to the base model."
     )
+
+
+def sets_in_unseen(model: DriveModel) -> bool:
+    """Whether all presliding of a model is shorter than a count of its encoder: no presliding."""
+    own = [n for n in model.effects if n not in BASE_EFFECTS]
+    lengths_m = [model.parameters[name] for name in _LENGTHS if name in model.parameters]
+    return own == ["presliding@all"] and max(lengths_m) <= model.bench.motor_resolution_m
 
 
 def _better(new: FloatArray, old: FloatArray, errors: float) -> bool:
