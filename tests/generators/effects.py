@@ -165,7 +165,9 @@ EFFECTS: Mapping[str, Draw] = {
 
 MOST: Mapping[str, float] = {
     "actuator_delay": 3.0,
-    "axial_stiffness_nonlinear": 2.8,  # contact parts beyond 2.4 preloads: no spring any more
+    # The plant's law has no stiffness left at 2.3 preloads and jumps there: the heaviest table in
+    # the hardest run, 920 N, stays below.
+    "axial_stiffness_nonlinear": 2.1,
     "axial_stiffness_position": 6.0,
     "base_mode": 5.0,
     "chain_damping": 8.0,

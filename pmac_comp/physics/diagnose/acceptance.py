@@ -20,7 +20,7 @@ from pmac_comp.physics.model.effect import Effect, split_name
 _FAR_MORE = 4.0
 # Laws of a contact that softens (a series in the deflection, one in the force, Hertz's own) leave
 # of each other, refitted, so much of what softening does: a corner may win by that among them.
-_LAWS = 0.25
+_LAWS = 0.3
 # Effects that are a quantity of the bench file at another value.
 _STATED = frozenset({"payload", "actuator_delay", "current_bandwidth"})
 
