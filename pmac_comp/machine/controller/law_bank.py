@@ -40,9 +40,9 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
-step at a reversal arrives with the axis in spite of latency, delay and current loop. At rest s
-holds, and t fades by 0.005 a cycle over the first 100 cycles; PLC 0 and the open servo look at what
-the integrator wound over a rest and begin the next motion from there (``feedforward_law.plc0``).
+step at a reversal arrives with the axis in spite of latency, delay and current loop. Over the first
+100 cycles of a rest t fades by 0.01 and s by 0.004 a cycle; PLC 0 and the open servo look at what
+the output holds over a rest and begin the next motion from there (``feedforward_law.plc0``).
 """
 
 import zlib
@@ -65,8 +65,9 @@ BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
-REST_CYCLES: Final = 100  # of a rest, in which the torque's friction state fades
-REST_FADE_PER_CYCLE: Final = 0.005
+REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
+REST_FADE_PER_CYCLE: Final = 0.01  # that of the torque
+UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 FLANK_FRAC: Final = 0.2  # of S0: over this much of the elastic correction the gap is crossed
 _OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
@@ -362,8 +363,9 @@ def evaluate(
     start = dict(start_state or {})
     ahead = r + p.L1 * (v + 0.5 * (p.L1 + 1.0) * raw)
     way = np.diff(ahead, prepend=ahead[0])
-    s = _friction_state(way * p.S_INV, start.get("s", 0.0))
-    t = _fading_state(way * p.T_INV, np.abs(v) < _STILL_ct, start.get("t", 0.0))
+    rests = np.abs(v) < _STILL_ct
+    s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
+    t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), REST_FADE_PER_CYCLE)
     x = r - p.X0
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
     if p.GH > 0.0:
@@ -393,14 +395,16 @@ def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, F
     return followed, jerk
 
 
-def _fading_state(u: FloatArray, rests: BoolArray, start: float) -> FloatArray:
+def _fading_state(
+    u: FloatArray, rests: BoolArray, start: float, fade_per_cycle: float
+) -> FloatArray:
     """Friction state that fades over the first cycles of a rest."""
     state = np.empty_like(u)
     value, rested = start, 0
     for k, (step, still) in enumerate(zip(u.tolist(), rests.tolist(), strict=True)):
         rested = rested + 1 if still else 0
         if 0 < rested < REST_CYCLES:
-            value *= 1.0 - REST_FADE_PER_CYCLE
+            value *= 1.0 - fade_per_cycle
         value = (value + step) / (1.0 + abs(step))
         state[k] = value
     return state
@@ -412,14 +416,5 @@ def _flank(way: FloatArray, goal: FloatArray, start: float) -> FloatArray:
     value = start
     for k, (step, wanted) in enumerate(zip(way.tolist(), goal.tolist(), strict=True)):
         value = (value + step * wanted) / (1.0 + step)
-        state[k] = value
-    return state
-
-
-def _friction_state(u: FloatArray, start: float) -> FloatArray:
-    state = np.empty_like(u)
-    value = start
-    for k, step in enumerate(u.tolist()):
-        value = (value + step) / (1.0 + abs(step))
         state[k] = value
     return state

@@ -26,21 +26,21 @@ ends is not taken for one that turns, and at rest the place expected is the plac
 foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
 which motions with limited jerk never meet.
 
-The friction of the table holds at rest, as its guide does: in closed-loop simulation with Coulomb
-friction, and with presliding at guide, nut or motor, the table's lag stays within some per cent
-over the first half second of a dwell. The torque's state fades to 0.6 over the first 100 cycles of
-a rest. All of it is just what breaks the motor loose: with what the integrator holds beside it, a
-motor whose bearings slide into their friction creeps on by micrometres (10 um of 20 mm pitch). Were
-nothing left, it would creep back by its presliding distance, and the integrator, which then holds
-the axis, would push the wrong way at the next reversal. A card starts ``t`` at zero when the law is
-armed.
+Over the first 100 cycles of a rest ``t`` fades to 0.37. All of it is just what breaks the motor
+loose: with what the integrator holds beside it, and where counts of the encoder keep the drive
+ringing, a motor whose bearings slide into their friction creeps on by micrometres (10 um of 20 mm
+pitch). Were nothing left, it would creep back by its presliding distance. As the torque fades the
+screw unwinds a little and the table comes along: ``s`` fades to 0.67. In closed-loop simulation
+with Coulomb friction, and with presliding at guide, nut, motor or all of them, 0.57 to 0.73 of the
+table's lag are left, and stay over the first half second of a dwell. A card starts ``t`` at zero
+when the law is armed.
 
-An axis that stops inside its friction is not at rest for the controller: its integrator winds
-until the motor creeps, and what it wound would act on top of ``t`` when the next motion begins (60
-um with 2 Tc wound). The card therefore looks at its own output while the command rests. What that
-changed by tells where friction stands; a motion begins with ``t`` there, no further than friction
-reaches, and the difference stays in the torque and fades over the motion, so that nothing jumps.
-Simulations here start relaxed and have no such rest.
+At rest nothing accelerates: what the output holds beside bias and cogging is friction. The card
+therefore looks at its own output while the command rests. What that has beyond the law's torque, of
+the integrator and of the position error, tells where friction stands; a motion begins with ``t``
+there, no further than friction reaches, and the difference stays in the torque and fades over the
+motion, so that nothing jumps. Here that needs the output of a run (``evaluate_law``); without one
+no rest winds anything.
 
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
@@ -61,8 +61,11 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
 
 FLANK_FRAC = 0.2  # of the friction's elastic part: over this the law crosses the gap
-REST_CYCLES = 100.0  # servo cycles of rest in which the friction torque fades
-REST_FADE_PER_CYCLE = 0.005  # of it: 0.6 is left
+REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
+REST_FADE_PER_CYCLE = 0.01  # of the torque's: 0.37 is left
+UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
+OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
+WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
 _STILL_m = 1e-12  # of a cycle: a card's register of the commanded position has coarser steps
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 
@@ -224,7 +227,12 @@ class LawSignals:
 
 
 def evaluate_law(
-    law: CompensationLaw, position_m: FloatArray, period_s: float, *, latency_cycles: int = 0
+    law: CompensationLaw,
+    position_m: FloatArray,
+    period_s: float,
+    *,
+    latency_cycles: int = 0,
+    output_Nm: FloatArray | None = None,
 ) -> LawSignals:
     """Correction in m and torque in N m along a commanded position.
 
@@ -238,6 +246,9 @@ def evaluate_law(
         Servo period in s.
     latency_cycles : int
         Cycles by which the servo receives the values late (1 from PLC 0, 0 in the open servo).
+    output_Nm : FloatArray, shape (n,), or None
+        Output of the controller along this trajectory, which tells what rests wound; None means
+        that they wound nothing.
 
     Returns
     -------
@@ -248,8 +259,14 @@ def evaluate_law(
     position = finite_array("position_m", position_m)
     values = np.array([float(getattr(law, name)) for name in coefficient_names()])
     every = law.every_cycles
+    output = np.zeros(0) if output_Nm is None else finite_array("output_Nm", output_Nm)
     correction, torque = _evaluate(
-        values, position[::every], every * period_s, law.jerk_limit_m_per_s3, float(every)
+        values,
+        position[::every],
+        output[::every],
+        every * period_s,
+        law.jerk_limit_m_per_s3,
+        float(every),
     )
     correction = np.repeat(correction, every)[: position.size]
     torque = np.repeat(torque, every)[: position.size]
@@ -283,9 +300,11 @@ def delayed(values: FloatArray, cycles: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _evaluate(
-    p: FloatArray, r: FloatArray, period: float, limit: float, every: float
+    p: FloatArray, r: FloatArray, output: FloatArray, period: float, limit: float, every: float
 ) -> tuple[FloatArray, FloatArray]:
     n = r.size
+    seen = output.size == n
+    beyond = wound = 0.0
     correction = np.empty(n)
     torque = np.empty(n)
     v = a = s = t = g = rest = 0.0
@@ -298,12 +317,23 @@ def _evaluate(
         ahead = place
         j = min(max(((v - v1) / period - a) / period, -limit), limit)
         a += j * period
+        if abs(v) * period < _STILL_m:
+            rest += every
+            if seen and k > 0:
+                beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
+            if rest < REST_CYCLES:
+                t *= 1.0 - REST_FADE_PER_CYCLE * every
+                s *= 1.0 - UNWIND_PER_CYCLE * every
+        else:
+            if seen and rest >= REST_CYCLES and p[12] > 0.0:
+                stands = min(max(t + (beyond + wound) / p[12], -1.0), 1.0)
+                wound += p[12] * (t - stands)
+                t = stands
+            rest = 0.0
+            wound *= WOUND_FADE
         # Implicit Euler of the friction states: holds at standstill, never overshoots.
         u = step / p[7]
         s = (s + u) / (1.0 + abs(u))
-        rest = rest + every if abs(v) * period < _STILL_m else 0.0
-        if 0.0 < rest < REST_CYCLES:
-            t *= 1.0 - REST_FADE_PER_CYCLE * every
         w = step / p[15]
         t = (t + w) / (1.0 + abs(w))
         x = r[k] - p[23]
@@ -317,5 +347,5 @@ def _evaluate(
         angle = 2.0 * math.pi * (r[k] + p[22] * v) / p[16]
         level = p[12] + p[13] * abs(a) + p[17] * math.sin(angle + p[18])
         ripple = p[19] * math.sin(p[20] * angle + p[21])
-        torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[14] + ripple
+        torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[14] + ripple + wound
     return correction, torque
