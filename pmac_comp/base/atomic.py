@@ -24,8 +24,9 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
         From the file system; the old file is then untouched.
     """
     temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
-    # Never a file that is there already; readable by its owner only, as temporary files are.
-    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o600)
+    # Never a file that is there already. Who may read it is for the user's umask to say: a model or
+    # report on a bench's computer is for everybody who works there.
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
     try:
         try:
             rest = memoryview(data)

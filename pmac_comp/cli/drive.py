@@ -68,11 +68,12 @@ def identify(
     With --model or --with, exactly these effects are fitted. Otherwise the form of friction is
     chosen by the captures (--friction), and the output says which one and why.
     """
+    from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.identification import identify_files
 
     progress = ProgressLines()
     outcome = identify_files(
-        captures,
+        capture_paths(captures),
         bench,
         model=model,
         added=tuple(with_effect or ()),
@@ -91,9 +92,11 @@ def identify(
     def show() -> None:
         output.table(
             "identified",
-            ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %", "published/known"),
+            ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %", "bench file"),
             outcome.rows(),
         )
+        left = ", ".join(f"{what} {value:.3g} {unit}" for what, value, unit in outcome.left())
+        output.echo(f"left by the model, rms: {left}")
         for line in outcome.statements():
             output.echo(f"  {line}")
         for path, what in ((out, "model"), (report, "report")):
@@ -175,12 +178,13 @@ def diagnose(
     Without --validate part of the captures is held back for judging. With --json FILE the grown
     model is stored beside it as FILE.model.json.
     """
+    from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.diagnosis import diagnose_files
 
     progress = ProgressLines()
     outcome = diagnose_files(
-        captures,
-        validate or [],
+        capture_paths(captures),
+        capture_paths(validate or ()),
         bench,
         model=model,
         base=tuple(base or ()),
@@ -212,10 +216,13 @@ def compare(
     simulated on the identified model. On a bench without a scale friction models are compared on
     the motor of one record: closed loop lap by lap, and one step ahead.
     """
+    from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.comparison import compare_files
 
     progress = ProgressLines()
-    result = compare_files(captures, validate or [], bench, progress=progress)
+    result = compare_files(
+        capture_paths(captures), capture_paths(validate or ()), bench, progress=progress
+    )
     progress.close()
     if report is not None:
         from pmac_comp.report.comparison import write_comparison_report

@@ -9,7 +9,9 @@ UrlArgument = Annotated[
     str,
     typer.Argument(help="sim:// tcp://host:1025 udp://host:1025 serial:///dev/ttyS0 ssh://..."),
 ]
-CapturesArgument = Annotated[list[Path], typer.Argument(help="Captures: .h5 .csv .mat")]
+CapturesArgument = Annotated[
+    list[Path], typer.Argument(help="Captures: .h5 .csv .mat, or folders of them")
+]
 CompensationArgument = Annotated[
     Path, typer.Argument(help="Compensation file written by `compensate`")
 ]
@@ -25,7 +27,8 @@ EffectsOption = Annotated[
     ),
 ]
 ValidateOption = Annotated[
-    list[Path] | None, typer.Option("--validate", help="Captures for judging, one or several")
+    list[Path] | None,
+    typer.Option("--validate", help="Captures or folders for judging, one or several"),
 ]
 JournalOption = Annotated[Path, typer.Option("--journal", help="Folder for backup and journal")]
 PersistOption = Annotated[

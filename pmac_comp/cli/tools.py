@@ -81,7 +81,7 @@ def config_check(
 ) -> None:
     """Check a bench file: keys, values, and whether its figures fit each other."""
     from pmac_comp.files.bench import load_bench
-    from pmac_comp.workflow.bench_view import remarks
+    from pmac_comp.workflow.bench_remarks import remarks
 
     loaded = load_bench(bench)
     found = remarks(loaded)

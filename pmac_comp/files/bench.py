@@ -343,14 +343,18 @@ def load_bench(path: Path | str) -> Bench:
         Missing file, bad TOML, unknown key (the nearest known one is named) or bad value.
     """
     source = _resolve(path)
+    known = "Give the path of a bench file, or the name of a bundled one: " + ", ".join(
+        bundled_benches()
+    )
+    if not source.exists():
+        raise ConfigError(f"There is no bench file {source}.", code="PC-CFG-002", hint=known)
     try:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"The bench file {source} cannot be read: {error}.",
             code="PC-CFG-002",
-            hint="Give the path of a bench file, or the name of a bundled one: "
-            + ", ".join(bundled_benches()),
+            hint=known,
         ) from error
     return parse_bench(text, name=source.name)
 
@@ -374,8 +378,9 @@ def parse_bench(text: str, *, name: str = "bench file") -> Bench:
         return Bench.model_validate({**data, "text": text})
     except ValidationError as error:
         lines = problems(error, Bench)
+        what = "a problem" if len(lines) == 1 else f"{len(lines)} problems"
         raise ConfigError(
-            f"{name} has {len(lines)} problem(s):\n" + "\n".join(f"  - {line}" for line in lines),
+            f"{name} has {what}:\n" + "\n".join(f"  - {line}" for line in lines),
             code="PC-CFG-004",
             hint="Correct the keys; `pmac-comp config show` prints all keys with their defaults.",
             context={"problems": lines},

@@ -18,6 +18,7 @@ from pmac_comp.base.atomic import atomic_write_text, sync_folder
 from pmac_comp.base.errors import CaptureError
 
 MAX_SAMPLES = 200_000_000
+_OTHER_SEPARATORS = (";", "\t", " ")  # what spreadsheets of other countries write
 Attribute = str | float | int
 Columns = Mapping[str, FloatArray]
 
@@ -104,6 +105,12 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
             code="PC-CAP-012",
             hint="The first line must name the columns: time_s,commanded_position_mm,"
             "motor_position_mm and more.",
+        )
+    if len(names) == 1 and any(mark in names[0] for mark in _OTHER_SEPARATORS):
+        raise CaptureError(
+            f"the columns of the header line are not separated by commas: {names[0][:80]!r}.",
+            code="PC-CAP-016",
+            hint="Export with commas between columns and a point in numbers.",
         )
     rows = _number_rows(lines[1:], len(names))
     return {name: rows[:, i].copy() for i, name in enumerate(names)}, attributes

@@ -1,6 +1,7 @@
 """What is wrong with a file, in words: where, what was found, and the nearest key that exists."""
 
 import difflib
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -28,7 +29,10 @@ def _explain(item: Any, root: type[BaseModel]) -> str:
         return f"unknown key '{where}'{_nearest(location, root)}"
     if item["type"] == "missing":
         return f"missing key '{where}'"
-    return f"'{where}': {item['msg']} (got {item.get('input')!r})"
+    message, found = str(item["msg"]).removeprefix("Value error, "), item.get("input")
+    # Of a table that does not fit together, the message says what; its contents would bury that.
+    got = "" if isinstance(found, Mapping) else f" (got {found!r})"
+    return f"'{where}': {message}{got}"
 
 
 def _nearest(location: list[str], root: type[BaseModel]) -> str:

@@ -14,20 +14,25 @@ from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.workflow.identification import IdentificationOutcome
 
 _MOST_CAPTURES = 8
+_FIGURES = {
+    "rounds": "rounds of refinement",
+    "last_step_std": "last step, in standard deviations of the parameters",
+    "held_out_coulomb_um": "left on held-out stretches with Coulomb friction, um rms",
+    "held_out_lugre_um": "left on held-out stretches with LuGre friction, um rms",
+    "held_out_gms_um": "left on held-out stretches with GMS friction, um rms",
+    "held_out_onset_um": "left on held-out stretches with a fitted onset of friction, um rms",
+    "relative_force_error_percent": "relative error of the force, %",
+    "closed_loop_position_rms_um": "motor position from the command alone, um rms",
+    "closed_loop_position_peak_um": "motor position from the command alone, um at most",
+    "closed_loop_force_error_percent": "force from the command alone, relative error %",
+}
 
 
 def write_identification_report(outcome: IdentificationOutcome, path: Path) -> Path:
     """Report of an identification as one page."""
     found = outcome.identification
-    noise = outcome.model_file.noise
     headline = [
-        (f"{value:.3g} {unit}", f"left in {what}, rms")
-        for value, unit, what in (
-            (noise.motor_um, "um", "motor position"),
-            (noise.table_um, "um", "table minus motor"),
-            (noise.torque_Nm, "N m", "torque"),
-        )
-        if value is not None
+        (f"{value:.3g} {unit}", f"left in {what}, rms") for what, value, unit in outcome.left()
     ]
     sections = [
         Section(
@@ -38,7 +43,10 @@ def write_identification_report(outcome: IdentificationOutcome, path: Path) -> P
                     ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %", "bench file"),
                     outcome.rows(),
                 ),
-                Table(("figure of merit", "value"), list(found.figures.items())),
+                Table(
+                    ("of the fit", "value"),
+                    [(_FIGURES.get(key, key), value) for key, value in found.figures.items()],
+                ),
             ],
         ),
         _correlations(outcome),

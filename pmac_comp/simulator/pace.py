@@ -146,6 +146,7 @@ def _too_slow(factor: float, done: int, lost: int) -> str:
     """What is said when time falls behind: cycles done and cycles lost so far."""
     share = done / (done + lost)
     return (
-        f"simulated time falls behind: {share * factor:.2g} of real time instead of {factor:g}. "
-        "A plant written in Python may take longer than a servo period; see tools/bench simulator."
+        f"simulated time falls behind: {share * factor:.3g} of real time instead of {factor:g}. "
+        "The machine is busy, or a plant written in Python takes longer than a servo period; see "
+        "tools/bench simulator."
     )

@@ -8,8 +8,6 @@ from pydantic import BaseModel
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
 
-_RESONANCE_MARGIN = 0.25
-
 
 def bench_rows(bench: Bench) -> list[tuple[str, Any, str, str]]:
     """Every key with its value, ``file`` or ``default``, and what it is."""
@@ -80,37 +78,3 @@ def tuned_motors(bench: Bench) -> list[int]:
     """Motors whose proportional gain (Ixx30) the bench file states."""
     names = [name for name in bench.controller.ivariables if name[-2:] == "30"]
     return [number for number in range(1, 33) if f"I{number}30" in names]
-
-
-def remarks(bench: Bench) -> list[str]:
-    """Where the figures of a bench file do not fit each other."""
-    out: list[str] = []
-    computed, stated = resonance_Hz(bench), bench.known.resonance_Hz
-    if computed and stated and abs(computed / stated - 1.0) > _RESONANCE_MARGIN:
-        out.append(
-            f"mass and stiffness give a resonance of {computed:.0f} Hz, [known] resonance_Hz says "
-            f"{stated:.0f} Hz"
-        )
-    rounded = bench.controller.servo_period_us * 1e-6
-    if abs(bench.servo_period_s / rounded - 1.0) > 1e-3:
-        out.append(
-            f"I10 gives a servo period of {bench.servo_period_s * 1e6:.3f} us, servo_period_us "
-            f"says {bench.controller.servo_period_us:g} us; I10 is used"
-        )
-    ends = [bench.screw_position_m(mm / 1e3) for mm in (bench.travel.min_mm, bench.travel.max_mm)]
-    if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / 1e3:
-        out.append(
-            f"the travel puts the nut at {min(ends) * 1e3:.0f} to {max(ends) * 1e3:.0f} mm of a "
-            f"{bench.screw.length_mm:g} mm screw; check bearing_to_table_zero_mm"
-        )
-    tuned = tuned_motors(bench)
-    if tuned and bench.encoder.motor_number not in tuned:
-        out.append(
-            f"[controller.ivariables] holds gains of motor #{tuned[0]}, [encoder] motor_number is "
-            f"{bench.encoder.motor_number}: are encoder and scale swapped?"
-        )
-    if bench.scale is None:
-        out.append("there is no [scale]: compensation at the table cannot be identified or checked")
-    if bench.controller.kind == "pmac" and bench.controller.ivariables.get("I8", 2.0) != 0.0:
-        out.append("I8 is not 0: the route law will not run every servo cycle")
-    return out

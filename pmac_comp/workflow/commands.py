@@ -100,7 +100,9 @@ def _rows(path: Path) -> list[list[str]]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(
-            f"The command file {path} cannot be read: {error}.", code="PC-CMD-004"
+            f"The command file {path} cannot be read: {error}.",
+            code="PC-CMD-004",
+            hint="Give a CSV file with time_s,commanded_position_mm, or a capture (.csv .h5 .mat).",
         ) from error
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     return list(csv.reader(lines))

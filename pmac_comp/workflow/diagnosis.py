@@ -14,8 +14,8 @@ from pmac_comp.workflow.identification import load_model, user_effects
 from pmac_comp.workflow.same_axis import (
     check_channels,
     check_not_twice,
-    check_period,
     check_same_loop,
+    check_scales,
 )
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def diagnose_files(
     check_not_twice({str(p): digests[p] for p in captures}, {str(p): digests[p] for p in validate})
     read = {path: read_capture(path) for path in digests}
     for path, capture in read.items():
-        check_period(capture, loaded, path.name)
+        check_scales(capture, loaded, path.name)
         check_same_loop(capture, loaded, path.name)
     remark = check_channels({path.name: capture for path, capture in read.items()}, loaded)
     outcome = diagnose_captures(

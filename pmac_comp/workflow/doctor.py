@@ -10,7 +10,7 @@ from pmac_comp import __version__
 from pmac_comp.base.errors import FlashSuspect, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.resources import data_folder
-from pmac_comp.workflow.bench_view import remarks
+from pmac_comp.workflow.bench_remarks import remarks
 
 if TYPE_CHECKING:
     from pmac_comp.workflow.axis import Axis

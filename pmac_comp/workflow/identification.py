@@ -55,6 +55,19 @@ class IdentificationOutcome:
             for name, p in self.model_file.parameters.items()
         ]
 
+    def left(self) -> list[tuple[str, float, str]]:
+        """What the model leaves of the captures, rms: channel, figure and unit."""
+        noise = self.model_file.noise
+        return [
+            (what, value, unit)
+            for what, value, unit in (
+                ("motor position", noise.motor_um, "um"),
+                ("table minus motor", noise.table_um, "um"),
+                ("torque", noise.torque_Nm, "N m"),
+            )
+            if value is not None
+        ]
+
     def statements(self) -> tuple[str, ...]:
         """Identifiability in words."""
         return tuple(self.identification.statements)

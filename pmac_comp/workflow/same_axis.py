@@ -26,6 +26,9 @@ _OF_THE_AXIS = (
     "drive.torque_per_dac_Nm",
 )
 PERIOD_TOLERANCE = 1e-3
+_COARSEST = 200.0  # servo periods per sample: below 12 Hz nothing of a drive is seen
+_TRAVELS = 1.5  # a command may reach over a travel that is stated too tightly
+_FAR = 10.0  # times the farthest end: a zero that lies elsewhere, and no other unit
 _SAME_MOTION_FRAC = 0.05  # of the stroke: a run may begin some samples later than another
 
 
@@ -42,13 +45,48 @@ def captures_of(paths: Sequence[Path], bench: Bench) -> list[Capture]:
     found = [read_capture(path) for path in paths]
     for path, capture in zip(paths, found, strict=True):
         check_same_axis(capture, bench, path.name)
-        check_period(capture, bench, path.name)
+        check_scales(capture, bench, path.name)
     return found
 
 
-def check_period(capture: Capture, bench: Bench, name: str) -> None:
-    """Refuse a capture that does not fit the servo period; multiples of it do."""
+def check_scales(capture: Capture, bench: Bench, name: str) -> None:
+    """Refuse a capture whose time or lengths cannot be those of this axis: units, above all.
+
+    The sample period must be the servo period or a multiple of it, and the command must lie within
+    a travel like that of the bench file.
+
+    Raises
+    ------
+    ConfigError
+        They are not.
+    """
     ratio = capture.sample_period_s / bench.servo_period_s
+    if ratio > _COARSEST:
+        raise ConfigError(
+            f"{name} is sampled every {capture.sample_period_s:.4g} s, {ratio:.0f} servo periods.",
+            code="PC-IDF-008",
+            hint="Is its time in milliseconds? time_s is in seconds. Else capture finer.",
+        )
+    _check_period(ratio, capture, bench, name)
+    used_mm = capture.commanded_position_m[capture.mask] * MM_PER_M
+    if used_mm.size:
+        _check_lengths(float(used_mm.min()), float(used_mm.max()), bench, name)
+
+
+def _check_lengths(low_mm: float, high_mm: float, bench: Bench, name: str) -> None:
+    travel = bench.travel
+    farthest_mm = max(abs(travel.min_mm), abs(travel.max_mm))
+    too_long = high_mm - low_mm > _TRAVELS * (travel.max_mm - travel.min_mm)
+    if too_long or max(-low_mm, high_mm) > _FAR * farthest_mm:
+        raise ConfigError(
+            f"{name} commands {low_mm:.4g} to {high_mm:.4g} mm, the travel of the bench file is "
+            f"{travel.min_mm:g} to {travel.max_mm:g} mm.",
+            code="PC-IDF-009",
+            hint="Are its positions in um or counts? They are in mm. Else correct [travel].",
+        )
+
+
+def _check_period(ratio: float, capture: Capture, bench: Bench, name: str) -> None:
     if ratio < 1.0 - PERIOD_TOLERANCE or abs(ratio / round(ratio) - 1.0) > PERIOD_TOLERANCE:
         raise ConfigError(
             f"{name} is sampled every {capture.sample_period_s * 1e6:.2f} us, the servo period of "

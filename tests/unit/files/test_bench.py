@@ -86,3 +86,18 @@ def test_a_screw_whose_bearing_is_not_placed_has_the_travel_in_its_middle() -> N
     bench = parse_bench(text.replace("min_mm = -300.0", "min_mm = -100.0"))
     assert bench.screw_position_m(0.0) == pytest.approx(0.4)
     assert bench.screw_position_m(bench.mid_travel_m) == pytest.approx(0.5)
+
+
+def test_what_does_not_fit_together_is_said_without_the_whole_table():
+    text = load_bench("paper").text.replace("I131 = 2774", "I9999 = 2774")
+    with pytest.raises(ConfigError) as caught:
+        parse_bench(text, name="b.toml")
+    assert caught.value.message == (
+        "b.toml has a problem:\n"
+        "  - 'controller': 'I9999' in [controller.ivariables] is not an I-variable"
+    )
+
+
+def test_a_missing_file_is_said_in_words(tmp_path):
+    with pytest.raises(ConfigError, match=r"There is no bench file .*b\.toml"):
+        load_bench(tmp_path / "b.toml")

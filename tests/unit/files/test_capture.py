@@ -65,6 +65,7 @@ def test_motor_only_captures_are_captures(tmp_path):
         ("", CaptureError, "header"),
         ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n", CaptureError, "1 samples"),
         ("time_s,time_s,motor_position_mm\n0,0,0\n", CaptureError, "twice"),
+        ("time_s;commanded_position_mm;motor_position_mm\n0;0;0\n", CaptureError, "commas"),
     ],
 )  # fmt: skip
 def test_bad_csv_is_refused_with_the_place(tmp_path, text, kind, expected):

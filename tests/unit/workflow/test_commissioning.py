@@ -14,7 +14,7 @@ from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.bench_view import remarks
+from pmac_comp.workflow.bench_remarks import remarks
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.commissioning import (
     reference_remarks,

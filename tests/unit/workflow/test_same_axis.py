@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import CaptureError, ConfigError
-from pmac_comp.files.bench import load_bench, parse_bench
+from pmac_comp.files.bench import Travel, load_bench, parse_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import ModelFile, written_for
 from pmac_comp.workflow.same_axis import (
@@ -17,6 +17,7 @@ from pmac_comp.workflow.same_axis import (
     check_same_axis,
     check_same_drive,
     check_same_loop,
+    check_scales,
 )
 
 BENCH = load_bench("paper")
@@ -114,3 +115,29 @@ def test_a_model_stays_valid_under_other_gains_limits_and_nominal_values():
 
 def test_a_model_that_does_not_say_where_it_is_from_passes():
     check_same_drive(ModelFile(parameters={}), BENCH, "m.json")
+
+
+def scaled(time: float, length: float) -> Capture:
+    run = moving(0.02, 0.1)
+    r = length * run.commanded_position_m
+    return Capture(time * run.time_s, r, r)
+
+
+@pytest.mark.parametrize(
+    ("time", "length", "said"),
+    [
+        (1e3, 1.0, "milliseconds"),
+        (1.0, 1e3, "um or counts"),
+        (2.5, 1.0, "servo rate"),
+    ],
+)
+def test_a_capture_in_other_units_is_refused_with_the_unit_that_is_meant(time, length, said):
+    check_scales(scaled(1.0, 1.0), BENCH, "a.csv")
+    with pytest.raises(ConfigError) as caught:
+        check_scales(scaled(time, length), BENCH, "a.csv")
+    assert said in caught.value.hint
+
+
+def test_a_travel_far_from_zero_is_no_other_unit():
+    bench = BENCH.model_copy(update={"travel": Travel(min_mm=5000.0, max_mm=5300.0)})
+    check_scales(moving(0.2, 5.15), bench, "a.csv")

@@ -1,0 +1,140 @@
+"""Where figures of a bench file do not fit each other, or fit no ball-screw axis at all.
+
+What lives here: remarks, no refusals; an axis may be out of the ordinary, but nearly always a value
+is in another unit. What may not: whether keys and values are allowed (``files.bench``).
+"""
+
+import math
+
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.files.bench import Bench, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
+from pmac_comp.workflow.bench_view import resonance_Hz, tuned_motors
+
+_RESONANCE_MARGIN = 0.25
+# Wide enough for every catalogue axis: what lies outside differs by a power of ten, as units do.
+_PITCH_mm = (0.5, 80.0)
+_COUNT_um = (1e-4, 50.0)
+_RESONANCE_Hz = (5.0, 3000.0)
+_GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
+_DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
+_FULL_DAC = 32768.0
+_NO_LIMIT_Nm = 999.0  # benches without torque data state a limit that is never met
+
+
+def remarks(bench: Bench) -> list[str]:
+    """Where the figures of a bench file do not fit each other."""
+    out: list[str] = []
+    computed, stated = resonance_Hz(bench), bench.known.resonance_Hz
+    if computed and stated and abs(computed / stated - 1.0) > _RESONANCE_MARGIN:
+        out.append(
+            f"mass and stiffness give a resonance of {computed:.0f} Hz, [known] resonance_Hz says "
+            f"{stated:.0f} Hz"
+        )
+    rounded = bench.controller.servo_period_us * 1e-6
+    if abs(bench.servo_period_s / rounded - 1.0) > 1e-3:
+        out.append(
+            f"I10 gives a servo period of {bench.servo_period_s * 1e6:.3f} us, servo_period_us "
+            f"says {bench.controller.servo_period_us:g} us; I10 is used"
+        )
+    ends = [bench.screw_position_m(mm / 1e3) for mm in (bench.travel.min_mm, bench.travel.max_mm)]
+    if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / 1e3:
+        out.append(
+            f"the travel puts the nut at {min(ends) * 1e3:.0f} to {max(ends) * 1e3:.0f} mm of a "
+            f"{bench.screw.length_mm:g} mm screw; check bearing_to_table_zero_mm"
+        )
+    tuned = tuned_motors(bench)
+    if tuned and bench.encoder.motor_number not in tuned:
+        out.append(
+            f"[controller.ivariables] holds gains of motor #{tuned[0]}, [encoder] motor_number is "
+            f"{bench.encoder.motor_number}: are encoder and scale swapped?"
+        )
+    if bench.scale is None:
+        out.append("there is no [scale]: compensation at the table cannot be identified or checked")
+    if bench.controller.kind == "pmac" and bench.controller.ivariables.get("I8", 2.0) != 0.0:
+        out.append("I8 is not 0: the route law will not run every servo cycle")
+    return out + implausible(bench)
+
+
+def implausible(bench: Bench) -> list[str]:
+    """Remarks on figures that lie far outside what ball-screw axes have, with the unit to check."""
+    out = _sizes(bench)
+    out += _screw(bench)
+    out += _output(bench)
+    out += _acceleration(bench)
+    return out
+
+
+def _outside(value: float, bounds: tuple[float, float]) -> bool:
+    return not bounds[0] <= value <= bounds[1]
+
+
+def _sizes(bench: Bench) -> list[str]:
+    out = []
+    screw, scale_m = bench.screw, bench.scale_resolution_m
+    if _outside(screw.pitch_mm, _PITCH_mm):
+        out.append(f"pitch_mm = {screw.pitch_mm:g} is no ball screw's; it is mm per revolution")
+    count_um = bench.motor_resolution_m * UM_PER_M
+    if _outside(count_um, _COUNT_um):
+        out.append(f"one encoder count is {count_um:.3g} um: check pitch_mm and counts_per_rev")
+    if scale_m is not None and _outside(scale_m * UM_PER_M, _COUNT_um):
+        out.append(f"resolution_um = {scale_m * UM_PER_M:g} is no linear scale's; one count in um")
+    if screw.root_diameter_mm is not None and screw.root_diameter_mm > screw.diameter_mm:
+        out.append(
+            f"root_diameter_mm = {screw.root_diameter_mm:g} is larger than diameter_mm = "
+            f"{screw.diameter_mm:g}"
+        )
+    computed = resonance_Hz(bench)
+    if computed is not None and _outside(computed, _RESONANCE_Hz):
+        out.append(
+            f"mass, inertias and stiffnesses give a first resonance of {computed:.3g} Hz: check "
+            "their units in [nominal]"
+        )
+    return out
+
+
+def _screw(bench: Bench) -> list[str]:
+    """Inertia and rigidity that are stated against those of a steel screw of these dimensions."""
+    screw, nominal = bench.screw, bench.nominal
+    diameter_m, root_m = screw.diameter_mm / MM_PER_M, bench.root_diameter_m
+    inertia = STEEL_DENSITY_kg_per_m3 * math.pi / 32.0 * root_m**2 * diameter_m**2
+    inertia *= screw.length_mm / MM_PER_M
+    rigidity = STEEL_YOUNG_Pa * math.pi / 4.0 * root_m**2
+    return [
+        f"{key} = {stated:g}, but a steel screw of {screw.diameter_mm:g} mm x "
+        f"{screw.length_mm:g} mm has about {usual:.2g} {unit}"
+        for key, stated, usual, unit in (
+            ("screw_inertia_kgm2", nominal.screw_inertia_kgm2, inertia, "kg m2"),
+            ("screw_rigidity_N", nominal.screw_rigidity_N, rigidity, "N"),
+        )
+        if stated is not None and _outside(stated / usual, (1.0 / _GEOMETRY, _GEOMETRY))
+    ]
+
+
+def _output(bench: Bench) -> list[str]:
+    drive = bench.drive
+    full_Nm = drive.torque_per_dac_Nm * _FULL_DAC
+    known = bench.controller.kind == "pmac" and drive.torque_limit_Nm < _NO_LIMIT_Nm
+    if not known or not _outside(full_Nm / drive.torque_limit_Nm, _DAC_SHARE):
+        return []
+    return [
+        f"the full output of 32768 DAC units gives {full_Nm:.3g} N m, torque_limit_Nm is "
+        f"{drive.torque_limit_Nm:g}: check torque_per_dac_Nm (torque of one unit)"
+    ]
+
+
+def _acceleration(bench: Bench) -> list[str]:
+    """Whether the peak torque can give the acceleration that is allowed."""
+    nominal, lead, limit_Nm = bench.nominal, bench.lead_m_per_rad, bench.drive.torque_limit_Nm
+    inertia = (
+        (nominal.motor_inertia_kgm2 or 0.0)
+        + (nominal.screw_inertia_kgm2 or 0.0)
+        + (nominal.table_mass_kg or 0.0) * lead**2
+    )
+    wanted = bench.safety.max_acceleration_m_per_s2
+    if inertia == 0.0 or limit_Nm * lead / inertia >= wanted:
+        return []
+    return [
+        f"torque_limit_Nm = {limit_Nm:g} accelerates this axis at {limit_Nm * lead / inertia:.3g} "
+        f"m/s2 at most, max_acceleration_m_per_s2 is {wanted:g}: check inertias, mass and torque, "
+        "or lower the limit"
+    ]

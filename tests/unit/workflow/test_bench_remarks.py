@@ -1,0 +1,32 @@
+"""Figures in another unit are remarked on; benches that exist are not."""
+
+import pytest
+
+from pmac_comp.files.bench import load_bench, parse_bench
+from pmac_comp.workflow.bench_remarks import implausible, remarks
+
+TEXT = load_bench("paper").text
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_x4", "emps"])
+def test_existing_benches_are_plausible(name):
+    assert implausible(load_bench(name)) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pitch_mm = 10.0", "pitch_mm = 0.010", "no ball screw's"),
+        ("counts_per_rev = 10000.0", "counts_per_rev = 1.0", "one encoder count is 1e+04 um"),
+        ("resolution_um = 0.125", "resolution_um = 125.0", "no linear scale's"),
+        ("root_diameter_mm = 22.0", "root_diameter_mm = 28.0", "larger than diameter_mm"),
+        ("stiffness_N_per_um = 97.14", "stiffness_N_per_um = 9.714e-5", "first resonance"),
+        ("motor_inertia_kgm2 = 5.45e-4", "motor_inertia_kgm2 = 5.45", "accelerates this axis"),
+        ("screw_inertia_kgm2 = 2.557e-4", "screw_inertia_kgm2 = 2.557", "a steel screw of 25 mm"),
+        ("screw_rigidity_N = 7.83e7", "screw_rigidity_N = 7.83e4", "a steel screw of 25 mm"),
+        ("torque_per_dac_Nm = 5.8319e-4", "torque_per_dac_Nm = 19.11", "torque of one unit"),
+    ],
+)
+def test_a_value_in_another_unit_is_remarked_on(old, new, said):
+    assert old in TEXT
+    assert said in " ".join(remarks(parse_bench(TEXT.replace(old, new, 1))))
