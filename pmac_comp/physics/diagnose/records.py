@@ -23,18 +23,13 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
+from pmac_comp.physics.identify.resting import first_under_way, resting_torque_Nm
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
-_TAKE_UP_m = 50e-6
 _FORGETTING = 6.0
-# A command rests within this (its sum of fractions of a count is not exact); so long, and at
-# least so many samples, tell what an integrator holds.
-_REST_m = 1e-12
-_REST_s = 0.02
-_LEAST_REST = 5
 _DATE = "start_utc"
 DATED: Mapping[int, float] = MappingProxyType({-1: 0.0})
 """Start times of runs that are those of their files' dates."""
@@ -142,17 +137,14 @@ class Record:
         force = self.external_force_N
         if probe_force_N is not None:
             force = probe_force_N if force is None else force + probe_force_N
-        # An integrator that starts at a value is one that starts at zero beside a constant.
-        torque = np.full(self.commanded_m.size, self.rest_torque_Nm)
-        if probe_torque_Nm is not None:
-            torque += probe_torque_Nm
         return simulate(
             model,
             self.commanded_m,
             desired_position_m=self.desired_m,
-            torque_feedforward_Nm=torque,
+            torque_feedforward_Nm=probe_torque_Nm,
             external_force_N=force,
             time_origin_s=self._origin_s(model),
+            resting_torque_Nm=self.rest_torque_Nm,
             substeps=substeps,
             quantise=quantise,
         )
@@ -261,7 +253,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
-        rest_torque_Nm=_rest_torque_Nm(bench, desired, measured[:, 0], given, period_s),
+        rest_torque_Nm=resting_torque_Nm(bench, desired, measured[:, 0], given, period_s),
     )
 
 
@@ -270,10 +262,7 @@ def _under_way(desired_m: FloatArray, forgetting_s: float, period_s: float) -> B
 
     Nor what an integrator holds, if the torque was not captured, until it has forgotten it.
     """
-    away = np.abs(desired_m - desired_m[0])
-    taken_up = min(_TAKE_UP_m, 0.25 * float(away.max()))
-    moved = np.flatnonzero(away > taken_up)
-    first = int(moved[0]) if moved.size else 0
+    first = first_under_way(desired_m)
     first += min(round(forgetting_s / period_s), desired_m.size // 3)
     return np.arange(desired_m.size) >= first
 
@@ -284,28 +273,6 @@ def _forgetting_s(bench: Bench) -> float:
     if vector[slots.KI] <= 0.0:
         return 0.0
     return float(_FORGETTING * vector[slots.KP] / vector[slots.KI])
-
-
-def _rest_torque_Nm(
-    bench: Bench,
-    desired_m: FloatArray,
-    motor_m: FloatArray,
-    torque_Nm: FloatArray | None,
-    period_s: float,
-) -> float:
-    """Torque that the integrator holds when the run begins; 0 where it cannot be known.
-
-    The median while the command rests: an encoder that flickers by one count at rest makes the
-    derivative term jump by far more than the integrator moves meanwhile.
-    """
-    vector = DriveModel.base(bench).kernel_vector()
-    left = np.flatnonzero(np.abs(desired_m - desired_m[0]) > _REST_m)
-    resting = min(int(left[0]) if left.size else desired_m.size, round(_REST_s / period_s))
-    if torque_Nm is None or vector[slots.KI] <= 0.0 or resting < _LEAST_REST:
-        return 0.0
-    error_m = desired_m[:resting] - motor_m[:resting]
-    held = np.median(torque_Nm[:resting] - vector[slots.KP] * error_m) - vector[slots.OFFSET]
-    return float(np.clip(held, -vector[slots.LIMIT], vector[slots.LIMIT]))
 
 
 def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -290,10 +290,11 @@ def simulate(
     substeps: int | None = None,
     quantise: bool = False,
     extra_terms: Sequence[TableTerm] = (),
+    resting_torque_Nm: float = 0.0,
 ) -> Response:
     """Response of the closed loop to a command sampled at the servo period.
 
-    The drive starts at rest, relaxed, on the first desired position.
+    The drive starts at rest on the first desired position, relaxed unless a torque is held.
 
     Parameters
     ----------
@@ -315,6 +316,8 @@ def simulate(
         Round what encoder, scale and output resolve, inside the loop.
     extra_terms : sequence of TableTerm
         Further forces or readings, e.g. a flexible competitor.
+    resting_torque_Nm : float
+        What the integrator holds when the run begins, and friction against it.
 
     Returns
     -------
@@ -342,6 +345,7 @@ def simulate(
     force = _like(commanded, "external_force_N", external_force_N, zeros)
     origin = float(finite_array("time_origin_s", [time_origin_s])[0])
     vector = model.kernel_vector(quantise=quantise)
+    vector[s.RESTING] = finite_array("resting_torque_Nm", [resting_torque_Nm])[0]
     n_sub = model.substeps if substeps is None else substeps
     rows, values = packed([*model.terms(), *extra_terms])
     out = run_loop(vector, n_sub, desired, torque, force, rows, values, origin)

@@ -529,6 +529,43 @@ def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArray) -> None:
+    """Bristles that hold the torque with which a run begins, and the chain wound up between them.
+
+    An axis that came to rest is held back by its friction, all at the same share of its level; what
+    a bias or a cable pulls is not.
+    """
+    rho = par[s.LEAD]
+    motor, nut = par[s.MOTOR + s.LEVEL], par[s.NUT + s.LEVEL]
+    guide = par[s.GUIDE + s.LEVEL]
+    total = motor + nut + rho * guide
+    n_gms = int(par[s.GMS_N])
+    longest = max(par[s.MOTOR + s.BREAK], par[s.NUT + s.BREAK], par[s.GUIDE + s.BREAK])
+    if total <= 0.0 or (n_gms == 0 and longest <= 0.0):
+        return
+    load = par[s.BIAS] + par[s.CABLE_K] * (z[3] - par[s.CABLE_CENTRE])
+    share = min(max((par[s.RESTING] - rho * load) / total, -1.0), 1.0)
+    if par[s.MOTOR + s.BREAK] > 0.0:
+        force[0] = share * motor
+    if par[s.NUT + s.BREAK] > 0.0:
+        force[1] = share * nut
+    if n_gms > 0 or par[s.GUIDE + s.BREAK] > 0.0:
+        force[2] = share * guide
+    for i in range(n_gms):
+        slip[i] = share * guide * par[s.GMS + 2 * i]
+    if par[s.RIGID] > 0.5:
+        return
+    place = max(par[s.X_ORIGIN] + z[3], 0.0)
+    pull = share * guide + load
+    twist = share * nut + rho * pull
+    wound = twist * (1.0 / par[s.K_COUPLING] + place / par[s.GJ])
+    shift = -pull * (1.0 / par[s.K_BEARING] + place / par[s.EA])
+    z[1] -= wound
+    z[2] += shift
+    z[3] += shift - rho * wound - pull / par[s.K_NUT]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def run(
     par: FloatArray,
     bank: FloatArray,
@@ -607,7 +644,7 @@ def run(
     if rigid:
         lead = 0.0
     z[3] += lead
-    motor_torque = 0.0
+    motor_torque = par[s.RESTING]
     # Friction at motor, nut and guide: force at the end of and mean over the last substep.
     force = np.zeros(3)
     mean = np.zeros(3)
@@ -616,6 +653,9 @@ def run(
     gained = np.zeros(3)
     start = np.zeros(3)
     slip_end = np.zeros(8)
+    if par[s.RESTING] != 0.0:
+        _strained(par, z, force, slip)
+        mean[:] = force
     base_x = 0.0
     base_v = 0.0
     base_a = 0.0
@@ -707,7 +747,7 @@ def run(
             u = par[s.CASCADE_GAIN] * (
                 par[s.CASCADE_KP] * error - (motor_read - older_read) / (2.0 * Ts)
             )
-        u += par[s.OFFSET] + torque_ff_Nm[k]
+        u += par[s.OFFSET] + par[s.RESTING] + torque_ff_Nm[k]
         command = min(max(u, -par[s.LIMIT]), par[s.LIMIT])
         clipped = u - command
         frozen = clipped != 0.0 and (par[s.FREEZE_ALWAYS] > 0.5 or clipped * error > 0.0)
@@ -766,11 +806,11 @@ def run(
             late = k * n_sub + sub - delay_steps
             cell = math.floor(late / n_sub)
             to_next = (cell + 1.0) * n_sub - late
-            held = 0.0
+            held = par[s.RESTING]
             if cell >= 0:
                 held = history[int(cell) & (_HISTORY - 1)]
             if to_next < 1.0:
-                following = 0.0
+                following = par[s.RESTING]
                 if cell + 1 >= 0:
                     following = history[int(cell + 1) & (_HISTORY - 1)]
                 held = to_next * held + (1.0 - to_next) * following

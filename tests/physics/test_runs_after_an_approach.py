@@ -1,0 +1,97 @@
+"""Runs that begin where an earlier move ended: friction strained, the integrator holding it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.records import prepare
+from pmac_comp.physics.identify import identify
+from pmac_comp.physics.identify import records as rec
+from pmac_comp.physics.model.drive import DriveModel, simulate
+from pmac_comp.physics.signals import trajectory as tr
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+
+BENCH = load_bench("paper_x4")
+TS = BENCH.servo_period_s
+DISTANCE_m = 40e-6
+REST_s = 0.8
+
+
+def _after(capture: Capture, first: int) -> Capture:
+    """The capture from a sample on, its time beginning there."""
+    part = slice(first, None)
+    assert capture.table_position_m is not None
+    assert capture.torque_command_Nm is not None
+    return Capture(
+        time_s=capture.time_s[part] - capture.time_s[first],
+        commanded_position_m=capture.commanded_position_m[part],
+        motor_position_m=capture.motor_position_m[part],
+        table_position_m=capture.table_position_m[part],
+        torque_command_Nm=capture.torque_command_Nm[part],
+        attributes=dict(capture.attributes),
+    )
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Capture]:
+    plant = make_plant(
+        BENCH, effects={"presliding": {"distance_um": 1e6 * DISTANCE_m}}, seed=3, spread=0.0
+    )
+    made = []
+    for way, frequency in ((1.0, 3.0), (-1.0, 1.5)):
+        approach = tr.trapezoid(
+            period_s=TS, distance_m=4e-3, speed_m_per_s=0.05, acceleration_m_per_s2=1.0,
+            start_m=-4e-3, both_ways=False, s_curve_s=0.02,
+        ).position_m  # fmt: skip
+        wave = tr.sinusoid(
+            period_s=TS, amplitude_m=8e-3, frequency_Hz=frequency, cycles=5.0, centre_m=0.0
+        ).position_m
+        wave = wave - wave[0]
+        rest = np.full(round(REST_s / TS), approach[-1])
+        command = np.concatenate([approach, rest, approach[-1] + wave])
+        whole = closed_loop_capture(BENCH, plant, way * command)
+        made.append(_after(whole, approach.size + rest.size // 2))
+    return made
+
+
+def test_an_axis_that_rests_strained_stays_where_it_is() -> None:
+    lengths = {"distance_m": DISTANCE_m, "rotary_m": DISTANCE_m}
+    model = DriveModel.base(BENCH).with_effect("presliding@all", lengths)
+    command = np.zeros(1000)
+    for torque_Nm in (0.3, -0.3):
+        held = simulate(model, command, resting_torque_Nm=torque_Nm)
+        assert np.abs(held.motor_position_m).max() < 1e-9
+        assert np.ptp(held.table_position_m) < 1e-9
+        assert held.torque_command_Nm[0] == pytest.approx(torque_Nm)
+        # The same torque on relaxed bristles carries the axis away until the loop answers.
+        pushed = simulate(model, command, torque_feedforward_Nm=np.full(1000, torque_Nm))
+        assert np.abs(pushed.motor_position_m).max() > 2e-6
+
+
+def test_friction_is_found_in_runs_that_follow_an_approach(runs: list[Capture]) -> None:
+    start = DriveModel.base(BENCH).with_effect("presliding", {"distance_m": 20e-6})
+    found = identify(runs, BENCH, model=start)
+    assert found.model is not None
+    distance = found.parameters["presliding.distance_m"]
+    assert distance.value == pytest.approx(DISTANCE_m, rel=0.08)
+    assert distance.std < 0.05 * DISTANCE_m
+    for run in runs:
+        record = rec.prepare(run, BENCH, leave_out="rest")
+        assert abs(record.resting_Nm) > 0.1
+        before = slice(0, int(np.flatnonzero(record.valid)[0]))
+        left = (record.measured - rec.simulated(record, found.model))[before]
+        relaxed = replace(record, resting_Nm=0.0)
+        without = (record.measured - rec.simulated(relaxed, found.model))[before]
+        assert np.all(np.std(left, axis=0) < 0.3 * np.std(without, axis=0))
+
+
+def test_diagnosis_and_identification_see_the_same_start(runs: list[Capture]) -> None:
+    for record, run in zip(prepare(runs, BENCH, prefix="run"), runs, strict=True):
+        assert record.rest_torque_Nm == pytest.approx(rec.prepare(run, BENCH).resting_Nm, abs=1e-6)
+        # Where in its friction a run begins is no evidence until it is left behind.
+        first = int(np.flatnonzero(record.valid)[0])
+        assert abs(run.commanded_position_m[first] - run.commanded_position_m[0]) > 0.19e-3
