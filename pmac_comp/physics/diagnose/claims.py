@@ -14,7 +14,7 @@ from pmac_comp.physics.diagnose.contenders import Contender, Rules
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import ONSET, imitation
 from pmac_comp.physics.diagnose.remainder import Remainder
-from pmac_comp.physics.diagnose.result import Estimate
+from pmac_comp.physics.diagnose.result import Estimate, Finding
 from pmac_comp.physics.model.drive import DriveModel
 
 _LEAST_SIGMAS = 3.0
@@ -50,7 +50,13 @@ class Claims:
         return tuple(r.accepted.effect for r in self.rounds if r.accepted is not None)
 
 
-def claims_of(grown: Grown, left: Remainder, estimates: Sequence[Estimate], rules: Rules) -> Claims:
+def claims_of(
+    grown: Grown,
+    left: Remainder,
+    estimates: Sequence[Estimate],
+    rules: Rules,
+    findings: Sequence[Finding] = (),
+) -> Claims:
     """Effects that may be claimed by name.
 
     Parameters
@@ -63,6 +69,8 @@ def claims_of(grown: Grown, left: Remainder, estimates: Sequence[Estimate], rule
         Parameters of the accepted effects.
     rules : Rules
         Figures of the decisions.
+    findings : sequence of Finding
+        Known parameters that the data places outside their tolerance.
 
     Returns
     -------
@@ -75,12 +83,20 @@ def claims_of(grown: Grown, left: Remainder, estimates: Sequence[Estimate], rule
         if done.accepted is None:
             continue
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
+        if left.visible and findings and not why:
+            # Names that need quantities of the bench file to be wrong, and explain it not even
+            # then, share among them what is none of them.
+            why = f"beside it {_listed(findings)} would have to leave the tolerance"
         if why:
             withheld[done.accepted.effect] = why
             imitated |= why not in _NO_IMITATIONS and not _narrow(done, done.accepted)
         else:
             claimed.append(done)
     return Claims(tuple(claimed), withheld, imitated)
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    return " and ".join(f.parameter.partition(".")[2] or f.parameter for f in findings)
 
 
 def _doubt(

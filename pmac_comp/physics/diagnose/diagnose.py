@@ -14,7 +14,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.claims import Claims, claims_of
 from pmac_comp.physics.diagnose.contenders import Rules
-from pmac_comp.physics.diagnose.estimates import estimates_of
+from pmac_comp.physics.diagnose.estimates import estimates_of, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
@@ -129,7 +129,8 @@ def _assembled(
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
     estimates, findings = estimates_of(grown, rules.material)
-    claims = claims_of(grown, left, estimates, rules)
+    findings = pulled(findings) if left.visible else findings
+    claims = claims_of(grown, left, estimates, rules, findings)
     tied = _tied_groups(claims)
     named = _named(claims, tied)
     # What the bench file knows cannot be what the data asks for: a name beside that is a stand-in.

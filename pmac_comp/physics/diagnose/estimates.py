@@ -265,3 +265,15 @@ def _finding(spec: ParameterSpec, value: float, std: float) -> Finding:
         f"+/- {100 * tolerance:.0f} %"
     )
     return Finding(spec.name, shown, nominal, tolerance, text)
+
+
+def pulled(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Findings as what they are beside a remainder without a name: where that pulls the fit."""
+    return tuple(
+        replace(
+            f,
+            text=f"{f.text}; but what is left has no name, and the fit may only have moved "
+            "this instead of that",
+        )
+        for f in findings
+    )

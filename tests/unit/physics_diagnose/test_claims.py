@@ -1,9 +1,16 @@
 """Names that an effect at the corner of its range does not deserve."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.diagnose.claims import claims_of
+from pmac_comp.physics.diagnose.contenders import Rules
+from pmac_comp.physics.diagnose.estimates import pulled
 from pmac_comp.physics.diagnose.imitations import imitation, true_name
+from pmac_comp.physics.diagnose.result import Finding
 from pmac_comp.physics.model.drive import DriveModel
 
 BENCH = load_bench("paper")
@@ -41,3 +48,33 @@ def test_a_far_cable_is_told_by_its_true_name_and_a_near_one_by_its_own():
     assert true_name("cable_drag", far) == "bias_force"
     assert true_name("cable_drag", near) == ""
     assert true_name("payload", base.with_effect("payload")) == ""
+
+
+FINDING = Finding("chain.motor_inertia_kgm2", 6e-4, 5.45e-4, 0.03, "inertia is outside")
+
+
+@pytest.mark.parametrize(
+    ("visible", "findings", "claimed"),
+    [
+        (True, (FINDING,), ()),  # it takes a wrong bench file, and even so something is left
+        (True, (), ("payload",)),
+        (False, (FINDING,), ("payload",)),  # two causes, and nothing is left
+    ],
+)
+def test_a_name_that_needs_the_bench_file_to_be_wrong_must_explain_all(visible, findings, claimed):
+    accepted = SimpleNamespace(effect="payload", fit_gain=1e5, gap_um=0.2)
+    done: Any = SimpleNamespace(accepted=accepted, rows_fit=1e4, gap_um=5.0, floor_um=0.1)
+    grown: Any = SimpleNamespace(
+        rounds=(done,), final=SimpleNamespace(model=DriveModel.base(BENCH).with_effect("payload"))
+    )
+    left: Any = SimpleNamespace(unexplained=False, visible=visible)
+    found = claims_of(grown, left, (), Rules(), findings)
+    assert found.effects == claimed
+    assert all("motor_inertia" in why for why in found.withheld.values())
+
+
+def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():
+    (moved,) = pulled((FINDING,))
+    assert moved.text.startswith(FINDING.text)
+    assert "no name" in moved.text
+    assert moved.value == FINDING.value
