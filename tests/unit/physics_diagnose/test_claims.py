@@ -67,7 +67,7 @@ def test_a_name_that_needs_the_bench_file_to_be_wrong_must_explain_all(visible, 
     grown: Any = SimpleNamespace(
         rounds=(done,), final=SimpleNamespace(model=DriveModel.base(BENCH).with_effect("payload"))
     )
-    left: Any = SimpleNamespace(unexplained=False, visible=visible)
+    left: Any = SimpleNamespace(unexplained=False, visible=visible, open_share=0.0)
     found = claims_of(grown, left, (), Rules(), findings)
     assert found.effects == claimed
     assert all("motor_inertia" in why for why in found.withheld.values())
