@@ -194,6 +194,12 @@ def recover(
     url: UrlArgument,
     bench: BenchOption = "paper",
     journal: JournalOption = DEFAULT_JOURNAL,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep", help="Write nothing: take what stands and close what was left open here"
+        ),
+    ] = False,
     dry_run: DryRunOption = False,
     json_target: JsonOption = "",
 ) -> None:
@@ -206,7 +212,7 @@ def recover(
         output.finish(plan, json_target, lambda: output.echo_all(_told("settle", plan)))
         return
     progress = ProgressLines()
-    result = recover_upload(url, bench, journal, progress=progress)
+    result = recover_upload(url, bench, journal, keep=keep, progress=progress)
     progress.close()
     output.finish(
         result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")

@@ -21,7 +21,7 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import tuned_motors
@@ -186,7 +186,8 @@ def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
 def set_up(url: str, bench: str, journal: Path = DEFAULT_JOURNAL) -> dict[str, Any]:
     """Put the bench file's I-variables onto a controller; ``rollback`` brings the old ones back."""
     with open_axis(url, bench) as axis:
-        differing = settable_variables(axis)
+        with untouched():
+            differing = settable_variables(axis)
         result = set_up_axis(axis, context_of(axis, journal), differing)
     return {**result.as_dict(), "changed": differing}
 
@@ -204,7 +205,8 @@ def set_up_axis(
         A motor of the bench file is enabled: gains must not change under a closed loop.
     """
     motors = axis.bench.motor_numbers
-    raise_all(_enabled_refusals(axis.link, motors), "The set-up")
+    with untouched():
+        raise_all(_enabled_refusals(axis.link, motors), "The set-up")
     goal = Settings(texts({name: wanted for name, (_, wanted) in differing.items()}))
     with grouped(axis.link, context, "setup") as inner:
         return change_settings(axis.link, inner, goal, route="setup", motors=motors)

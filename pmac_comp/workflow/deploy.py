@@ -27,7 +27,6 @@ from pmac_comp.machine.controller import (
     law_upload,
     motors,
     programs,
-    temporary,
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import Context
@@ -105,7 +104,6 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
     The lead table goes first, then the law into the idle bank; the gain ramps up at the end.
     """
-    temporary.take_off(axis.link, context)
     with grouped(axis.link, context, compensation.route) as parts_context:
         return _deploy_parts(axis, compensation, parts_context)
 

@@ -54,15 +54,20 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
             axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
         )
         form = law_state.running_form(axis.link, head)
+        elsewhere = recovery.open_elsewhere(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
     still_open = "; ".join(recovery.left_open(context))
+    advice = f"{still_open}: run `pmac-comp recover`" if still_open else "nothing"
+    if elsewhere:
+        advice = "a change from another folder or host has not ended: `pmac-comp recover` there"
     compensation = {
         "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
                             state.tables) or "none",
         "tables act (I51)": state.i51,
         "verdict": state.decision.state.value,
         "why": f"tables: {state.decision.reason}; law: {_law_text(form, head)}",
-        "left open": f"{still_open}: run `pmac-comp recover`" if still_open else "nothing",
+        "left open": advice,
+        "last change": recovery.last_change(context) or "none from this folder",
         "lease": lease,
         "law": form.name.lower(),
         "law bank": head.bank,

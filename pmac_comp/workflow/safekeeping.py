@@ -10,6 +10,7 @@ from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.restore import restore
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings
@@ -84,11 +85,12 @@ def restore_from_file(
     if source.suffix != ".json":
         parsed = programs.parse_source(_program_text(bench, source))
         with open_axis(url, bench) as axis:
-            axis.link.write_buffer(["CLOSE", *parsed.commands])
-            if parsed.programs:
-                bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
-                context = context_of(axis, journal, progress)
-                change_settings(axis.link, context, Settings(programs=bodies), route="program")
+            context = context_of(axis, journal, progress)
+            with grouped(axis.link, context, source.name) as inner:
+                axis.link.write_buffer(["CLOSE", *parsed.commands])
+                if parsed.programs:
+                    bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
+                    change_settings(axis.link, inner, Settings(programs=bodies), route="program")
         return {
             "summary": f"{source.name}: {len(parsed.commands)} commands sent, "
             f"{len(parsed.programs)} programs listed back token by token"

@@ -99,11 +99,12 @@ def _after_failure(error: PmacCompError, url: str, bench: str) -> str:
 
 
 def recover_upload(
-    url: str, bench: str, journal: Path, *, progress: Progress | None = None
+    url: str, bench: str, journal: Path, *, keep: bool = False, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Settle what an interrupted upload left."""
+    """Settle what an interrupted upload left; with ``keep`` close it without writing."""
+    settle = recovery.keep if keep else recovery.recover
     with _ready(url, bench, journal, progress) as (axis, context):
-        result = recovery.recover(axis.link, context)
+        result = settle(axis.link, context)
     return {**result.as_dict(), "summary": "; ".join(result.notes) or "nothing was left open"}
 
 

@@ -73,17 +73,21 @@ class Scenario:
     name: str
     prepare: Callable[[Link, Context], None]
     change: Callable[[Link, Context], object]
+    undoes: bool = False  # takes back what was prepared: its OLD is what stands after it
 
 
 class ChangeBench:
     """A card that is put back before each run of a scenario."""
 
     def __init__(self, folder: Path, scenario: Scenario, ids: SameIds | None = None) -> None:
+        folder.mkdir(exist_ok=True)
         self.folder = folder
         self.ids = ids or SameIds()
         self.scenario = scenario
         self.bench = make_plc_bench(folder)
         scenario.prepare(self.bench.link, self.bench.context)
+        kept = list(folder.iterdir()) if scenario.undoes else []
+        self.files = {path: path.read_bytes() for path in kept}
         self.saved = saved(self.bench)
         self.ids.from_here()
         self.before = standing(self.bench)
@@ -96,6 +100,8 @@ class ChangeBench:
         put_back(self.bench, self.saved)
         for path in self.folder.iterdir():
             path.unlink()
+        for path, text in self.files.items():
+            path.write_bytes(text)
         self.ids.again()
         return self.fresh()
 
@@ -131,9 +137,15 @@ class ChangeBench:
         assert bench.p(LawBlock().p(Index.LEASE)) == 0
         return result
 
+    def judge_done(self) -> None:
+        """The change was carried out."""
+        found = standing(self.bench)
+        assert found == self.after, difference(found, self.after)
+
     def judge(self, verdict: ControllerState) -> None:
         found = standing(self.bench)
-        meant = self.before if verdict is ControllerState.OLD else self.after
+        as_before = (verdict is ControllerState.OLD) is not self.scenario.undoes
+        meant = self.before if as_before else self.after
         assert found == meant, difference(found, meant)
         assert verdict in {ControllerState.OLD, ControllerState.NEW}
 

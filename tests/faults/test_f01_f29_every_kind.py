@@ -17,6 +17,7 @@ from pmac_comp.machine.controller import (
     law_install,
     law_upload,
     motors,
+    recovery,
     temporary,
     transaction,
 )
@@ -31,8 +32,10 @@ from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import FaultKind, Way
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
+from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
 from tests.fault_table import all_of
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.killed_child import dies_after, serve_child
@@ -139,6 +142,26 @@ def borrowed_axis(link: Link, context: Context) -> None:
     temporary.put_on(link, context, goal, motors=(1,))
 
 
+def unlike_the_bench(link: Link, context: Context) -> None:
+    del context
+    link.write_buffer(["#1K", "I119=0.77", "I122=33", "I130=1234"])
+
+
+def set_up(link: Link, context: Context) -> None:
+    assert isinstance(link, Commander)
+    axis = Axis(link, BENCH, "controller")
+    with untouched():
+        link.command("#1K")
+        link.clock.sleep_s(0.2)
+        differing = settable_variables(axis)
+    set_up_axis(axis, context, differing)
+
+
+def route_standing(link: Link, context: Context) -> None:
+    with_table(link, context)
+    whole_route(link, context)
+
+
 SCENARIOS = [
     Scenario("first law", installed, lambda k, c: law_upload.upload_law(k, c, NEW)),
     Scenario("law", armed, lambda k, c: law_upload.upload_law(k, c, NEW)),
@@ -162,6 +185,8 @@ SCENARIOS = [
     Scenario("table under guard", under_guard, lambda k, c: upload_tables(k, c, [new_table(24)])),
     Scenario("time motor", with_axes, time_motor),
     Scenario("measurement", with_axes, borrowed_axis),
+    Scenario("setup", unlike_the_bench, set_up),
+    Scenario("rollback", route_standing, recovery.rollback_last, undoes=True),
 ]
 
 
@@ -200,7 +225,7 @@ def test_f01_cut_in_any_change(
     for n, resume in at:
         error = rig.run(cut(way, n))
         if error is None:
-            rig.judge(ControllerState.NEW)
+            rig.judge_done()
             continue
         assert error.left is not None, n
         rig.recover(resume=resume)
@@ -233,7 +258,7 @@ def test_f15_f16_any_line_of_any_change(
         error = rig.attempt()
         if error is None:
             rig.fresh()
-            rig.judge(ControllerState.NEW)
+            rig.judge_done()
             continue
         assert error.left is not None, k
         if error.left is ControllerState.OLD and error.context.get("confirmed"):
@@ -259,7 +284,7 @@ def test_f29_sigkill_in_any_change(
     status, total = killed_change(rig, 1 << 30)
     assert status == 0
     rig.fresh()
-    rig.judge(ControllerState.NEW)
+    rig.judge_done()
     every = range(total - 200)
     for n in every[:: max(1, total // (20 if exhaustive else 2))]:
         rig.restart()

@@ -20,7 +20,7 @@ from pmac_comp.base.errors import ConfigError, StorageFull
 
 _NOT_YET: Final = -1
 _ENCODER: Final = json.JSONEncoder(sort_keys=True)
-CLOSING: Final = frozenset({"done", "rolled back"})
+CLOSING: Final = frozenset({"done", "rolled back", "kept"})
 
 
 class Sync(Enum):

@@ -1,7 +1,7 @@
 """Arming and disarming the law: the gain ramps, nothing jumps."""
 
-from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ControllerState, MotorNotSafe, ReplyTimeout, TableStateError
+from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import MASTER_WORD_ADDRESS, Index
 from pmac_comp.machine.controller.law_state import (
@@ -21,7 +21,7 @@ from pmac_comp.machine.controller.variables import write_many
 
 
 def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 10.0) -> LawHead:
-    """Ramp the gain up and wait until it is there.
+    """Ramp the gain up and wait until it is there, at most ``timeout_s`` by the card's clock.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def disarm(link: Link, context: Context, *, timeout_s: float = 10.0) -> LawHead:
 
 def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHead:
     link.command(f"P{context.block.p(Index.TARGET)}={plain(gain)}")
-    deadline = Deadline.after(link.clock, timeout_s)
+    deadline = CardDeadline(link, timeout_s)
     while True:
         head = read_law_head(link, context.block)
         if abs(head.gain - gain) <= GAIN_TOLERANCE:

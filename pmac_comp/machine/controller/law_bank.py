@@ -17,7 +17,8 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     8  out scale   units of the master word (X:$10F8) per count = 32 Ixx08 / Ixx07, host
     9  in scale    counts per unit of the commanded position register = 1 / (32 Ixx08), host
     10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
-    70..79  manifest of the last upload     80..89  lease and guard (``upload`` has the meaning)
+    70..79  manifest of the last upload     80..85  lease, guard, number of the last change
+            (``manifest`` and ``lease`` have the meaning; 86..89 free)
     100..129  working variables of the PLC 0 form, 130..159 of the open servo
     160..189  working copy of the bank in use (PLC 0 form)     190..199  free
 
@@ -89,6 +90,7 @@ class Index(IntEnum):
     BANKS = 10
     MANIFEST = 70
     LEASE = 80
+    CHANGE = 85  # number of the last change: positive under way, negative ended, 0 none
     WORK_PLC = 100
     WORK_SERVO = 130
     COPY = 160

@@ -5,6 +5,7 @@ from enum import Enum
 from typing import Final
 
 from pmac_comp.base.errors import SafetyRefusal, VerifyMismatch
+from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.law_bank import (
     BANK_SIZE,
     SIGNATURE_PLC,
@@ -135,8 +136,14 @@ def read_bank(link: Link, block: LawBlock, bank: int) -> LawParameters | None:
 def is_running(link: Link, block: LawBlock, servo_period_s: float) -> LawForm:
     """Form that proves to run now: its signature comes back after it was cleared."""
     link.command(f"P{block.p(Index.SIGNATURE)}=0")
-    link.clock.sleep_s(SIGN_OF_LIFE_CYCLES * servo_period_s)
-    return read_law_head(link, block).form
+    pause_s = SIGN_OF_LIFE_CYCLES * servo_period_s
+    link.clock.sleep_s(pause_s)
+    form = read_law_head(link, block).form
+    deadline = CardDeadline(link, pause_s) if form is LawForm.NONE else None
+    while deadline is not None and form is LawForm.NONE and not deadline.expired():
+        link.clock.sleep_s(pause_s)
+        form = read_law_head(link, block).form
+    return form
 
 
 def degree_refusals(link: Link) -> list[SafetyRefusal]:

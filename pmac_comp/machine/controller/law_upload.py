@@ -6,8 +6,10 @@ the index changes over. Arming is a step of its own (``law_arming``).
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from pmac_comp.base.errors import (
     ConfigError,
@@ -15,8 +17,10 @@ from pmac_comp.base.errors import (
     ForeignChange,
     MotorNotSafe,
     SafetyRefusal,
+    StorageFull,
     VerifyMismatch,
 )
+from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_arming import arm, disarm
 from pmac_comp.machine.controller.law_bank import (
@@ -38,9 +42,11 @@ from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.safety import check_law, raise_all
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.settings_upload import lease_refusals
-from pmac_comp.machine.controller.transaction import Change, ChangeKind, UploadResult
+from pmac_comp.machine.controller.transaction import ROLLED_BACK, Change, ChangeKind, UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_range, same_value, verify_many, write_many
+
+_TAKE_OVER_s: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -112,7 +118,7 @@ def upload_law(
                 "clamp_ct": clamp,
             },
         )
-        change.settle = lambda: settle_law(link, context, old, parameters)
+        change.settle = lambda: _settled(change, old, parameters)
         context.progress("write", 0, 3)
         fill_bank(link, context.block, idle, parameters)
         context.progress("write", 1, 3)
@@ -139,6 +145,15 @@ def upload_law(
         backup,
         change.journal.path,
     )
+
+
+def _settled(change: Change, old: LawBackup, new: LawParameters) -> ControllerState:
+    """Judge what a failure left; the old law in use needs no recovery."""
+    state = settle_law(change.link, change.context, old, new)
+    if state is ControllerState.OLD:
+        with suppress(StorageFull):
+            change.step(ROLLED_BACK)
+    return state
 
 
 def _refusals(
@@ -245,11 +260,21 @@ def change_over(link: Link, context: Context, bank: int) -> None:
     block = context.block
     link.command(f"P{block.p(Index.BANK)}={bank}")
     link.clock.sleep_s(4 * context.servo_period_s)
-    head = read_law_head(link, block)
-    if head.bank != bank:
-        raise VerifyMismatch(f"The bank index is {head.bank} after writing {bank}.")
-    if head.bank_in_use is not None and head.bank_in_use != bank:
-        raise VerifyMismatch("The algorithm did not take the new bank over.", code="PC-LAW-027")
+    deadline = CardDeadline(link, _TAKE_OVER_s)
+    while True:
+        head = read_law_head(link, block)
+        if head.bank != bank:
+            raise VerifyMismatch(f"The bank index is {head.bank} after writing {bank}.")
+        if head.bank_in_use in {None, bank}:
+            return
+        if deadline.expired():
+            raise VerifyMismatch(
+                f"The algorithm did not take bank {bank} over within {_TAKE_OVER_s:g} s.",
+                code="PC-LAW-027",
+                hint="Does PLC 0 run (I5 = 1 or 3), or the open servo for this motor? "
+                "`pmac-comp status` says which law runs.",
+            )
+        link.clock.sleep_s(0.01)
 
 
 # After a doubt ------------------------------------------------------------------------------------

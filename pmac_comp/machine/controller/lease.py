@@ -1,4 +1,9 @@
-"""One writer at a time: a lock file for this host, a lease in P-variables for all hosts."""
+"""One writer at a time: a lock file for this host, a lease in P-variables for all hosts.
+
+Beside the lease stands the number of the last change, positive until it has ended: a lease runs
+out, but a change that nobody ended must still be seen from another folder or host, and one that
+somebody else began since must be seen by the one that is recovered.
+"""
 
 import os
 import sys
@@ -9,7 +14,13 @@ from typing import Final
 
 from filelock import FileLock, Timeout
 
-from pmac_comp.base.errors import ControllerState, ForeignChange, LeaseHeld, RemoteProtocolError
+from pmac_comp.base.errors import (
+    ControllerState,
+    ForeignChange,
+    LeaseHeld,
+    RemoteProtocolError,
+    SafetyRefusal,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import require_folder, unwritable
 from pmac_comp.machine.controller.law_bank import Index
@@ -23,12 +34,21 @@ if sys.platform != "win32":
 CLOCK_REGISTER: Final = 0x17
 CLOCK_TEXT: Final = f"RL${CLOCK_REGISTER:X}"
 LEASE_s: Final = 120.0
+_NUMBERS_END: Final = float(1 << 31)
 
 
 @contextmanager
-def host_lock(context: Context) -> Iterator[None]:
-    """Only one writer of this host at a time; raises LeaseHeld, or ConfigError for the folder."""
-    path = context.store / f"{context.controller}.lock"
+def host_lock(context: Context, scope: str = "") -> Iterator[None]:
+    """Only one writer of this host at a time; raises LeaseHeld, or ConfigError for the folder.
+
+    Parameters
+    ----------
+    context : Context
+        Folder and name of the controller.
+    scope : str
+        What else than a single change is locked, e.g. a whole upload; a lock of its own.
+    """
+    path = context.store / f"{context.controller}{scope}.lock"
     require_folder(context.store)
     try:
         release = _lock(path)
@@ -98,7 +118,7 @@ def refuse_foreign_lease(lease: Lease, owner: int, now: int) -> LeaseHeld | None
         f"Another host (owner {lease.owner}) holds the lease on this controller "
         f"for {left_s:.0f} s more.",
         code="PC-TXN-002",
-        hint="Wait until it has ended; an abandoned lease expires by itself.",
+        hint="Wait until it has ended; if it was killed, `pmac-comp recover` where it was started.",
         context={"owner": lease.owner, "expires_in_s": left_s},
     )
 
@@ -109,32 +129,51 @@ def read_lease(link: Link, context: Context) -> Lease:
     return parse_lease(_lines(link.query(f"P{first}..{first + 1}"), 2))
 
 
-def take_lease(link: Link, context: Context) -> Lease:
-    """Write the lease and read it back.
+def take_lease(
+    link: Link, context: Context, number: int, is_known: Callable[[int], bool]
+) -> tuple[Lease, int]:
+    """Write the lease and the number of a change, and read them back.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and block.
+    number : int
+        Of the change, or of the upload that it is a part of.
+    is_known : callable
+        Whether a change of this number was begun from this folder.
+
+    Returns
+    -------
+    tuple of Lease and int
+        The lease, and the number that stood there.
 
     Raises
     ------
     LeaseHeld
         Somebody else took it since the pre-flight.
     ForeignChange
-        Another writer was quicker.
+        Another writer was quicker, or one of another folder left a change unfinished.
     """
-    first = context.block.p(Index.LEASE)
-    *found, clock = _lines(link.query(f"P{first}..{first + 1}{CLOCK_TEXT}"), 3)
-    now = parse_integer(clock)
-    refusal = refuse_foreign_lease(parse_lease(found), context.owner, now)
+    first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
+    *found, before, clock = _lines(link.query(f"P{first}..{first + 1}P{change}{CLOCK_TEXT}"), 4)
+    now, last = parse_integer(clock), parse_number(before)
+    refusal: SafetyRefusal | None = refuse_foreign_lease(parse_lease(found), context.owner, now)
+    if refusal is None and last > 0 and not is_known(last):
+        refusal = begun_elsewhere(last)
     if refusal is not None:
         refusal.left = ControllerState.OLD
         raise refusal
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
-    back = link.command(f"{' '.join(lease.lines(context.block))} P{first}..{first + 1}")
-    if parse_lease(_lines(back, 2)) != lease:
+    lines = [*lease.lines(context.block), f"P{change}={number}"]
+    *back, there = _lines(link.command(f"{' '.join(lines)} P{first}..{first + 1}P{change}"), 3)
+    if parse_lease(back) != lease or parse_number(there) != number:
         raise ForeignChange(
             "Somebody else took the lease at the same moment.",
             code="PC-TXN-003",
             left=ControllerState.OLD,
         )
-    return lease
+    return lease, last
 
 
 def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Lease:
@@ -150,6 +189,30 @@ def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Le
     return Lease(context.owner, expires)
 
 
-def release_lease(link: Link, context: Context) -> None:
-    """Give the lease back."""
-    link.command(f"P{context.block.p(Index.LEASE)}=0")
+def release_lease(link: Link, context: Context, *, ended: int = 0) -> None:
+    """Give the lease back; with a number also say that this change has ended."""
+    said = f" P{context.block.p(Index.CHANGE)}={-ended}" if ended else ""
+    link.command(f"P{context.block.p(Index.LEASE)}=0{said}")
+
+
+def read_change(link: Link, context: Context) -> int:
+    """Number of the last change of this controller: positive under way, negative ended, 0 none."""
+    return parse_number(_lines(link.query(f"P{context.block.p(Index.CHANGE)}"), 1)[0])
+
+
+def parse_number(text: str) -> int:
+    """Number of a change; what cannot be one counts as none."""
+    value = float(text)
+    return int(value) if value.is_integer() and abs(value) < _NUMBERS_END else 0
+
+
+def begun_elsewhere(number: int) -> ForeignChange:
+    """Refusal of a change beside one that another folder or host began and never ended."""
+    return ForeignChange(
+        f"A change of this controller (number {number}) was begun from another folder or host and "
+        "has not ended.",
+        code="PC-TXN-011",
+        hint="Wait for it; if it was interrupted run `pmac-comp recover` where it was started. If "
+        "that folder is lost, `pmac-comp recover --keep` takes what stands as it is.",
+        context={"number": number},
+    )

@@ -11,8 +11,8 @@ from enum import IntFlag
 from functools import lru_cache
 from typing import Final
 
-from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import MotorNotSafe, RemoteProtocolError, ReplyTimeout
+from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import nine_digits
 from pmac_comp.machine.wire.numbers import read_number
@@ -319,7 +319,7 @@ def require_stationary(link: Link, motors: Sequence[int]) -> None:
 def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
     """Close the loop of a motor where it stands; raises MotorNotSafe if it does not stay closed."""
     link.command(f"#{motor}J/")
-    deadline = Deadline.after(link.clock, timeout_s)
+    deadline = CardDeadline(link, timeout_s)
     while True:
         reading = read_motor(link, motor)
         if reading.status.is_closed_loop and not reading.status.trips:
@@ -355,7 +355,7 @@ def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReadin
     ReplyTimeout
         Not in position in time; the motor is left as it is.
     """
-    deadline = Deadline.after(link.clock, timeout_s)
+    deadline = CardDeadline(link, timeout_s)
     while True:
         reading = read_motor(link, motor)
         if reading.status.trips or reading.status.is_killed:

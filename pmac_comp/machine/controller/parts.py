@@ -7,7 +7,7 @@ What a kind does to the controller lives with it (``table_recovery``, ``law_uplo
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pmac_comp.base.errors import ControllerState
+from pmac_comp.base.errors import ControllerState, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
 from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, LawParameters
@@ -19,7 +19,6 @@ from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import (
-    TEMPORARY,
     finish_settings,
     put_back,
     read_settings_backup,
@@ -32,6 +31,7 @@ from pmac_comp.machine.controller.transaction import (
     ROLLED_BACK,
     ChangeKind,
     UploadResult,
+    is_temporary,
     journals,
 )
 
@@ -78,7 +78,7 @@ def parts_of(context: Context) -> list[Part]:
     found = []
     for journal in journals(context):
         intent = journal.last("intent")
-        lasting = intent is not None and not intent.data.get(TEMPORARY)
+        lasting = not is_temporary(journal)
         if intent is not None and lasting and journal.kind != ChangeKind.GROUP.value:
             found.append(Part(journal, ChangeKind(journal.kind), intent))
     return found
@@ -189,7 +189,13 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
         state = put_back(link, old, skip_refused=tolerant)
         reason = "the old settings are back"
         if state is ControllerState.DISABLED:
-            reason = "the old settings could not be written; the programs concerned are empty"
+            raise VerifyMismatch(
+                "The old settings could not be written back; the programs concerned are empty.",
+                code="PC-REC-006",
+                hint="Run `pmac-comp recover` again; what stood before is in "
+                f"{_backup(context, part).name}. If the controller never takes it: `--keep`.",
+                left=state,
+            )
     part.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
     return UploadResult(
         state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)

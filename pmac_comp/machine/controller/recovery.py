@@ -5,22 +5,32 @@ is judged and settled is in ``parts``.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from typing import Final
 
 from pmac_comp.base.errors import (
     ChangeInterrupted,
     ConfigError,
     ControllerState,
+    ForeignChange,
     LinkError,
     PmacCompError,
     ProtocolError,
+    SafetyRefusal,
     StorageFull,
+    UploadIncomplete,
     VerifyMismatch,
 )
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.lease import release_lease
+from pmac_comp.machine.controller.lease import (
+    begun_elsewhere,
+    host_lock,
+    read_change,
+    read_lease,
+    release_lease,
+)
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
@@ -34,17 +44,26 @@ from pmac_comp.machine.controller.parts import (
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_recovery import recover_tables
+from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.temporary import standing, take_off
 from pmac_comp.machine.controller.transaction import (
     DONE,
+    FOUND,
+    KEPT,
     ROLLED_BACK,
     ChangeKind,
     UploadResult,
+    is_temporary,
+    is_torn,
     journals,
     mark_left,
     open_group,
+    own_numbers,
+    require_settled,
     untouched,
 )
+
+_TAKING_BACK: Final = "taking back"  # of an upload that stood whole
 
 
 @contextmanager
@@ -66,19 +85,41 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
     Context
         To be used for the parts.
     """
-    with untouched():
-        journal, inner = open_group(context, name)
-    with _whole_or_taken_back(link, context, journal):
-        yield inner
-        _require_whole(link, context, journal.group)
-    try:
-        journal.write(DONE)
-    except StorageFull as error:
-        mark_left(error, ControllerState.NEW, confirmed=True)
-        error.hint = (
-            "All of the upload stands, but is not noted: `pmac-comp recover` takes it back."
-        )
-        raise
+    with _one_at_a_time(context):
+        with untouched():
+            journal, inner = _begin(link, context, name)
+        with _whole_or_taken_back(link, context, journal):
+            yield inner
+            _require_whole(link, context, journal.group)
+            release_lease(link, context, ended=journal.group)
+        try:
+            journal.write(DONE)
+        except StorageFull as error:
+            mark_left(error, ControllerState.NEW, confirmed=True)
+            error.hint = (
+                "All of the upload stands, but is not noted: `pmac-comp recover` takes it back."
+            )
+            raise
+
+
+def _one_at_a_time(context: Context) -> AbstractContextManager[None]:
+    """Between the parts of an upload, too, nobody else of this folder may upload or recover."""
+    return host_lock(context, ".upload")
+
+
+def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
+    require_settled(context)
+    elsewhere = open_elsewhere(link, context)
+    if elsewhere:
+        raise begun_elsewhere(elsewhere)
+    take_off(link, context)  # what a measurement borrowed must not become part of an upload
+    return open_group(context, name)
+
+
+def open_elsewhere(link: Link, context: Context) -> int:
+    """Number of a change that another folder or host began and did not end, 0 for none."""
+    number = read_change(link, context)
+    return number if number > 0 and number not in own_numbers(context) else 0
 
 
 @contextmanager
@@ -130,6 +171,11 @@ def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCo
     mark_left(error, ControllerState.OLD, confirmed=True)
     for note in notes:
         error.add_note(note)
+    try:
+        if read_lease(link, context).owner in {0, context.owner}:
+            _end(link, context)
+    except PmacCompError as second:
+        error.add_note(f"The end of the upload could not be noted: {second.message}")
 
 
 def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResult:
@@ -151,10 +197,12 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
     Raises
     ------
     ForeignChange
-        Tables act that nobody announced; they were switched off.
+        Tables act that nobody announced; they were switched off. Or somebody else has changed the
+        controller since the interruption; nothing was written over it.
     """
     try:
-        return _recover(link, context, resume=resume)
+        with _one_at_a_time(context):
+            return _recover(link, replace(context, settling=True), resume=resume)
     except PmacCompError as error:
         if error.left is None:
             lost = isinstance(error, LinkError | ProtocolError)
@@ -175,26 +223,98 @@ def left_open(context: Context) -> tuple[str, ...]:
     return tuple(open_parts)
 
 
+def last_change(context: Context) -> str:
+    """What this folder did last to the controller and how it ended, in words; empty for nothing."""
+    told = [j for j in journals(context) if not is_temporary(j)]
+    whole = [j for j in told if j.kind == ChangeKind.GROUP.value or not j.group]
+    if not whole:
+        return ""
+    first, last = whole[-1].entries()[0], whole[-1].entries()[-1].step
+    name = first.data.get("name") or first.data.get("route") or first.data.get("kind")
+    ends = {DONE: "done", ROLLED_BACK: "taken back", KEPT: "closed without writing"}
+    return f"{name}: {ends.get(last, 'interrupted')}"
+
+
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
-    notes = take_off(link, context, whatever_stands=True)
-    torn = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
-    if torn:
-        result = _recover_group(link, context, torn)
-    else:
+    _refuse_what_others_changed(link, context)
+    notes = list(take_off(link, context, whatever_stands=True))
+    torn = _torn_groups(context)
+    for group in reversed(torn):
+        notes += _take_group_back(link, context, group)
+    if not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume)
-    release_lease(link, context)
-    return replace(result, notes=(*result.notes, *notes))
+    else:
+        if not notes:
+            notes.append("no part of the upload was begun")
+        result = UploadResult(ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path)
+    _end(link, context)
+    return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
 
 
-def _recover_group(link: Link, context: Context, torn: Sequence[Journal]) -> UploadResult:
-    """Take the torn upload back; with none of its parts begun there is nothing to do."""
-    notes = _take_group_back(link, context, torn[-1])
-    for older in torn[:-1]:
-        older.write(ROLLED_BACK)
-    note = notes or ("no part of the upload was begun",)
+def _end(link: Link, context: Context) -> None:
+    """Give the lease back, and say on the controller that our last change has ended."""
+    number = read_change(link, context)
+    release_lease(link, context, ended=number if number in own_numbers(context) else 0)
+
+
+def _torn_groups(context: Context) -> list[Journal]:
+    return [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
+
+
+def waiting(context: Context) -> list[Journal]:
+    """Journals of what a recovery would write back."""
+    groups = {group.group for group in _torn_groups(context)}
+    parts = [p for p in parts_of(context) if p.journal.group in groups and p.closing != ROLLED_BACK]
+    temporary = [found.journal for found in standing(context)]
+    return [*(p.journal for p in (*parts, *unsettled(context))), *temporary]
+
+
+def _refuse_what_others_changed(link: Link, context: Context) -> None:
+    """Nothing is written back over a change that another folder or host made since.
+
+    The number on the controller is of a change of this folder then, or, after a reset, an older
+    one that stood there before them.
+    """
+    open_here = waiting(context)
+    elsewhere = open_elsewhere(link, context)
+    if elsewhere and not open_here:
+        raise begun_elsewhere(elsewhere)
+    number, own = read_change(link, context), own_numbers(context)
+    seen = {abs(int(str(e.data.get(FOUND, 0)))) for j in journals(context) for e in j.entries()}
+    if open_here and abs(number) not in own | seen | {0}:
+        raise ForeignChange(
+            f"Another folder or host has changed this controller (number {abs(number)}) since "
+            "the interruption; what stood before is not written back over it.",
+            code="PC-REC-004",
+            hint="Look at what stands (`pmac-comp status`, `backup`). `pmac-comp recover --keep` "
+            "takes it as it is and closes what was left open here.",
+            context={"number": abs(number)},
+        )
+
+
+def keep(link: Link, context: Context) -> UploadResult:
+    """Take what stands as it is: close what this folder left open, write nothing back.
+
+    Raises
+    ------
+    LeaseHeld
+        Another host changes the controller now.
+    """
+    with untouched(), _one_at_a_time(context):
+        raise_all(lease_refusals(link, context), "Keeping what stands")
+        still_open = [j for j in journals(context) if is_torn(j)]
+        for journal in reversed(still_open):
+            journal.write(KEPT)
+        release_lease(link, context, ended=abs(read_change(link, context)))
+        status = table_status(link, context)
+    note = f"what stands was kept; {len(still_open)} open change(s) of this folder closed"
     return UploadResult(
-        ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path, notes=tuple(note)
+        status.decision.state,
+        "kept",
+        0,
+        status.tables.crc,
+        notes=(note, f"tables: {status.decision.reason}"),
     )
 
 
@@ -225,15 +345,31 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
     ConfigError
         There is none in this folder, or it was taken back already.
     """
-    group, _ = upload_to_take_back(context)
-    notes = _take_group_back(link, context, group)
+    with _one_at_a_time(context):
+        group, _ = upload_to_take_back(context)
+        notes = _rolled_back(link, replace(context, settling=True), group)
     return UploadResult(ControllerState.OLD, "upload", 0, 0, journal=group.path, notes=tuple(notes))
+
+
+def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
+    """Take an upload back; an error says of all of it what stands, not of one part."""
+    try:
+        _refuse_newer(context, group)
+        _refuse_what_others_changed(link, context)
+        notes = _take_group_back(link, context, group)
+        _end(link, context)
+    except PmacCompError as error:
+        begun = group.is_open
+        left = ControllerState.DISABLED if begun else ControllerState.NEW
+        mark_left(error, left, confirmed=not begun)
+        raise
+    return notes
 
 
 def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
     """The last upload and its parts that still stand, the last one first; ConfigError if none."""
     groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
-    if not groups or groups[-1].last(ROLLED_BACK) is not None:
+    if not groups or any(groups[-1].last(step) is not None for step in (ROLLED_BACK, KEPT)):
         raise ConfigError(
             f"There is no upload in {context.store} that could be taken back.",
             code="PC-REC-001",
@@ -247,12 +383,53 @@ def _standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
     return tuple(p for p in reversed(parts) if p.closing != ROLLED_BACK)
 
 
+def _refuse_newer(context: Context, group: Journal) -> None:
+    """A change that was interrupted after an upload is settled first."""
+    newer = [p for p in unsettled(context) if p.journal.group != group.group]
+    if newer:
+        raise UploadIncomplete(
+            f"A change of {newer[0].kind.value} after the upload was interrupted and is still "
+            "open.",
+            code="PC-TXN-010",
+            hint="Run `pmac-comp recover` first, then take the upload back.",
+            left=ControllerState.OLD,
+        )
+
+
 def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take back every part, the last one first; may be repeated after an interruption."""
-    alone = replace(context, group=0, stop_requested=never)
+    alone = replace(context, group=0, stop_requested=never, settling=True)
     notes: list[str] = []
-    for part in _standing_parts(context, group):
-        notes.append(take_back(link, alone, part))
+    was_done = not group.is_open
+    if was_done:
+        # From here on less than all of it may stand: `recover` has to know.
+        group.write(_TAKING_BACK)
+    for part in reversed([p for p in parts_of(context) if p.journal.group == group.group]):
+        if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
+            continue  # a reset in between may have brought back what was taken back already
+        if part.items & _replaced_since(context, part):
+            notes.append(f"{part.kind.value}: a later upload took its place; it stands")
+        else:
+            try:
+                notes.append(take_back(link, alone, part))
+            except SafetyRefusal as error:
+                if was_done and not notes and error.left in {None, ControllerState.OLD}:
+                    group.write(DONE)  # nothing was taken back yet
+                raise
         part.journal.write(ROLLED_BACK)
     group.write(ROLLED_BACK)
     return tuple(dict.fromkeys(notes))  # several parts may be of one kind
+
+
+def _replaced_since(context: Context, part: Part) -> set[object]:
+    """What later changes, of other uploads, put in the place of a part's items."""
+    known = parts_of(context)
+    behind = known[1 + next(k for k, p in enumerate(known) if p.journal == part.journal) :]
+    return {
+        item
+        for later in behind
+        if later.journal.group != part.journal.group
+        and later.closing != ROLLED_BACK
+        and later.intent.data.get("closing") != ROLLED_BACK
+        for item in later.items
+    }

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, SafetyRefusal
-from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller import programs, temporary
 from pmac_comp.machine.controller.backup import (
     NOT_RESTORED,
     Q_WINDOW,
@@ -29,7 +29,7 @@ from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.settings import Buffer, Settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult, require_settled, untouched
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import describe
 from pmac_comp.machine.wire.numbers import read_number
@@ -69,6 +69,8 @@ def restore(
     with untouched():
         if not other_card:
             _refuse_other_card(read_identity(link), backup)
+        require_settled(context)
+        temporary.take_off(link, context)
         refusals = _enabled_motors(link)
         present = _read_like(link, backup, progress)
     with grouped(link, context, "restore") as parts:

@@ -36,6 +36,7 @@ from pmac_comp.machine.controller.settings import (
 )
 from pmac_comp.machine.controller.transaction import (
     ROLLED_BACK,
+    TEMPORARY,
     Change,
     ChangeKind,
     UploadResult,
@@ -44,7 +45,6 @@ from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 RUNNING_PROGRAM: Final = 1 << 0  # first word of ??, bit 0 (p. 287)
 SYSTEMS: Final = 16
-TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
 
 
 class SettingsUpload:
@@ -180,8 +180,7 @@ class SettingsUpload:
     def leave_open(self) -> None:
         """Give the lease back and leave the journal open, for settings that stand for a while."""
         with self._change.explained():
-            self._change.left = ControllerState.NEW
-            self._change.release()
+            self._change.leave_open(ControllerState.NEW)
 
     def _take_back(self) -> ControllerState:
         state = put_back(self.link, self.old, skip_refused=self._skip_refused)

@@ -15,7 +15,6 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import (
-    TEMPORARY,
     SettingsUpload,
     put_back,
     read_settings_backup,
@@ -24,6 +23,7 @@ from pmac_comp.machine.controller.settings_upload import (
 from pmac_comp.machine.controller.transaction import (
     ROLLED_BACK,
     ChangeKind,
+    is_temporary,
     journals,
     untouched,
 )
@@ -95,7 +95,7 @@ def standing(context: Context) -> tuple[Temporary, ...]:
         if journal.kind != ChangeKind.SETTINGS.value or not journal.is_open:
             continue
         intent = journal.last("intent")
-        if intent is not None and intent.data.get(TEMPORARY):
+        if intent is not None and is_temporary(journal):
             old = read_settings_backup(context.store / str(intent.data["backup"]))
             found.append(Temporary(journal, old, Settings.from_dict(intent.data["new"])))
     return tuple(found)

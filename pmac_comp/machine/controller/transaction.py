@@ -24,6 +24,7 @@ from pmac_comp.base.errors import (
     LinkError,
     PmacCompError,
     ProtocolError,
+    UploadIncomplete,
 )
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
@@ -41,6 +42,9 @@ from pmac_comp.machine.controller.manifest import Lease
 
 DONE: Final = "done"
 ROLLED_BACK: Final = "rolled back"
+KEPT: Final = "kept"  # closed without writing: somebody else has changed the controller since
+TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
+FOUND: Final = "number found"  # in an intent: of the last change before it
 RENEW_SHARE: Final = 0.25
 
 
@@ -132,6 +136,7 @@ class Change:
         self._interrupt = DeferredInterrupt()
         self._ended: ControllerState | None = None
         self._lease: Lease | None = None
+        self._found = 0
 
     def __enter__(self) -> Self:
         self._stack.enter_context(host_lock(self.context))
@@ -174,19 +179,35 @@ class Change:
         return self._journal
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
-        """First entry of a new journal, then the lease; nothing is changed yet."""
+        """First entry of a new journal, then the lease; nothing is changed yet.
+
+        Raises
+        ------
+        UploadIncomplete
+            An earlier change of this folder was interrupted and waits for ``recover``.
+        """
         self.may_go_on()
+        if self._is_new and not self.context.group:
+            require_settled(self.context)
         if self._is_new:
             head = {"kind": self.kind.value, "group": self.context.group}
             self.journal.write("begin", {**head, **(data or {})}, when=Sync.LATER)
-        self._lease = take_lease(self.link, self.context)
+        self._lease, self._found = take_lease(
+            self.link, self.context, self._number, lambda n: n in own_numbers(self.context)
+        )
         self._leased_at_s = self.link.clock.now_s()
 
     def step(self, name: str, data: Mapping[str, object] | None = None) -> None:
         """Put a step on the disk before it is done, unless somebody asked for an end."""
         if name not in CLOSING:
             self.may_go_on()
+        if name == "intent":
+            data = {**(data or {}), FOUND: self._found}
         self.journal.write(name, data)
+
+    @property
+    def _number(self) -> int:
+        return self.context.group or _number_of(self.journal.path.name)
 
     def backup_path(self, suffix: str) -> Path:
         """Where the backup of this change belongs."""
@@ -240,8 +261,16 @@ class Change:
     def release(self) -> None:
         """Give the lease back if it is held."""
         if self._leased_at_s is not None:
-            release_lease(self.link, self.context)
+            # An upload ends with its last part, a recovery when all is settled.
+            alone = not (self.context.group or self.context.settling)
+            over = alone and (self._ended is not None or not is_torn(self.journal))
+            release_lease(self.link, self.context, ended=self._number if over else 0)
             self._leased_at_s = None
+
+    def leave_open(self, verdict: ControllerState) -> None:
+        """Give the lease back and leave the journal open: what was put on stands for a while."""
+        self.left = self._ended = verdict
+        self.release()
 
     @contextmanager
     def explained(self) -> Iterator[None]:
@@ -277,8 +306,15 @@ class Change:
 
 
 def open_group(context: Context, name: str) -> tuple[Journal, Context]:
-    """Begin an upload of several parts; its journal, and the context for the parts."""
+    """Begin an upload of several parts; its journal, and the context for the parts.
+
+    Raises
+    ------
+    UploadIncomplete
+        An earlier change of this folder was interrupted and waits for ``recover``.
+    """
     with host_lock(context):
+        require_settled(context)
         number = new_transaction_id()
         journal = Journal(_next_path(context, number))
         journal.write("begin", {"kind": ChangeKind.GROUP.value, "group": number, "name": name})
@@ -293,6 +329,58 @@ def new_transaction_id() -> int:
 def journals(context: Context) -> list[Journal]:
     """Journals of this controller in this folder, oldest first."""
     return [Journal(path) for path in _paths(context)]
+
+
+def own_numbers(context: Context) -> set[int]:
+    """Numbers of the changes that were begun from this folder."""
+    return {_number_of(name) for name in _names(context)}
+
+
+def _number_of(name: str) -> int:
+    return int(name.rsplit("-", 1)[1].removesuffix(".journal"))
+
+
+def is_torn(journal: Journal) -> bool:
+    """Whether a change, or an upload of several, got far enough to need settling and was not."""
+    entries = journal.entries()
+    if not entries or entries[-1].step in CLOSING:
+        return False
+    begun = entries[0].data.get("kind") == ChangeKind.GROUP.value
+    return begun or any(entry.step == "intent" for entry in entries)
+
+
+def require_settled(context: Context) -> None:
+    """Refuse a change while an interrupted one of this folder waits for ``recover``.
+
+    Its backup is what stood before: a change on top would be lost when that is written back.
+    What a measurement borrowed stands open without being half-changed, and is taken off apart.
+
+    Raises
+    ------
+    UploadIncomplete
+        There is one.
+    """
+    if context.settling:
+        return
+    torn = [j for j in journals(context) if is_torn(j) and not is_temporary(j)]
+    if torn:
+        begin = torn[-1].first()
+        data = {} if begin is None else begin.data
+        name = data.get("name") or data.get("route") or data.get("kind")
+        raise UploadIncomplete(
+            f"An earlier change of this controller ({name}) was interrupted and is still open.",
+            code="PC-TXN-010",
+            hint="Run `pmac-comp recover` first: it ends the earlier one as it was before or as "
+            "it was meant. Then try again; nothing was changed now.",
+            context={"journal": str(torn[-1].path), "confirmed": True},
+            left=ControllerState.OLD,
+        )
+
+
+def is_temporary(journal: Journal) -> bool:
+    """Whether a change stands only while something is measured."""
+    intent = journal.last("intent")
+    return intent is not None and bool(intent.data.get(TEMPORARY))
 
 
 def _names(context: Context) -> list[str]:

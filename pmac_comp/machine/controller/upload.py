@@ -445,6 +445,6 @@ def remove_tables(link: Link, context: Context, keys: Sequence[Key]) -> UploadRe
     """Take tables off; the rest acts as before (none left: compensation stays off)."""
     remaining = read_tables(link).with_tables((), without=keys)
     with TableUpload(
-        link, context, exactly=remaining, enable_after=len(remaining) > 0, check_limits=False
+        link, context, without=keys, enable_after=len(remaining) > 0, check_limits=False
     ) as upload:
         return upload.execute()

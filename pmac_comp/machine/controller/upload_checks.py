@@ -8,6 +8,7 @@ from pmac_comp.base.errors import (
     SafetyRefusal,
 )
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import ManifestState
 from pmac_comp.machine.controller.motors import (
     Standstill,
     moving_motors,
@@ -63,6 +64,25 @@ def buffer_refusals(head: Head) -> list[SafetyRefusal]:
             )
         )
     return refusals
+
+
+def incomplete_refusals(head: Head, old: TableSet, after: TableSet) -> list[SafetyRefusal]:
+    """Refusal of letting tables act that an interrupted upload may have left half-written."""
+    manifest = head.manifest
+    if manifest is None or manifest.state is not ManifestState.WRITING:
+        return []
+    left = [t for t in after if old.get(t.kind, t.motor) == t]
+    if old.crc in {manifest.crc_old, manifest.crc_new} or not left:
+        return []
+    names = ", ".join(f"{t.kind.value} of motor #{t.motor}" for t in left)
+    return [
+        SafetyRefusal(
+            f"An upload of tables was interrupted on this controller; {names} may be incomplete "
+            "and would act.",
+            code="PC-UPL-024",
+            hint="Run `pmac-comp recover` where that upload was started, or put a backup back.",
+        )
+    ]
 
 
 def memory_refusals(head: Head, old: TableSet, new: TableSet) -> list[SafetyRefusal]:

@@ -32,6 +32,7 @@ from pmac_comp.machine.controller.table_set import (
 from pmac_comp.machine.controller.table_status import HEAD_LINES, Head, head_text, parse_head
 from pmac_comp.machine.controller.upload_checks import (
     buffer_refusals,
+    incomplete_refusals,
     memory_refusals,
     motion_refusals,
     not_at_rest,
@@ -157,6 +158,8 @@ def look(
     if set(motors) - set(begun.first):
         begun = Standstill(readings, link.clock.now_s())
     after = new if wish.enable_after else TableSet()
+    if wish.exactly is None:
+        refusals += incomplete_refusals(head, old, after)
     refusals += step_refusals(context, readings, old if head.i51 else TableSet(), after)
     steps = plan(old, new)
     found = UploadPlan(

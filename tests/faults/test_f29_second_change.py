@@ -1,0 +1,272 @@
+"""F29, F19: a change while an earlier one, killed on its way, still waits for ``recover``.
+
+Its backup is what stood before it: a change accepted on top would be lost when that is written
+back. So it is refused, from the same folder by the journal, from another one by the number of the
+change on the controller; and a recovery never writes over what somebody else has put on since.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import (
+    ControllerState,
+    ForeignChange,
+    PmacCompError,
+    SafetyRefusal,
+    UploadIncomplete,
+)
+from pmac_comp.machine.controller import law_upload, recovery, temporary, transaction
+from pmac_comp.machine.controller.backup import Backup, read_backup
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.program_upload import upload_program
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.restore import restore
+from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.upload import upload_tables
+from tests.faults.change_bench import ChangeBench, Scenario, standing
+from tests.faults.killed_child import dies_after
+from tests.faults.test_f01_f29_every_kind import (
+    SCENARIOS,
+    thinned,
+    with_table,
+)
+from tests.faults.test_f20_reset_any_change import differing
+from tests.faults.upload_bench import SameIds, new_table, wave
+
+pytestmark = pytest.mark.faults
+Count = Callable[[int], None]
+BLOCK = LawBlock()
+OTHER_LAW = LawParameters(A0=0.5, JL=1.0, T0=50.0, T_LIMIT=500.0)
+MOTOR_2 = replace(new_table(600), motor=2, source=2)
+OTHER_TABLE = replace(new_table(24), entries=wave(24, amplitude_ct16=240.0, phase=0.9))
+
+
+class Restoring:
+    """The restore of a backup that differs from the card in settings, programs and tables."""
+
+    def __init__(self) -> None:
+        self._kept: Backup | None = None
+
+    def prepare(self, link: Link, context: Context) -> None:
+        with_table(link, context)
+        link.command("#1K")
+        self._kept = read_backup(link, p_range=(7100, 7110), with_q=False)
+        upload_tables(link, context, [new_table(24)])
+        upload_program(link, context, Program(ProgramKind.PROG, 710, ("LINEAR", "X2000")))
+        link.write_buffer(["I119=0.7", "I122=33", "M7003->Y:$C001"])
+
+    def change(self, link: Link, context: Context) -> None:
+        assert self._kept is not None
+        restore(link, context, self._kept)
+
+
+RESTORING = Restoring()
+KINDS = [
+    *SCENARIOS,
+    Scenario("restore", RESTORING.prepare, RESTORING.change),
+]
+
+
+def put_table(link: Link, context: Context) -> None:
+    upload_tables(link, context, [OTHER_TABLE])
+
+
+def put_law(link: Link, context: Context) -> None:
+    law_upload.upload_law(link, context, OTHER_LAW)
+
+
+def put_route(link: Link, context: Context) -> None:
+    with recovery.grouped(link, context, "second") as parts:
+        upload_tables(link, parts, [OTHER_TABLE])
+
+
+def put_settings(link: Link, context: Context) -> None:
+    change_settings(link, context, Settings({"I119": "0.31"}))
+
+
+def borrow(link: Link, context: Context) -> None:
+    temporary.put_on(link, context, Settings({"I5190": "77"}), motors=(1,))
+
+
+SECOND = [put_table, put_law, put_route, put_settings, borrow]
+
+
+@pytest.fixture(params=KINDS, ids=lambda s: s.name)
+def rig(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> ChangeBench:
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    return ChangeBench(tmp_path / "here", request.param, ids)
+
+
+def killed(rig: ChangeBench, n_bytes: int) -> tuple[Context, Context]:
+    """Kill the change after so many bytes; contexts of its folder and of another one."""
+    rig.restart()
+    with dies_after(rig.bench.tap, n_bytes):
+        rig.attempt()
+    here = rig.fresh().context
+    elsewhere = replace(here, store=rig.folder.parent / "elsewhere")
+    for path in elsewhere.store.glob("*"):
+        path.unlink()
+    return here, elsewhere
+
+
+def changing(rig: ChangeBench) -> list[int]:
+    """Byte numbers at which requests end while the change is under way."""
+    found: list[int] = []
+    rig.restart()
+
+    def note(_n: int) -> None:
+        if under_way(rig):
+            found.append(rig.bench.tap.sent)
+
+    rig.bench.on_request = note
+    rig.scenario.change(rig.bench.link, rig.bench.context)
+    return sorted(set(found))
+
+
+def is_torn(context: Context) -> bool:
+    return any(transaction.is_torn(j) and not transaction.is_temporary(j)
+               for j in transaction.journals(context))  # fmt: skip
+
+
+def let_lease_end(rig: ChangeBench) -> None:
+    rig.bench.link.command(f"P{BLOCK.p(Index.LEASE) + 1}=0")
+
+
+def under_way(rig: ChangeBench) -> bool:
+    return rig.bench.p(BLOCK.p(Index.CHANGE)) > 0
+
+
+def test_f29_a_second_change_waits_for_recover(
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count
+) -> None:
+    """From the same folder and from another one; then the first ends as if nobody had tried."""
+    at = thinned(changing(rig), 3, exhaustive=exhaustive)
+    refused = 0
+    for k, n in enumerate(at):
+        here, elsewhere = killed(rig, n)
+        left = standing(rig.bench)
+        second = SECOND[k % len(SECOND)]
+        if is_torn(here):
+            with pytest.raises(UploadIncomplete, match="interrupted and is still open") as said:
+                second(rig.bench.link, here)
+            assert said.value.code == "PC-TXN-010"
+            assert said.value.left is ControllerState.OLD
+            refused += 1
+        if under_way(rig):
+            for attempt in SECOND[:2]:
+                with pytest.raises(SafetyRefusal):
+                    attempt(rig.bench.link, elsewhere)
+            let_lease_end(rig)
+            with pytest.raises(PmacCompError, match="another folder or host") as told:
+                SECOND[(k + 1) % 4](rig.bench.link, elsewhere)
+            assert told.value.code == "PC-TXN-011"
+            with pytest.raises(PmacCompError, match="another folder or host"):
+                recovery.recover(rig.bench.link, elsewhere)
+        assert not differing(standing(rig.bench), left), n
+        rig.recover(resume=n % 2 == 0)
+        count_runs(1)
+    # What a measurement borrowed is no half-changed compensation: taken off before a change.
+    assert refused or rig.scenario.name == "measurement"
+
+
+def test_f29_nothing_is_written_over_what_somebody_else_put_on_since(
+    *, rig: ChangeBench, exhaustive: bool, count_runs: Count
+) -> None:
+    """Taken over by a person in another folder, who then uploads; the first folder only looks."""
+    at = thinned(changing(rig), 2, exhaustive=exhaustive)
+    for n in at:
+        here, elsewhere = killed(rig, n)
+        if not under_way(rig):
+            rig.recover(resume=True)
+            continue
+        let_lease_end(rig)
+        recovery.keep(rig.bench.link, elsewhere)
+        put_settings(rig.bench.link, elsewhere)
+        theirs = standing(rig.fresh())
+        waits = bool(recovery.left_open(here))
+        if waits and recovery.waiting(here):
+            with pytest.raises(ForeignChange, match="not written back over it"):
+                recovery.recover(rig.bench.link, here)
+            with pytest.raises(PmacCompError):
+                recovery.rollback_last(rig.bench.link, here)
+            assert recovery.left_open(here)
+        assert not differing(standing(rig.fresh()), theirs), n
+        recovery.keep(rig.bench.link, here)
+        assert not differing(standing(rig.fresh()), theirs), n
+        assert recovery.left_open(here) == ()
+        count_runs(1)
+
+
+def test_f19_tables_half_written_elsewhere_never_act(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """Taken over, they may be replaced or restored, but do not act beside somebody's new table."""
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+
+    def both(link: Link, context: Context) -> None:
+        upload_tables(link, context, [new_table(24), MOTOR_2])
+
+    rig = ChangeBench(tmp_path / "here", Scenario("tables", with_table, both), ids)
+    torn = 0
+    for n in changing(rig):
+        _, elsewhere = killed(rig, n)
+        written = rig.bench.values("COMP", 2)
+        if rig.bench.i51 or written is None:
+            continue
+        let_lease_end(rig)
+        recovery.keep(rig.bench.link, elsewhere)
+        if written == list(MOTOR_2.entries):
+            continue
+        with pytest.raises(PmacCompError, match="may be incomplete") as said:
+            put_table(rig.bench.link, elsewhere)
+        assert said.value.code == "PC-UPL-024"
+        assert rig.fresh().i51 == 0
+        torn += 1
+    count_runs(torn)
+    assert torn
+
+
+def test_f29_a_reset_is_not_taken_for_somebody_else(*, rig: ChangeBench, count_runs: Count) -> None:
+    """After ``$$$`` the number that was saved stands, older than the interruption: recovered."""
+    for n in thinned(changing(rig), 2, exhaustive=False):
+        here, _ = killed(rig, n)
+        rig.bench.side_port()("$$$")
+        rig.fresh()
+        recovery.recover(rig.bench.link, here)
+        assert recovery.left_open(here) == ()
+        count_runs(1)
+
+
+def test_f29_what_a_measurement_borrowed_is_given_back_before_an_upload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """Whole, it is taken off first; half-written, the upload is refused until ``recover`` ran."""
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    measurement = next(s for s in SCENARIOS if s.name == "measurement")
+    rig = ChangeBench(tmp_path / "here", measurement, ids)
+    ended = set()
+    for n in [*changing(rig), 1 << 30]:
+        here, _ = killed(rig, n)
+        try:
+            put_route(rig.bench.link, here)
+        except ForeignChange as error:
+            ended.add(error.code)
+            rig.recover(resume=True)
+        else:
+            ended.add("taken off")
+            assert not recovery.left_open(here)
+        found = standing(rig.fresh())
+        assert (found.axes, found.variables[-2:]) == (rig.before.axes, rig.before.variables[-2:])
+        count_runs(1)
+    assert ended - {"PC-TMP-001"} == {"taken off"}
