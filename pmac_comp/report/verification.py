@@ -1,5 +1,6 @@
 """Sections of a report on a verification: before and after, motion by motion, static, ringing."""
 
+import math
 from typing import Any
 
 from pmac_comp.base.units import UM_PER_M
@@ -72,16 +73,25 @@ def verification_sections(verification: Verification) -> list[Section]:
                 "are 95 % by drawing blocks of the runs anew.",
                 *(
                     f"{line[0].upper()}{line[1:]}."
-                    for line in (*verification.reached(), *verification.judged())
+                    for line in (
+                        *verification.reached(),
+                        *verification.judged(),
+                        *verification.remarks,
+                    )
                 ),
-                *verification.remarks,
             ],
             tables=[
                 *_main_tables(verification.motions),
                 *_promise_tables(verification.motions),
                 *_interval_tables(verification),
             ],
-            figures=[(figures.summary_bars(bars), "Mechanical error per motion, measured.")],
+            figures=[
+                (
+                    figures.summary_bars(bars, verification.floor_um),
+                    "Mechanical error per motion, measured; the promise is that of the model, "
+                    "without the steps of encoder and scale.",
+                )
+            ],
         )
     ]
     sections += [_motion_section(verification, m) for m in verification.motions]
@@ -228,6 +238,7 @@ def _interval_tables(verification: Verification) -> list[Table]:
         (
             f"{motion.name}: {j.quantity}",
             f"{j.lower_um:.2f} to {j.upper_um:.2f}",
+            f"{math.hypot(j.upper_um, verification.floor_um):.2f}",
             f"{j.measured_um:.2f}",
             "kept" if j.is_kept else "missed",
         )
@@ -237,10 +248,11 @@ def _interval_tables(verification: Verification) -> list[Table]:
     if not rows:
         return []
     caption = (
-        "Promised intervals. Kept: measured below the upper end, with the sensors' own steps of "
-        f"{verification.floor_um:.2f} um allowed"
+        "Promised intervals, and their upper end with the sensors' own steps of "
+        f"{verification.floor_um:.2f} um; kept: measured at most that"
     )
-    return [Table(("um rms", "promised", "measured", "promise"), rows, caption)]
+    columns = ("um rms", "promised", "with steps, up to", "measured", "promise")
+    return [Table(columns, rows, caption)]
 
 
 def _motion_section(verification: Verification, motion: MotionOutcome) -> Section:
