@@ -29,6 +29,13 @@ COORDINATE_UNITS: Mapping[str, str] = MappingProxyType(
 )
 _BINS = 24
 _MIN_PER_BIN = 12
+# Ringing: bands of a sixth of an octave, two of them together, from a frequency that motions leave
+# alone up to a share of the sampling rate; how much of a residual, and how many times its
+# surroundings, in the median run.
+_LOWEST_Hz, _HIGHEST_FRAC = 15.0, 0.4
+_PER_OCTAVE, _WIDTH = 6, 2
+_RINGS, _STANDS_OUT = 0.15, 5.0
+_FEW_RUNS, _LEAST = 2, 256
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Region:
     repeats : bool
         Whether ``low`` and ``high`` are the period of a pattern of position in um, or its
         frequency, and the shape is that over one period.
+    rings : bool
+        Whether the residual rings in a narrow band of frequency whatever the motion.
     """
 
     channel: str
@@ -80,10 +89,17 @@ class Region:
     centres: tuple[float, ...] = ()
     means_um: tuple[float, ...] = ()
     repeats: bool = False
+    rings: bool = False
 
     def describe(self) -> str:
         """One phrase for a person."""
         unit = f" {self.unit}" if self.unit else ""
+        if self.rings:
+            return (
+                f"{self.channel} residual rings between {self.low:.3g} and {self.high:.3g} Hz "
+                f"in every run ({100 * self.share:.0f} % of its variance, amplitude "
+                f"{self.size_um:.2f} um), as a spring and a mass do that the model lacks"
+            )
         if self.repeats:
             where = "every" if self.coordinate == "position" else "at"
             what = " of position" if self.coordinate == "position" else ""
@@ -211,8 +227,11 @@ def localise(
             regions.append(region)
     regions.append(_frequency_region(residual_m, channel, sample_s))
     kept = [r for r in regions if r.p_value < 0.01 and r.share > 0.02]
-    # A band of frequency says least about a cause: it comes last.
-    return tuple(sorted(kept, key=lambda r: (r.coordinate == "frequency", -r.share)))
+    # A band of frequency says least about a cause: it comes last. A narrow one that every run
+    # shows is a cause.
+    kept = sorted(kept, key=lambda r: (r.coordinate == "frequency", -r.share))
+    ringing = _ringing(residual_m, channel, sample_s)
+    return tuple(kept) if ringing is None else (ringing, *kept)
 
 
 def _bin_test(
@@ -280,3 +299,45 @@ def _frequency_region(residual_m: Sequence[FloatArray], channel: str, sample_s: 
         centres=tuple(float(e) for e in edges),
         means_um=tuple(float(1e6 * np.sqrt(s) * clean.std()) for s in sums),
     )
+
+
+def _ringing(residual_m: Sequence[FloatArray], channel: str, sample_s: float) -> Region | None:
+    """A narrow band that stands out of every run's residual; None where there is none.
+
+    What a motion leaves comes back with its own period, another one in every run.
+    """
+    count = int(np.log2(_HIGHEST_FRAC / sample_s / _LOWEST_Hz) * _PER_OCTAVE)
+    edges = _LOWEST_Hz * 2.0 ** (np.arange(count + 1) / _PER_OCTAVE)
+    clean = [np.nan_to_num(r - np.nanmean(r)) for r in residual_m]
+    shares = np.array([_band_shares(c, edges, sample_s) for c in clean if c.size > _LEAST])
+    if count < _WIDTH or shares.shape[0] < _FEW_RUNS:
+        return None
+    sums = np.stack([np.convolve(s, np.ones(_WIDTH), "valid") for s in shares])
+    peak = int(np.argmax(np.median(sums, axis=0)))
+    share = float(np.median(sums[:, peak]))
+    near = slice(max(0, peak - _PER_OCTAVE), peak + _WIDTH + _PER_OCTAVE)
+    around = np.delete(np.median(shares, axis=0)[near], np.arange(_WIDTH) + peak - near.start)
+    stands_out = share > _STANDS_OUT * _WIDTH * float(np.median(around))
+    if share < _RINGS or not stands_out or np.quantile(sums[:, peak], 0.25) < 0.5 * share:
+        return None
+    power = float(np.mean(np.concatenate(clean) ** 2))
+    return Region(
+        channel=channel,
+        coordinate="frequency",
+        unit="Hz",
+        low=float(edges[peak]),
+        high=float(edges[peak + _WIDTH]),
+        share=share,
+        size_um=1e6 * float(np.sqrt(2.0 * share * power)),
+        p_value=0.0,
+        rings=True,
+    )
+
+
+def _band_shares(residual_m: FloatArray, edges_Hz: FloatArray, sample_s: float) -> FloatArray:
+    """Share of a residual's power in each band."""
+    lines = np.abs(np.fft.rfft(residual_m * np.hanning(residual_m.size))) ** 2
+    frequency = np.fft.rfftfreq(residual_m.size, sample_s)
+    index = np.searchsorted(edges_Hz, frequency, side="right")
+    sums = np.bincount(index, weights=lines, minlength=edges_Hz.size + 1)
+    return np.asarray(sums[1 : edges_Hz.size] / max(float(lines[1:].sum()), 1e-300))

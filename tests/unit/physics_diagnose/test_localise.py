@@ -65,3 +65,28 @@ def test_marked_samples_are_left_out():
     residual = 40e-6 * x
     residual[100:200] = np.nan
     assert located(residual, x, t)[0].coordinate == "position"
+
+
+def _runs_at(frequencies, ring_Hz):
+    """Residuals of runs that follow their motion's period, with or without a mode that rings."""
+    rng = np.random.default_rng(7)
+    t = 2.2e-3 * np.arange(3000)
+    for own in frequencies:
+        slow = 0.6e-6 * np.sin(2 * np.pi * own * t) + 0.3e-6 * np.sin(2 * np.pi * 5 * own * t)
+        ringing = 0.4e-6 * np.sin(2 * np.pi * ring_Hz * t) if ring_Hz else 0.0
+        yield slow + ringing + 0.1e-6 * rng.normal(size=t.size)
+
+
+def test_what_rings_in_every_run_is_told_first_and_with_its_band():
+    coordinates = [lo.machine_coordinates(*motion(3000), None, LEAD_M)] * 4
+    found, without = (
+        lo.localise(list(_runs_at((0.7, 2.0, 4.1, 7.3), ring)), coordinates, channel="table",
+                    sample_s=2.2e-3)
+        for ring in (56.0, 0.0)
+    )  # fmt: skip
+    assert found[0].rings
+    assert found[0].low < 56.0 < found[0].high < 1.4 * found[0].low
+    assert 0.3e-6 < 1e-6 * found[0].size_um < 0.5e-6
+    assert "rings between" in found[0].describe()
+    # 5 x 4.1 and 5 x 7.3 Hz lie above the lowest band: each is one run's own.
+    assert not any(region.rings for region in without)
