@@ -101,6 +101,7 @@ def test_growth_is_named_whether_runs_restart_it_or_are_pieces_of_a_session(cloc
     found = _diagnosed(runs[:3], runs[3:])
     assert found.named == ("thermal_growth",)
     assert found.gap_after_um < 0.5 * found.gap_before_um
+    assert any("no start times" in s for s in found.statements) == (clock != "dated")
     if clock == "dated":
         assert _value(found, "thermal_growth.final_um_per_m") == pytest.approx(40.0, rel=0.1)
         assert found.gap_after_um < 1.5 * found.noise_floor_um

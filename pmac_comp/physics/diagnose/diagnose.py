@@ -13,6 +13,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.claims import Claims, claims_of
+from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import estimates_of, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
@@ -171,11 +172,25 @@ def _assembled(
                 )
             ),
             *told(grown.final.model, claims.effects),
+            *_undated(grown, left, claims),
         ),
         model=grown.final.model,
         estimates=estimates,
         path=_path(grown, before, after),
         traces=_traces(grown, bench),
+    )
+
+
+def _undated(grown: Grown, left: Remainder, claims: Claims) -> tuple[str, ...]:
+    """Says on which order of the runs an answer rests that depends on time."""
+    records = grown.bench.records
+    slow = SLOW & {*claims.effects, *claims.withheld}
+    late = left.unexplained and any(r.coordinate == "time" for r in left.regions)
+    if len(records) < 2 or records[0].dated_s is not None or not (slow or late):
+        return ()
+    return (
+        "The captures carry no start times: what changes slowly was sought in the order in which "
+        "they were given, and as if each run began anew. Give them in the order in which they ran.",
     )
 
 
