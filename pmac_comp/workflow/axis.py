@@ -5,7 +5,6 @@ may not: the registers themselves (``machine.controller``), the fit. Nothing her
 after a doubt: a run that did not come back whole is run again from its start.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     PmacCompError,
 )
+from pmac_comp.base.units import MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.capture_formats import Attribute
@@ -37,6 +37,13 @@ from pmac_comp.machine.controller.gather_plan import (
 from pmac_comp.machine.controller.gather_samples import GatherResult
 from pmac_comp.machine.controller.motion import program_status
 from pmac_comp.machine.controller.supervision import SensorWatch
+from pmac_comp.workflow.approach import (
+    APPROACHED,
+    RELAXED,
+    PROGRAM_DWELL_s,
+    SETTLE_s,
+    run_up_m,
+)
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
@@ -48,9 +55,7 @@ _LEAD_IN_s = 0.05  # kept before the first motion of a run
 _TAIL_s = 0.15  # kept after the last
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
-_SETTLE_s = 0.3
 _END_s = 0.5  # after the last sample, for a host that ran ahead of the card's clock
-_RUN_UP_m = 1e-3  # far beyond the distance in which friction turns over
 _START_ATTEMPTS = 10
 _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
@@ -180,7 +185,7 @@ class Axis:
         gather.stop(self.link)
         self.define_axis()
         self.program_number = PROGRAM_NUMBER
-        lines = ("DWELL100", *pvt.lines, "DWELL50")
+        lines = (f"DWELL{PROGRAM_DWELL_s * MS_PER_S:.0f}", *pvt.lines, "DWELL50")
         programs.download(
             self.link, programs.Program(programs.ProgramKind.PROG, PROGRAM_NUMBER, lines)
         )
@@ -201,17 +206,17 @@ class Axis:
         compensation would begin in states that no later run has.
         """
         start_m = float(motion.position_m[0])
-        inward_m = math.copysign(_RUN_UP_m, self.bench.mid_travel_m - start_m)
         if motors.read_motor(self.link, self.motor).status.is_killed:
             self.enable()
-        motors.move_to(self.link, self.motor, (start_m + inward_m) / self.scales.motor_m_per_ct)
+        place_m = run_up_m(self.bench, start_m)
+        motors.move_to(self.link, self.motor, place_m / self.scales.motor_m_per_ct)
 
     def _go_to_start(self, motion: Motion) -> None:
         start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct
         if motors.read_motor(self.link, self.motor).status.is_killed:
             self.enable()
         motors.move_to(self.link, self.motor, start_ct)
-        self.link.clock.sleep_s(_SETTLE_s)
+        self.link.clock.sleep_s(SETTLE_s)
 
     def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:
         plan = self.plan()
@@ -373,6 +378,7 @@ class Axis:
             torque_command_Nm=torque[part],
             attributes={
                 **self._attributes(motion),
+                "start": RELAXED if skipped else APPROACHED,
                 "first_servo_cycle": int(result.servo_cycle[first]),
             },
         )

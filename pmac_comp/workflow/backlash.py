@@ -24,6 +24,7 @@ _LEAST_um = 0.25  # rms of the difference of both directions; less is not worth 
 _NOISES = 3.0
 _HYSTERESIS_um = 1.0  # a reversal of the command less than this does not turn the backlash
 _SIXTEENTHS = 16.0
+_TAKE_UP_s = 9e-3  # two background cycles of a card with little else to do
 
 
 def has_backlash(lead: LeadMap) -> bool:
@@ -63,3 +64,18 @@ def take_up_variables(table: BacklashTable, bench: Bench) -> dict[str, float]:
         f"I{motor}86": 0.0,
         f"I{motor}87": float(math.ceil(_HYSTERESIS_um * per_um)),
     }
+
+
+def backlash_side(command_m: np.ndarray, bench: Bench) -> np.ndarray:
+    """Side of the backlash along a command: 1 after positive motion, -1 after negative motion."""
+    turn_m = _HYSTERESIS_um / UM_PER_M
+    step = 2.0 * bench.servo_period_s / _TAKE_UP_s
+    sides = np.empty(command_m.size)
+    goal, value, extreme = 1.0, 1.0, float(command_m[0])
+    for k, place in enumerate(command_m.tolist()):
+        extreme = max(extreme, place) if goal > 0.0 else min(extreme, place)
+        if goal * (extreme - place) > turn_m:
+            goal, extreme = -goal, place
+        value = min(value + step, goal) if value < goal else max(value - step, goal)
+        sides[k] = value
+    return sides

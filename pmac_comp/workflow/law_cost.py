@@ -14,8 +14,9 @@ import numpy as np
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law_cost import law_cost_us
-from pmac_comp.physics.compensate.design import design_motions, model_loop, promise, slower_law
+from pmac_comp.physics.compensate.design import design_motions, model_loop, slower_law
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.workflow.routes import LATENCY_CYCLES
 
 if TYPE_CHECKING:

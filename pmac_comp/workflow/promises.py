@@ -1,66 +1,131 @@
 """What the model promised for a run, and what the plant behind a simulated card really did."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import MotionPromise, promise
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.grip import grip_of, gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.promise import (
+    MotionPromise,
+    Static,
+    counted_loop,
+    errors_of,
+    promise,
+)
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
-from pmac_comp.physics.signals.metrics import centred_rms_um, rms_um
+from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
+from pmac_comp.workflow.approach import RELAXED, approach
+from pmac_comp.workflow.backlash import backlash_side
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.dynamic_law import without_turn
+from pmac_comp.workflow.loose_nut import loosened
 from pmac_comp.workflow.outcome import error_signals
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.simulated import Truth
 
 
-def promised(
-    compensation: Compensation | None, loop: Any, capture: Capture
-) -> Mapping[str, float] | None:
-    """What the model promises for the commanded motion of a capture, mean taken out, um.
+@dataclass(frozen=True)
+class Promiser:
+    """What a compensation and its model promise for runs of one bench.
 
-    None without a model or a compensation. The model promises for its own law: what captures
-    corrected beside it is not its word, but what they showed beyond the model widens the promise.
-    A table promises nothing beyond the static part; a motion with a known correction is promised
-    with the command that was drawn.
+    The model promises for its own law: what captures corrected beside it is not its word, but what
+    they showed beyond the model widens the promise. Runs begin as ``verify`` lets them begin.
+
+    Parameters
+    ----------
+    bench, compensation
+        The axis and what is on the controller.
+    loop : LoopRunner
+        Closed loop of the model that the compensation was computed with, with its counts.
     """
-    if compensation is None or loop is None:
+
+    bench: Bench
+    compensation: Compensation
+    loop: LoopRunner
+
+    @classmethod
+    def of(cls, bench: Bench, compensation: Compensation | None, drive: Any) -> "Promiser | None":
+        """None without a model or a compensation: nothing is promised."""
+        if compensation is None or drive is None:
+            return None
+        whole = without_turn(loosened(drive, compensation.law))
+        return cls(bench, compensation, counted_loop(gripping_model(whole, compensation.law)))
+
+    def of_run(self, capture: Capture) -> Mapping[str, float]:
+        """What is promised for the run that a capture holds, mean taken out, um.
+
+        A motion with a known correction is promised with the command that was drawn.
+        """
+        motion = Trajectory(capture.time_s, capture.commanded_position_m)
+        relaxed = capture.attributes.get("start") == RELAXED
+        drawn = capture.desired_m if self.compensation.route in MOTION_ROUTES else None
+        return self.of_motion(motion, relaxed=relaxed, drawn_m=drawn)
+
+    def of_motion(
+        self, motion: Trajectory, *, relaxed: bool = False, drawn_m: FloatArray | None = None
+    ) -> Mapping[str, float]:
+        """The same of a command; ``drawn_m`` is the one with the correction of a known motion."""
+        compensation = self.compensation
+        start_m = float(motion.position_m[0])
+        head = np.zeros(0) if relaxed else approach(self.bench, start_m)
+        if drawn_m is not None:
+            own = promise_drawn(self.loop, motion, drawn_m, head)
+            return widened(own, _rest_of(compensation.law))
+        law = CompensationLaw()
+        if compensation.route in TORQUE_ROUTES:
+            law = grip_of(compensation.law, model_law(compensation.law))
+        own = promise(
+            law,
+            self.loop,
+            motion,
+            latency_cycles=LATENCY_CYCLES[compensation.route],
+            lead_in_m=head,
+            static=static_of(compensation, self.bench),
+        )
+        return widened(own, _rest_of(compensation.law))
+
+
+def static_of(compensation: Compensation, bench: Bench) -> Callable[[FloatArray], Static] | None:
+    """Lead error along a command, and what the tables add; None without a map."""
+    lead, mean = compensation.lead, compensation.table_correction(bench)
+    if lead is None or mean is None:
         return None
-    motion = Trajectory(capture.time_s, capture.commanded_position_m)
-    if compensation.route in MOTION_ROUTES:
-        drawn = promise_drawn(loop, motion, capture.desired_m)
-        return widened(drawn, _rest_of(compensation.law))
-    on_card = compensation.route in TORQUE_ROUTES
-    law = model_law(compensation.law) if on_card else CompensationLaw()
-    latency = LATENCY_CYCLES[compensation.route]
-    own = promise(law, loop, motion, latency_cycles=latency)
-    return widened(own, _rest_of(compensation.law))
+    back = compensation.backlash_table(bench)
+    count_m = bench.motor_resolution_m
+
+    def along(command_m: FloatArray) -> Static:
+        centred = mean(command_m)
+        added = centred
+        if back is not None:
+            side = backlash_side(command_m, bench)
+            added = centred + 0.5 * side * back.table.backlash_ct(command_m / count_m) * count_m
+        return Static(lead.at(command_m), added, centred)
+
+    return along
+
+
+def promise_drawn(
+    loop: LoopRunner, motion: Trajectory, desired_m: FloatArray, head_m: FloatArray
+) -> MotionPromise:
+    """What the model expects when a motion is drawn with its correction in it."""
+    r = np.concatenate([head_m, motion.position_m])
+    added = np.concatenate([np.zeros(head_m.size), desired_m - motion.position_m])
+    before, after = loop(r, None, None), loop(r, r + added, None)
+    return errors_of(r, before, after, added, Static.nothing(r.size), head_m.size)
 
 
 def _rest_of(law: CompensationLaw) -> Unmodelled | None:
     """What the captures showed beyond the model, as the compensation file keeps it."""
     found = law.provenance.get("unmodelled")
     return None if found is None else Unmodelled.from_mapping(found)
-
-
-def promise_drawn(loop: Any, motion: Trajectory, desired_m: FloatArray) -> MotionPromise:
-    """What the model expects when a motion is drawn with its correction in it."""
-    r = motion.position_m
-    before, after = loop(r, None, None), loop(r, desired_m, None)
-    correction = desired_m - r
-    return MotionPromise(
-        e_before_um=centred_rms_um(before.table_position_m - before.motor_position_m),
-        e_r_after_um=centred_rms_um(after.table_position_m - after.motor_position_m + correction),
-        e_c_before_um=centred_rms_um(before.motor_position_m - r),
-        e_c_after_um=centred_rms_um(after.motor_position_m - desired_m),
-        total_before_um=centred_rms_um(before.table_position_m - r),
-        total_after_um=centred_rms_um(after.table_position_m - r),
-    )
 
 
 def true_errors(

@@ -16,7 +16,6 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import (
@@ -25,9 +24,7 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
 )
 from pmac_comp.workflow.deploy import context_of
-from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.identification import load_model
-from pmac_comp.workflow.loose_nut import loosened
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
     MotionOutcome,
@@ -37,7 +34,7 @@ from pmac_comp.workflow.outcome import (
     sensor_floor_um,
 )
 from pmac_comp.workflow.program import motion_of
-from pmac_comp.workflow.promises import promised, true_errors
+from pmac_comp.workflow.promises import Promiser, true_errors
 from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
@@ -79,7 +76,8 @@ def verify_files(
         groups = _paired(first, second)
         for name, pair in groups.items():
             check_one_motion(name, [*pair[0], *pair[1]])
-    loop = None if model is None else _loop(load_model(model, loaded), compensation)
+    drive = None if model is None else load_model(model, loaded)
+    promiser = Promiser.of(loaded, compensation, drive)
     outcomes = [
         outcome_of(
             name,
@@ -87,7 +85,7 @@ def verify_files(
             b,
             lead=compensation.lead if compensation else None,
             table_correction=compensation.table_correction(loaded) if compensation else None,
-            promise=promised(compensation, loop, b[0]),
+            promise=None if promiser is None else promiser.of_run(b[0]),
         )
         for name, (a, b) in groups.items()
     ]
@@ -268,7 +266,7 @@ def verify_axis(
     found = truth() if truth is not None else None
     outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
-    loop = None if drive is None else _loop(drive, compensation)
+    promiser = Promiser.of(axis.bench, compensation, drive)
     for motion, (before, after) in zip(runs.motions, groups, strict=True):
         outcomes.append(
             outcome_of(
@@ -277,7 +275,7 @@ def verify_axis(
                 after,
                 lead=compensation.lead,
                 table_correction=correction,
-                promise=promised(compensation, loop, after[0]),
+                promise=None if promiser is None else promiser.of_run(after[0]),
                 truth=true_errors(found, before, after, compensation, correction),
             )
         )
@@ -292,12 +290,6 @@ def verify_axis(
         static=None if static is None else _static(rest.pop(0)),
         remarks=runs.remarks,
     )
-
-
-def _loop(drive: Any, compensation: Compensation | None) -> LoopRunner:
-    """Closed loop of what a compensation was computed with."""
-    law = None if compensation is None else compensation.law
-    return model_loop(without_turn(loosened(drive, law)))
 
 
 def alternating(

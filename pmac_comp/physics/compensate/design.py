@@ -1,8 +1,8 @@
-"""Coefficients of the compensation law from a drive model, and what the model promises of it.
+"""Coefficients of the compensation law from a drive model.
 
 What lives here: the start from the closed forms (regression of the simulated mechanical error on
 acceleration, velocity and direction), the refinement of all coefficients through the closed loop
-of the model, and the promise. What may not: captures, counts. Imports ``physics.model``,
+of the model. What may not: captures, counts. Imports ``physics.model``,
 ``physics.signals``, ``files`` and ``base``.
 
 The refinement is what makes the law right with the loop around it: latency of the door, current
@@ -23,7 +23,6 @@ from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
-from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 if TYPE_CHECKING:
@@ -88,26 +87,6 @@ class LoopSignals:
 
 
 LoopRunner = Callable[[FloatArray, FloatArray | None, FloatArray | None], LoopSignals]
-
-
-@dataclass(frozen=True)
-class MotionPromise:
-    """What a model promises for one motion, rms in um.
-
-    Parameters
-    ----------
-    e_before_um, e_r_after_um : float
-        Mechanical error without, residual mechanical error with compensation.
-    e_c_before_um, e_c_after_um, total_before_um, total_after_um : float
-        Control tracking error and total error.
-    """
-
-    e_before_um: float
-    e_r_after_um: float
-    e_c_before_um: float
-    e_c_after_um: float
-    total_before_um: float
-    total_after_um: float
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
@@ -411,26 +390,3 @@ def _errors(
     total = signals.table_position_m - motion.position_m
     both = np.concatenate([(residual - residual[0]) / aims[0], (total - total[0]) / aims[1]])
     return np.asarray(both[::_DECIMATION] / math.sqrt(motion.n))
-
-
-def promise(
-    law: CompensationLaw, loop: LoopRunner, motion: Trajectory, *, latency_cycles: int = 1
-) -> MotionPromise:
-    """What the model expects of a law on one motion; the mean of a run is taken out of errors."""
-    before = loop(motion.position_m, None, None)
-    sent = evaluate_law(
-        law, motion.position_m, motion.sample_period_s, latency_cycles=latency_cycles
-    )
-    desired = motion.position_m + sent.correction_m
-    after = loop(motion.position_m, desired, sent.torque_Nm)
-    r = motion.position_m
-    return MotionPromise(
-        e_before_um=centred_rms_um(before.table_position_m - before.motor_position_m),
-        e_r_after_um=centred_rms_um(
-            after.table_position_m - after.motor_position_m + sent.correction_m
-        ),
-        e_c_before_um=centred_rms_um(before.motor_position_m - r),
-        e_c_after_um=centred_rms_um(after.motor_position_m - desired),
-        total_before_um=centred_rms_um(before.table_position_m - r),
-        total_after_um=centred_rms_um(after.table_position_m - r),
-    )

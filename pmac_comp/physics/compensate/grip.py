@@ -12,6 +12,7 @@ motor went.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -20,6 +21,10 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.model.effect import split_name
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
 _NAME = "torque_breakaway_m"
@@ -64,6 +69,22 @@ def gripping_torque(law: CompensationLaw, capture: Capture) -> FloatArray:
     """Torque in N m, shape (n,), that gives the law's model the drive's friction in one run."""
     own_m = law.torque_breakaway_m - law.provenance.get("trim", {}).get(_NAME, 0.0)
     return _missing_Nm(law, capture, own_m, law.torque_breakaway_m)
+
+
+def gripping_model(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
+    """The model with the distance over which captures showed its friction to grip.
+
+    A model with presliding of its own, or a law to which captures added none, leaves it as it is.
+    """
+    slides = any(split_name(name)[0].startswith("presliding") for name in model.effects)
+    if slides or _NAME not in law.provenance.get("trim", {}):
+        return model
+    return model.with_effect("presliding@all", {"distance_m": law.torque_breakaway_m})
+
+
+def grip_of(law: CompensationLaw, own: CompensationLaw) -> CompensationLaw:
+    """The law ``own`` with the grip of ``law``: what belongs to ``gripping_model``."""
+    return own.with_values(torque_breakaway_m=law.torque_breakaway_m)
 
 
 def _left_m(

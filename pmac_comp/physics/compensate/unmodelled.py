@@ -20,10 +20,11 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import settled
-from pmac_comp.physics.compensate.design import LoopRunner, MotionPromise
+from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.promise import MotionPromise
 
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25

@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import (
-    design_law,
-    design_motions,
-    model_loop,
-    promise,
-)
+from pmac_comp.physics.compensate.design import design_law, design_motions, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 

@@ -6,8 +6,9 @@ from functools import cache
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import MotionPromise, model_loop
+from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.promise import MotionPromise
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, unmodelled, widened
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
