@@ -1,6 +1,5 @@
 """Sections of a report on a verification: before and after, motion by motion, static, ringing."""
 
-import math
 from typing import Any
 
 from pmac_comp.base.units import UM_PER_M
@@ -238,7 +237,7 @@ def _interval_tables(verification: Verification) -> list[Table]:
         (
             f"{motion.name}: {j.quantity}",
             f"{j.lower_um:.2f} to {j.upper_um:.2f}",
-            f"{math.hypot(j.upper_um, verification.floor_um):.2f}",
+            f"{j.most_um:.2f}",
             f"{j.measured_um:.2f}",
             "kept" if j.is_kept else "missed",
         )

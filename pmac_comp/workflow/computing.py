@@ -25,6 +25,7 @@ from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
+from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.dynamic_law import (
     dynamic_law,
@@ -48,12 +49,14 @@ from pmac_comp.workflow.loose_nut import (
 )
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
+from pmac_comp.workflow.promises import Promiser, worse_remarks
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
+_LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
 def compute_compensation(
@@ -104,6 +107,8 @@ def compute_compensation(
         The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
+    if route in MOTION_ROUTES:
+        _require_motion(route, motion)
     if route != "table":  # that one takes the whole difference of the directions as it is
         clearance = found_clearance(bench, model, slow, captures)
         model = model if clearance is None else with_clearance(model, clearance.values)
@@ -124,7 +129,8 @@ def compute_compensation(
     backlash = lead is not None and has_backlash(lead)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
-        return _for_motion(bench, model, route, law, lead, motion, aim, backlash=backlash)
+        known = _require_motion(route, motion)
+        return _for_motion(bench, model, route, law, lead, known, aim, backlash=backlash)
     if captures:
         if progress is not None:
             progress("holding the law against the captures", 0.8)
@@ -144,17 +150,7 @@ def compute_compensation(
     return Compensation(route, law, lead, backlash=backlash)
 
 
-def _for_motion(
-    bench: Bench,
-    model: Any,
-    route: str,
-    law: CompensationLaw,
-    lead: LeadMap | None,
-    motion: Motion | None,
-    aim: Aim,
-    *,
-    backlash: bool,
-) -> Compensation:
+def _require_motion(route: str, motion: Motion | None) -> Motion:
     if motion is None:
         raise ConfigError(
             f"The route {route} needs the motion it is for.",
@@ -162,6 +158,20 @@ def _for_motion(
             hint="Give it with --command: a CSV with time_s,commanded_position_mm, or a motion as "
             "`capture --motion` takes it.",
         )
+    return motion
+
+
+def _for_motion(
+    bench: Bench,
+    model: Any,
+    route: str,
+    law: CompensationLaw,
+    lead: LeadMap | None,
+    motion: Motion,
+    aim: Aim,
+    *,
+    backlash: bool,
+) -> Compensation:
     limit_m = bench.safety.max_correction_um / UM_PER_M
     exact = exact_correction(
         model_loop(model), motion.position_m, bench.servo_period_s, limit_m=limit_m, aim=aim
@@ -257,10 +267,19 @@ def compensate_files(
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *clearance_remarks(law),
+            *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),
         ],
         "law": None if route in MOTION_ROUTES else law.as_mapping(),
     }
+
+
+def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> list[str]:
+    """Remarks on motions like those that ``verify`` draws, which the model expects to get worse."""
+    promiser = Promiser.of(bench, compensation, drive)
+    if promiser is None or compensation.route in MOTION_ROUTES or bench.scale is None:
+        return []
+    return worse_remarks(promiser, verification_motions(bench, _LIKE_VERIFIED))
 
 
 def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 
 PROMISED = ("e_r_after", "total_after")  # what a promise gives with an interval
+ROUNDING = "e_r_rounding_um"  # what the encoder's steps make of e_r through the loop, by the model
+WORSE = 1.03  # after over before: less is within what motions differ by
 _BLOCK_s = 0.1
 _DRAWS = 400
 _SEED = 20_261
@@ -139,15 +141,28 @@ def _block_means(values: FloatArray, block: int) -> FloatArray:
     return np.asarray([part.mean() for part in np.array_split(values, n)])
 
 
+def grown_text(before_um: float, after_um: float) -> str:
+    """Two figures in um and by how much the second is larger, for people."""
+    return f"{before_um:.2f} -> {after_um:.2f} um ({100 * (after_um / before_um - 1):+.0f} %)"
+
+
 @dataclass(frozen=True)
 class JudgedPromise:
-    """One promised interval in um, what was measured, and whether it stays below its upper end."""
+    """One promised interval in um, the most that it allows, and what was measured.
+
+    ``most_um`` is its upper end with the sensors' own steps.
+    """
 
     quantity: str
     lower_um: float
     upper_um: float
+    most_um: float
     measured_um: float
-    is_kept: bool
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether what was measured stays below the upper end."""
+        return self.measured_um <= self.most_um
 
 
 @dataclass(frozen=True)
@@ -188,10 +203,15 @@ class MotionOutcome:
 
         ``floor_um`` is what these make of table minus motor. Better than promised is kept. The
         interval of what was measured does not excuse a miss: its value is held against the promise.
+        None without an interval: a model that was not held against captures promises none.
         """
-        if self.promise is None:
-            return None
-        return all(judged.is_kept for judged in self.judged(floor_um))
+        judged = self.judged(floor_um)
+        return all(one.is_kept for one in judged) if judged else None
+
+    @property
+    def rounding_um(self) -> float:
+        """What the encoder's steps make of e_r through the loop by the model, um; 0 if unknown."""
+        return (self.promise or {}).get(ROUNDING, 0.0)
 
     def judged(self, floor_um: float) -> list[JudgedPromise]:
         """Each promised interval beside what was measured; quantities without one are left out."""
@@ -202,9 +222,9 @@ class MotionOutcome:
             if upper is not None:
                 measured: Spread = getattr(self, name)
                 lower = promise.get(f"{name}_lower_um", 0.0)
-                is_kept = measured.value <= math.hypot(upper, floor_um)
+                most = math.hypot(upper, floor_um)
                 label = name.removesuffix("_after")
-                found.append(JudgedPromise(label, lower, upper, measured.value, is_kept))
+                found.append(JudgedPromise(label, lower, upper, most, measured.value))
         return found
 
     def e_r_beyond_um(self, floor_um: float) -> float:

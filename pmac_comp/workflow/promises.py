@@ -9,16 +9,10 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.physics.compensate.grip import grip_of, gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.promise import (
-    MotionPromise,
-    Static,
-    counted_loop,
-    errors_of,
-    promise,
-)
+from pmac_comp.physics.compensate.promise import Expected, Static, counted_loop, expect
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
@@ -27,7 +21,8 @@ from pmac_comp.workflow.backlash import backlash_side
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.loose_nut import loosened
-from pmac_comp.workflow.outcome import error_signals
+from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.outcome import ROUNDING, WORSE, error_signals, grown_text
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.simulated import Truth
 
@@ -43,13 +38,15 @@ class Promiser:
     ----------
     bench, compensation
         The axis and what is on the controller.
-    loop : LoopRunner
-        Closed loop of the model that the compensation was computed with, with its counts.
+    loop, exact : LoopRunner
+        Closed loop of the model that the compensation was computed with, with its counts and
+        without.
     """
 
     bench: Bench
     compensation: Compensation
     loop: LoopRunner
+    exact: LoopRunner
 
     @classmethod
     def of(cls, bench: Bench, compensation: Compensation | None, drive: Any) -> "Promiser | None":
@@ -57,7 +54,8 @@ class Promiser:
         if compensation is None or drive is None:
             return None
         whole = without_turn(loosened(drive, compensation.law))
-        return cls(bench, compensation, counted_loop(gripping_model(whole, compensation.law)))
+        model = gripping_model(whole, compensation.law)
+        return cls(bench, compensation, counted_loop(model), model_loop(model))
 
     def of_run(self, capture: Capture) -> Mapping[str, float]:
         """What is promised for the run that a capture holds, mean taken out, um.
@@ -72,25 +70,60 @@ class Promiser:
     def of_motion(
         self, motion: Trajectory, *, relaxed: bool = False, drawn_m: FloatArray | None = None
     ) -> Mapping[str, float]:
-        """The same of a command; ``drawn_m`` is the one with the correction of a known motion."""
-        compensation = self.compensation
+        """The same of a command; ``drawn_m`` is the one with the correction of a known motion.
+
+        Beside it stands what the encoder's steps make of e_r through the loop: the difference to
+        what the same model does with exact positions.
+        """
         start_m = float(motion.position_m[0])
         head = np.zeros(0) if relaxed else approach(self.bench, start_m)
+        own, exact = (
+            self._of_loop(loop, motion, head, drawn_m) for loop in (self.loop, self.exact)
+        )
+        found = widened(own.errors, _rest_of(self.compensation.law))
+        return {**found, ROUNDING: rms_um(own.residual_m - exact.residual_m)}
+
+    def _of_loop(
+        self,
+        loop: LoopRunner,
+        motion: Trajectory,
+        head_m: FloatArray,
+        drawn_m: FloatArray | None,
+    ) -> Expected:
+        compensation = self.compensation
         if drawn_m is not None:
-            own = promise_drawn(self.loop, motion, drawn_m, head)
-            return widened(own, _rest_of(compensation.law))
+            return expect_drawn(loop, motion, drawn_m, head_m)
         law = CompensationLaw()
         if compensation.route in TORQUE_ROUTES:
             law = grip_of(compensation.law, model_law(compensation.law))
-        own = promise(
+        return expect(
             law,
-            self.loop,
+            loop,
             motion,
             latency_cycles=LATENCY_CYCLES[compensation.route],
-            lead_in_m=head,
+            lead_in_m=head_m,
             static=static_of(compensation, self.bench),
         )
-        return widened(own, _rest_of(compensation.law))
+
+
+def worse_remarks(promiser: Promiser, motions: Sequence[Motion]) -> list[str]:
+    """Motions that the model expects to get worse with the compensation, for people."""
+    worse: list[str] = []
+    for motion in motions:
+        said = promiser.of_motion(motion.trajectory)
+        for what, before, after in (
+            ("total error", said["total_before_um"], said["model_total_after_um"]),
+            ("e_r", said["e_before_um"], said["model_e_r_after_um"]),
+        ):
+            if after > WORSE * before:
+                worse.append(f"{motion.name}: {what} {grown_text(before, after)}")
+    if not worse:
+        return []
+    return [
+        "the model expects these motions to get worse: "
+        + "; ".join(worse)
+        + ". A static error that a table takes away may have hidden a part of the loop's lag"
+    ]
 
 
 def static_of(compensation: Compensation, bench: Bench) -> Callable[[FloatArray], Static] | None:
@@ -112,14 +145,14 @@ def static_of(compensation: Compensation, bench: Bench) -> Callable[[FloatArray]
     return along
 
 
-def promise_drawn(
+def expect_drawn(
     loop: LoopRunner, motion: Trajectory, desired_m: FloatArray, head_m: FloatArray
-) -> MotionPromise:
+) -> Expected:
     """What the model expects when a motion is drawn with its correction in it."""
     r = np.concatenate([head_m, motion.position_m])
     added = np.concatenate([np.zeros(head_m.size), desired_m - motion.position_m])
-    before, after = loop(r, None, None), loop(r, r + added, None)
-    return errors_of(r, before, after, added, Static.nothing(r.size), head_m.size)
+    runs = loop(r, None, None), loop(r, r + added, None)
+    return Expected(r, *runs, added, Static.nothing(r.size), head_m.size)
 
 
 def _rest_of(law: CompensationLaw) -> Unmodelled | None:

@@ -8,7 +8,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread
+from pmac_comp.workflow.outcome import WORSE, MotionOutcome, Ratio, Spread, grown_text
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -102,7 +102,19 @@ class Verification:
                 f"the steps of encoder and scale alone make {self.floor_um:.3f} um rms of every e "
                 f"and e_r; beyond them e_r is {span} um"
             )
-        kept = [m.promise_kept(self.floor_um) for m in self.motions if m.promise is not None]
+        rounding = [m.rounding_um for m in self.motions if m.rounding_um > 0.0]
+        if rounding:
+            out.append(
+                f"the encoder's steps also move the drive, as the loop feeds them back: by the "
+                f"model they make up to {max(rounding):.2f} um rms of e_r, which no law takes away"
+            )
+        judged = [m.promise_kept(self.floor_um) for m in self.motions if m.promise is not None]
+        kept = [one for one in judged if one is not None]
+        if judged and not kept:
+            out.append(
+                "the promise is the model's alone and has no interval: compute the compensation "
+                "with the runs of the identification (`pmac-comp compensate --captures`)"
+            )
         if kept:
             out.append(
                 f"the model's promise (with its interval and these steps) was kept on "
@@ -146,23 +158,34 @@ def _pair(before: Spread, after: Spread) -> str:
 
 
 def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
-    """Intervals of a promise and whether each was kept, one line; nothing without intervals."""
+    """Intervals of a promise, whether each was kept, and the rounding's part of e_r, for people."""
     parts = [
-        f"{j.quantity} {j.lower_um:.2f} to {j.upper_um:.2f} um {'kept' if j.is_kept else 'MISSED'}"
+        f"{j.quantity} {j.lower_um:.2f} to {j.upper_um:.2f} um, with the sensors' steps up to "
+        f"{j.most_um:.2f}: {'kept' if j.is_kept else 'MISSED'}"
         for j in outcome.judged(floor_um)
     ]
-    return ["interval promised: " + ", ".join(parts)] if parts else []
+    texts = ["interval promised: " + "; ".join(parts)] if parts else []
+    if outcome.rounding_um > 0.0:
+        texts.append(f"of e_r {outcome.rounding_um:.2f} um are rounding that the loop feeds back")
+    return texts
 
 
 def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:
     """What a person should know beside the figures."""
     remarks: list[str] = []
-    missed = [m.name for m in outcomes if m.promise_kept(floor_um) is False]
+    missed = [text for m in outcomes if (text := _missed_text(m, floor_um))]
     if missed:
         remarks.append(
             f"the promise was missed on {len(missed)} motion(s) ({'; '.join(missed)}): "
             "run `pmac-comp diagnose` on the captures"
         )
+    larger = [
+        f"{m.name} {grown_text(m.total_before.value, m.total_after.value)}"
+        for m in outcomes
+        if m.total_after.value > WORSE * m.total_before.value
+    ]
+    if larger:
+        remarks.append(f"the total error grew on: {'; '.join(larger)}")
     grew = [m for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
     fell = {m.name for m in grew if m.total_after.upper95 < m.total_before.lower95}
     if fell:
@@ -174,6 +197,16 @@ def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple
     if worse:
         remarks.append(f"the mechanical error grew on: {'; '.join(worse)}")
     return tuple(remarks)
+
+
+def _missed_text(outcome: MotionOutcome, floor_um: float) -> str:
+    """Motion and quantities that were missed with figures; empty for none."""
+    parts = [
+        f"{j.quantity} {j.measured_um:.2f} um, at most {j.most_um:.2f} promised"
+        for j in outcome.judged(floor_um)
+        if not j.is_kept
+    ]
+    return f"{outcome.name}: {', '.join(parts)}" if parts else ""
 
 
 def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:

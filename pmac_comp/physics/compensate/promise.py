@@ -102,7 +102,64 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
     return run
 
 
+@dataclass(frozen=True)
+class Expected:
+    """Simulated runs of one motion without and with a compensation; shapes (n,), m.
+
+    Parameters
+    ----------
+    commanded_m : ndarray
+        Command, with what leads to the motion before it.
+    before, after : LoopSignals
+        The loop without and with the compensation.
+    added_m : ndarray
+        All that the compensation added to the command.
+    static : Static
+        Lead error and tables.
+    begins : int
+        Sample at which the motion begins.
+    """
+
+    commanded_m: FloatArray
+    before: LoopSignals
+    after: LoopSignals
+    added_m: FloatArray
+    static: Static
+    begins: int
+
+    @property
+    def residual_m(self) -> FloatArray:
+        """e_r of the motion in m, mean taken out."""
+        after = self.after
+        found = after.table_position_m - after.motor_position_m + self.added_m - self.static.mean_m
+        return np.asarray(found[self.begins :] - np.mean(found[self.begins :]))
+
+    @property
+    def errors(self) -> MotionPromise:
+        """All errors in um rms, mean taken out."""
+        r, before, after = self.commanded_m, self.before, self.after
+
+        def um(values: FloatArray) -> float:
+            return centred_rms_um(values[self.begins :])
+
+        return MotionPromise(
+            e_before_um=um(before.table_position_m - before.motor_position_m),
+            e_r_after_um=centred_rms_um(self.residual_m),
+            e_c_before_um=um(before.motor_position_m - r),
+            e_c_after_um=um(after.motor_position_m - r - self.added_m),
+            total_before_um=um(before.table_position_m + self.static.lead_m - r),
+            total_after_um=um(after.table_position_m + self.static.lead_m - r),
+        )
+
+
 def promise(
+    law: CompensationLaw, loop: LoopRunner, motion: Trajectory, *, latency_cycles: int = 1
+) -> MotionPromise:
+    """What the model expects of a law on one motion that starts relaxed, on the spot."""
+    return expect(law, loop, motion, latency_cycles=latency_cycles).errors
+
+
+def expect(
     law: CompensationLaw,
     loop: LoopRunner,
     motion: Trajectory,
@@ -110,8 +167,8 @@ def promise(
     latency_cycles: int = 1,
     lead_in_m: FloatArray | None = None,
     static: Callable[[FloatArray], Static] | None = None,
-) -> MotionPromise:
-    """What the model expects of a law on one motion; the mean of a run is taken out of errors.
+) -> Expected:
+    """Runs that the model expects of one motion.
 
     Parameters
     ----------
@@ -131,33 +188,7 @@ def promise(
     sent, after = run_with_law(
         law, loop, r, motion.sample_period_s, latency_cycles=latency_cycles, table_m=fixed.table_m
     )
-    added = sent.correction_m + fixed.table_m
-    return errors_of(r, before, after, added, fixed, head.size)
-
-
-def errors_of(
-    r: FloatArray,
-    before: LoopSignals,
-    after: LoopSignals,
-    added_m: FloatArray,
-    static: Static,
-    begins: int,
-) -> MotionPromise:
-    """Errors of two simulated runs from a sample on; ``added_m`` is all that the command got."""
-    use = slice(begins, None)
-    mechanical = after.table_position_m - after.motor_position_m + added_m - static.mean_m
-
-    def um(values: FloatArray) -> float:
-        return centred_rms_um(values[use])
-
-    return MotionPromise(
-        e_before_um=um(before.table_position_m - before.motor_position_m),
-        e_r_after_um=um(mechanical),
-        e_c_before_um=um(before.motor_position_m - r),
-        e_c_after_um=um(after.motor_position_m - r - added_m),
-        total_before_um=um(before.table_position_m + static.lead_m - r),
-        total_after_um=um(after.table_position_m + static.lead_m - r),
-    )
+    return Expected(r, before, after, sent.correction_m + fixed.table_m, fixed, head.size)
 
 
 def run_with_law(

@@ -164,9 +164,7 @@ def model_law(law: CompensationLaw) -> CompensationLaw:
     return law.with_values(**{**own, **dict.fromkeys(_TURN, 0.0)})
 
 
-def widened(
-    promise: MotionPromise, rest: Unmodelled | None, *, static_um: float = 0.0
-) -> dict[str, float]:
+def widened(promise: MotionPromise, rest: Unmodelled | None) -> dict[str, float]:
     """A promise with its interval: what the model expects, and what it does not hold beside it.
 
     Parameters
@@ -174,9 +172,7 @@ def widened(
     promise : MotionPromise
         Of the model.
     rest : Unmodelled or None
-        What captures showed beyond the model; None leaves the promise as it is.
-    static_um : float
-        Rounding and noise of the tables.
+        What captures showed beyond the model; None leaves the promise without an interval.
 
     Returns
     -------
@@ -186,16 +182,14 @@ def widened(
         ``..._upper_um``, and the model's own word as ``model_..._um``.
     """
     out = asdict(promise)
-    nothing = (0.0, 0.0, 0.0)
-    parts = (
-        ("e_r_after", nothing if rest is None else rest.mechanical_um, 0),
-        ("total_after", nothing if rest is None else rest.total_um, 1),
-    )
-    for name, (_, typical, most), side in parts:
+    for name in ("e_r_after", "total_after"):
+        out[f"model_{name}_um"] = out[f"{name}_um"]
+    if rest is None:
+        return out
+    parts = (("e_r_after", rest.mechanical_um), ("total_after", rest.total_um))
+    for (name, (_, typical, most)), off in zip(parts, rest.off_frac, strict=True):
         own = float(out[f"{name}_um"])
-        off = 0.0 if rest is None else rest.off_frac[side]
-        out[f"model_{name}_um"] = own
-        out[f"{name}_um"] = math.sqrt(own * math.hypot(own, typical, static_um))
+        out[f"{name}_um"] = math.sqrt(own * math.hypot(own, typical))
         out[f"{name}_lower_um"] = own * (1.0 - off)
-        out[f"{name}_upper_um"] = math.hypot(own * (1.0 + off), most, static_um)
+        out[f"{name}_upper_um"] = math.hypot(own * (1.0 + off), most)
     return out

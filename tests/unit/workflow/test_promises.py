@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -19,7 +19,8 @@ from pmac_comp.workflow.approach import RUN_UP_m, approach
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.promises import Promiser, static_of
+from pmac_comp.workflow.outcome import ROUNDING
+from pmac_comp.workflow.promises import Promiser, static_of, worse_remarks
 from pmac_comp.workflow.simulated import TruthRecorder, embedded
 
 BENCH = load_bench("paper")
@@ -135,3 +136,34 @@ def test_grip_that_captures_showed_is_in_the_model_that_promises() -> None:
     slides = gripping_model(model, trimmed)
     assert slides.parameters["presliding.distance_m"] == 8e-6
     assert gripping_model(slides, trimmed) is slides
+
+
+def test_rounding_of_a_coarse_encoder_is_told_and_a_fine_one_has_none() -> None:
+    def rounding_um(bench: Bench) -> float:
+        table = Compensation("table", CompensationLaw())
+        promiser = Promiser.of(bench, table, DriveModel.base(bench))
+        assert promiser is not None
+        return promiser.of_motion(move().trajectory)[ROUNDING]
+
+    with_steps = rounding_um(BENCH)
+    fine = BENCH.model_copy(
+        update={"encoder": BENCH.encoder.model_copy(update={"extension": "1/T"})}
+    )
+    assert with_steps > 0.02
+    assert rounding_um(fine) == 0.0
+
+
+def test_motion_that_a_table_makes_worse_is_said_with_its_figures() -> None:
+    # A lead error that falls towards the far end stands against the lag of the way back.
+    worse = LeadMap(X, -0.6e-3 * (X - 0.065), 0.0 * X, 0.05e-6)
+    motions = [move()]
+    texts: list[str] = []
+    for lead in (worse, replace(worse, error_m=-worse.error_m)):
+        promiser = Promiser.of(
+            BENCH, Compensation("table", CompensationLaw(), lead), DriveModel.base(BENCH)
+        )
+        assert promiser is not None
+        texts += worse_remarks(promiser, motions)
+    assert len(texts) == 1
+    assert "move: total error" in texts[0]
+    assert "%)" in texts[0]

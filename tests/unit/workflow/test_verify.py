@@ -9,7 +9,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
 from pmac_comp.workflow.verify import verify_files
 
 BENCH = load_bench("paper")
@@ -94,6 +94,34 @@ def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept()
     )
     assert "0.40 to 0.9" in Verification(both, floor_um=0.3, simulated=True).judged()[0]
     assert Verification((), floor_um=0.3, simulated=True).judged() == []
+
+
+def test_a_miss_is_said_with_its_motion_and_figures_and_points_to_diagnose() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-3.0, e_um=3.5, control_um=1.0)]
+    promise = {"e_r_after_upper_um": 0.1, "total_after_upper_um": 1.4}
+    (remark,) = verdict_remarks([outcome_of("a", before, after, promise=promise)], 0.3)
+    assert "a: e_r 0.50 um, at most 0.32 promised" in remark
+    assert "pmac-comp diagnose" in remark
+
+
+def test_growth_of_the_total_error_is_said_with_its_figures() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-3.0, e_um=3.5, control_um=12.5)]
+    remarks = verdict_remarks([outcome_of("a", before, after)], 0.3)
+    assert any("total error grew on: a 10.42 -> 12.48 um (+20 %)" in text for text in remarks)
+
+
+def test_a_promise_without_captures_has_no_interval_to_keep_and_says_so() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-3.0, e_um=3.5, control_um=1.0)]
+    promise = {"e_r_after_um": 0.2, "total_after_um": 1.0, "e_r_rounding_um": 0.17}
+    motion = outcome_of("a", before, after, promise=promise)
+    assert motion.promise_kept(0.3) is None
+    told = Verification((motion,), floor_um=0.3, simulated=True).judged()
+    assert any("no interval" in text and "--captures" in text for text in told)
+    assert any("0.17 um rms of e_r" in text for text in told)
+    assert interval_texts(motion, 0.3) == ["of e_r 0.17 um are rounding that the loop feeds back"]
 
 
 def test_floor_is_the_quantisation_of_both_sensors() -> None:
