@@ -171,7 +171,7 @@ def _look_around(
     part = bench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
-    noise = part.noise_from(left, sensor_floor_m(part, point.model))
+    noise = part.noise_from(left, sensor_floor_m(part, point.model), foretold=False)
     part = part.with_noise(noise)
     moved = refit(part, evaluate(part, point.model), frozen=seen.frozen(), rounds=3)
     screening = screen(part, moved, seen)

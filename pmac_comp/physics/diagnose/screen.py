@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.flexible import flexible_columns
 from pmac_comp.physics.diagnose.gram import Prior, Solution
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, moved_values
 from pmac_comp.physics.diagnose.spectra import peaks_of
+from pmac_comp.physics.diagnose.statistics import Whitener
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench, combined, prior_of
 from pmac_comp.physics.model.effect import Effect
 
@@ -261,8 +262,20 @@ def _with_flexible(prior: Prior, count: int) -> Prior:
 
 
 def noise_like(bench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
-    """What neither a candidate nor a flexible rival can explain: the best picture of the noise."""
+    """What neither a candidate nor a flexible rival can explain: the best picture of the noise.
+
+    Weights that forgive slow motion let many columns leave more of it than there ever was; taken
+    for noise, that would be forgiven all the more. Then columns are fitted by plain squares.
+    """
     residuals = bench.residuals(point.simulated)
+    left = _left_by_all(bench, residuals, seen)
+    before = _power_m2(bench, residuals)
+    if np.all(_power_m2(bench, left) <= before):
+        return left
+    return _left_by_all(_plain(bench, before), residuals, seen)
+
+
+def _left_by_all(bench: Workbench, residuals: Sequence[FloatArray], seen: Look) -> list[FloatArray]:
     gram = bench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
     shrunk = np.where(np.isfinite(seen.prior.sigma), seen.prior.sigma, 10.0)
     relaxed = Prior(
@@ -270,6 +283,22 @@ def noise_like(bench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
     )
     solution = gram.with_bounds(relaxed).solve(range(gram.n_columns))
     return bench.left_by(residuals, seen.columns, solution)
+
+
+def _plain(bench: Workbench, power_m2: FloatArray) -> Workbench:
+    """The bench with the weights of white noise, channel by channel."""
+    noise = bench.known_noise
+    lags = np.zeros_like(noise.whitener.lags)
+    white = Whitener(lags, np.diag(1.0 / np.sqrt(power_m2)))
+    return bench.with_noise(replace(noise, whitener=white, robust=None, doubtful=None))
+
+
+def _power_m2(bench: Workbench, series: Sequence[FloatArray]) -> FloatArray:
+    """Mean square of each channel about its mean in each run as fitted, shape (channels,)."""
+    fitted = [u & f for u, f in zip(bench.counted, bench.fitting, strict=True)]
+    pairs = zip(series, fitted, strict=True)
+    level = [x[u] - x[u].mean(axis=0) for x, u in pairs if u.any()]
+    return np.asarray(np.mean(np.concatenate(level) ** 2, axis=0))
 
 
 def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:

@@ -320,13 +320,25 @@ class Workbench:
             np.concatenate([np.full(len(p[1]), j[4]) for p, j in zip(parts, jobs, strict=True)]),
         )
 
-    def noise_from(self, noise_like: Sequence[FloatArray], floor_m: FloatArray) -> Noise:
-        """Whitener and robust weights from what a flexible refit leaves."""
+    def noise_from(
+        self, noise_like: Sequence[FloatArray], floor_m: FloatArray, *, foretold: bool = True
+    ) -> Noise:
+        """Whitener and robust weights from what a flexible refit leaves.
+
+        Unless ``foretold``, only of the samples that were fitted: many columns may leave anything
+        on others.
+        """
         usable = self.counted
+        if not foretold:
+            fitted = (u & f for u, f in zip(usable, self.fitting, strict=True))
+            usable = tuple(f if f.any() else u for u, f in zip(usable, fitted, strict=True))
         # Where a scale has its zero is no noise, least of all an infinitely slow one.
         level = [n - n[u].mean(axis=0) for n, u in zip(noise_like, usable, strict=True)]
         whitener = fit_whitener(level, usable, order=_ORDER, floor=floor_m)
         weights = tuple(huber_weights(whitener.apply(n)) for n in level)
+        if not foretold:
+            both = zip(weights, self.fitting, strict=True)
+            weights = tuple(np.where(f[:, None], w, 1.0) for w, f in both)
         if self.noise is None:
             return Noise(whitener, weights)
         return replace(self.noise, whitener=whitener, robust=weights)

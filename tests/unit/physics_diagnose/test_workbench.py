@@ -18,3 +18,20 @@ def test_where_a_scale_has_its_zero_is_no_slow_noise(zero_m):
     noise = Workbench.noise_from(bench, moved, np.full(2, 1e-10))  # type: ignore[arg-type]
     slow = noise.whitener.scale @ (np.eye(2) - noise.whitener.lags.sum(axis=0))
     assert np.diag(slow) == pytest.approx(1e7, rel=0.2)
+
+
+def test_what_columns_leave_where_they_were_not_fitted_is_no_noise():
+    # Held-out parts of a run hold whatever badly determined columns foretell there.
+    rng = np.random.default_rng(4)
+    runs = [1e-7 * rng.standard_normal((2000, 2)) for _ in range(2)]
+    fitted = np.arange(2000) // 200 % 3 < 2
+    slow = 1e-4 * np.sin(np.arange(2000) / 60.0)[:, None]
+    left = [np.where(fitted[:, None], r, r + slow) for r in runs]
+    every = [np.ones(2000, dtype=np.bool_)] * 2
+    bench = SimpleNamespace(counted=every, fitting=[fitted] * 2, noise=None)
+    floor_m = np.full(2, 1e-10)
+    noise = Workbench.noise_from(bench, left, floor_m, foretold=False)  # type: ignore[arg-type]
+    gain = noise.whitener.scale @ (np.eye(2) - noise.whitener.lags.sum(axis=0))
+    assert np.diag(gain) == pytest.approx(1e7, rel=0.25)
+    assert noise.robust is not None
+    assert np.all(noise.robust[0][~fitted] == 1.0)
