@@ -122,6 +122,7 @@ def compute_compensation(
         provenance=provenance,
         progress=progress,
     )
+    model = loosened(model, law)
     if progress is not None and slow:
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)

@@ -16,7 +16,13 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
-from pmac_comp.physics.compensate.grip import gripping_law, gripping_torque
+from pmac_comp.physics.compensate.grip import (
+    GRIP,
+    gripping_law,
+    gripping_model,
+    gripping_torque,
+    slides,
+)
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
@@ -61,21 +67,33 @@ def dynamic_law(
         Called with a step and a fraction.
     """
     loop = model_loop(without_turn(model))
-    law = design_law(
-        bench,
-        loop,
-        latency_cycles=LATENCY_CYCLES[route],
-        with_torque=route in TORQUE_ROUTES,
-        every_cycles=every_cycles,
-        gap=nut_gap(model),
-        provenance=provenance,
-        progress=progress,
-    )
+
+    def designed(model: "DriveModel", loop: LoopRunner, noted: dict[str, Any]) -> CompensationLaw:
+        return design_law(
+            bench,
+            loop,
+            latency_cycles=LATENCY_CYCLES[route],
+            with_torque=route in TORQUE_ROUTES,
+            every_cycles=every_cycles,
+            gap=nut_gap(model),
+            provenance={**(provenance or {}), **noted},
+            progress=progress,
+        )
+
+    law = designed(model, loop, {})
     if route not in TORQUE_ROUTES or not captures:
         return law
     if progress is not None:
         progress("reading friction and cogging from the captures", 0.3)
-    law, grip = gripping_law(law, loop, captures)
+    gripping, grip = gripping_law(law, loop, captures)
+    if grip > 0.0 and not slides(model):
+        # What grips late also lets go of the table late: the whole law is fitted anew with it.
+        noted = {GRIP: gripping.torque_breakaway_m}
+        model = gripping_model(model, replace(law, provenance=noted))
+        loop = model_loop(without_turn(model))
+        law = designed(model, loop, noted)
+    else:
+        law = gripping
     delay_s = drive_delay_s(model)
     found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
     # A value that is held for some cycles is half of that late on average.

@@ -12,6 +12,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance, with_clearance
+from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import lead_map
 from pmac_comp.workflow.dynamic_law import nut_gap, without_turn
@@ -39,8 +40,11 @@ def clearance_note(clearance: Clearance | None) -> dict[str, Any]:
 
 
 def loosened(model: "DriveModel", law: CompensationLaw | None) -> "DriveModel":
-    """The model that a law was made with: with the gap that the runs showed, if they did."""
-    noted = None if law is None else law.provenance.get(_KEY)
+    """The model that a law was made with: with the gap and the grip that the runs showed."""
+    if law is None:
+        return model
+    model = gripping_model(model, law)
+    noted = law.provenance.get(_KEY)
     if noted is None or nut_gap(model) is not None:
         return model
     return with_clearance(model, noted["values"])

@@ -10,7 +10,6 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, model_loop
-from pmac_comp.physics.compensate.grip import grip_of, gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.promise import Expected, Static, counted_loop, expect
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
@@ -53,8 +52,7 @@ class Promiser:
         """None without a model or a compensation: nothing is promised."""
         if compensation is None or drive is None:
             return None
-        whole = without_turn(loosened(drive, compensation.law))
-        model = gripping_model(whole, compensation.law)
+        model = without_turn(loosened(drive, compensation.law))
         return cls(bench, compensation, counted_loop(model), model_loop(model))
 
     def of_run(self, capture: Capture) -> Mapping[str, float]:
@@ -95,7 +93,7 @@ class Promiser:
             return expect_drawn(loop, motion, drawn_m, head_m)
         law = CompensationLaw()
         if compensation.route in TORQUE_ROUTES:
-            law = grip_of(compensation.law, model_law(compensation.law))
+            law = model_law(compensation.law)
         return expect(
             law,
             loop,

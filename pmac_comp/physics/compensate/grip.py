@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
+GRIP = "grip_m"  # of a law's provenance: where captures showed a distance that the model lacks
 _NAME = "torque_breakaway_m"
 _LEAST_GAIN_FRAC = 0.1  # of the unexplained rms: less than this is not worth a change
 _PATH_CUTOFF_Hz = 150.0  # a count that flickers at rest is no way
@@ -72,19 +73,19 @@ def gripping_torque(law: CompensationLaw, capture: Capture) -> FloatArray:
 
 
 def gripping_model(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
-    """The model with the distance over which captures showed its friction to grip.
+    """The model that a law was made with: its friction grips as the captures showed it to.
 
-    A model with presliding of its own, or a law to which captures added none, leaves it as it is.
+    A law without such a note, or a model with presliding of its own, leaves the model as it is.
     """
-    slides = any(split_name(name)[0].startswith("presliding") for name in model.effects)
-    if slides or _NAME not in law.provenance.get("trim", {}):
+    distance_m = law.provenance.get(GRIP)
+    if distance_m is None or slides(model):
         return model
-    return model.with_effect("presliding@all", {"distance_m": law.torque_breakaway_m})
+    return model.with_effect("presliding@all", {"distance_m": distance_m})
 
 
-def grip_of(law: CompensationLaw, own: CompensationLaw) -> CompensationLaw:
-    """The law ``own`` with the grip of ``law``: what belongs to ``gripping_model``."""
-    return own.with_values(torque_breakaway_m=law.torque_breakaway_m)
+def slides(model: "DriveModel") -> bool:
+    """Whether the friction of a model grips over a distance of its own."""
+    return any(split_name(name)[0].startswith("presliding") for name in model.effects)
 
 
 def _left_m(

@@ -132,10 +132,10 @@ def test_grip_that_captures_showed_is_in_the_model_that_promises() -> None:
     model = DriveModel.base(BENCH)
     law = CompensationLaw(torque_breakaway_m=8e-6)
     assert gripping_model(model, law) is model
-    trimmed = replace(law, provenance={"trim": {"torque_breakaway_m": 6e-6}})
-    slides = gripping_model(model, trimmed)
-    assert slides.parameters["presliding.distance_m"] == 8e-6
-    assert gripping_model(slides, trimmed) is slides
+    noted = replace(law, provenance={"grip_m": 6e-6})
+    slides = gripping_model(model, noted)
+    assert slides.parameters["presliding.distance_m"] == 6e-6
+    assert gripping_model(slides, noted) is slides
 
 
 def test_rounding_of_a_coarse_encoder_is_told_and_a_fine_one_has_none() -> None:
