@@ -47,6 +47,7 @@ from pmac_comp.workflow.approach import (
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
+from pmac_comp.workflow.run_log import RunLog
 from pmac_comp.workflow.scales import Scales
 from pmac_comp.workflow.sensors import LOOP_BLIND, MISMATCH_m, block_watch, require_agreement
 
@@ -79,6 +80,8 @@ class Axis:
         Whether the controller says that it is a simulated one; captures then say so.
     setup : AxisSetup
         Axis definitions that were put aside, shared by all axes of a session.
+    run_log : RunLog
+        Where the samples of a run are kept while it lasts; nowhere if not named.
     """
 
     link: Commander
@@ -86,6 +89,7 @@ class Axis:
     identity: str = ""
     simulated: bool = False
     setup: AxisSetup = field(default_factory=AxisSetup)
+    run_log: RunLog = field(default_factory=RunLog)
     scales: Scales = field(init=False)
     program_number: int = field(init=False, default=PROGRAM_NUMBER)
 
@@ -233,15 +237,17 @@ class Axis:
             self._start_program()
 
         if plan.mode is GatherMode.RING:
-            result = gather.gather_ring(
-                self.link,
-                plan,
-                duration_s,
-                self.scales.period_s,
-                during=start,
-                keep_going=going_on,
-                on_block=block_watch(self.bench, self.scales),
-            )
+            with self.run_log.of(self._attributes(motion), clock) as log:
+                result = gather.gather_ring(
+                    self.link,
+                    plan,
+                    duration_s,
+                    self.scales.period_s,
+                    log=log,
+                    during=start,
+                    keep_going=going_on,
+                    on_block=block_watch(self.bench, self.scales),
+                )
         else:
             result = self._gather_ram(plan, duration_s, start)
         self._check_alive()

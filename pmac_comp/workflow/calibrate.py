@@ -1,16 +1,15 @@
 """Captures from a controller: the proposed campaigns and motions that a person names."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pmac_comp.base.errors import CaptureError, ConfigError, StorageFull
+from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import write_capture
-from pmac_comp.machine.controller.capture_log import recover
+from pmac_comp.machine.controller import motors
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
 from pmac_comp.workflow.commissioning import reference_remarks, require_as_described
@@ -20,9 +19,10 @@ from pmac_comp.workflow.motions import (
     motion_rows,
     parse_motion,
 )
-from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
 from pmac_comp.workflow.session import open_axis
 
+_HALT_s = 2.0  # for an axis that was stopped to stand
 Progress = Callable[[str, float], None]
 _CAMPAIGNS: dict[str, Callable[[Bench], list[Motion]]] = {
     "calibration": calibration_motions,
@@ -69,26 +69,81 @@ def capture_to_folder(
     url: str, bench: str, plan: CapturePlan, out: Path, *, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Run the motions of a plan and store one HDF5 file each; names of the files."""
+    paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
+    _refuse_old(paths, out)
     _probe(out)
     files: list[Path] = []
     with open_axis(url, bench) as axis:
         remarks = reference_remarks(axis.link, axis.bench)
-        prepare(axis)
-        for i, motion in enumerate(plan.motions):
-            capture = run_all(
-                axis, [motion], progress=progress, what=f"{i + 1}/{len(plan.motions)}"
-            )
-            path = out / f"{i + 1:02d}_{_file_name(motion.name)}.h5"
-            write_capture(path, capture[0])
-            files.append(path)
-        axis.kill()
+        with motor_as_found(axis):
+            prepare(axis)
+            for i, motion in enumerate(plan.motions):
+                with _kept_meanwhile(axis, out, paths[i].stem, progress):
+                    capture = run_all(
+                        axis, [motion], progress=progress, what=f"{i + 1}/{len(plan.motions)}"
+                    )
+                    write_capture(paths[i], capture[0])
+                files.append(paths[i])
     return {"files": files, "samples": len(files), "remarks": remarks}
+
+
+@contextmanager
+def motor_as_found(axis: Axis) -> Iterator[None]:
+    """Afterwards, however it ends, the motor holds or is killed as it was found.
+
+    After an error it is killed once it stands: ``Axis.run`` has stopped it.
+    """
+    held = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
+    try:
+        yield
+    except (PmacCompError, KeyboardInterrupt):
+        if not held:
+            with suppress(PmacCompError):
+                motors.wait_in_position(axis.link, axis.motor, timeout_s=_HALT_s)
+                axis.kill()
+        raise
+    if not held:
+        axis.kill()
+
+
+@contextmanager
+def _kept_meanwhile(
+    axis: Axis, folder: Path, stem: str, progress: Progress | None
+) -> Iterator[None]:
+    """Keep the samples of a run in a log until its file is whole; after an error, say where."""
+    axis.run_log = new_log(folder, stem)
+    try:
+        yield
+    except PmacCompError as error:
+        if said := axis.run_log.kept():
+            error.add_note(said)
+        raise
+    except KeyboardInterrupt:
+        if (said := axis.run_log.kept()) and progress is not None:
+            progress(said, -1.0)
+        raise
+    else:
+        axis.run_log.drop()
+    finally:
+        axis.run_log = RunLog()
 
 
 def prepare(axis: Axis) -> None:
     """Close the loop of an axis where it stands, if the card is as the bench file says."""
     require_as_described(axis)
     axis.enable()
+
+
+def _refuse_old(paths: Sequence[Path], folder: Path) -> None:
+    """Refuse to write over earlier runs: nobody can measure them again."""
+    old = [path.name for path in paths if path.exists()]
+    if old:
+        raise ConfigError(
+            f"{folder} holds {old[0]}{f' and {len(old) - 1} more' if old[1:] else ''} of an "
+            "earlier capture.",
+            code="PC-CAL-004",
+            hint="Name another folder with --out; nothing was moved.",
+        )
 
 
 def _probe(folder: Path) -> None:
@@ -112,40 +167,22 @@ def _file_name(name: str) -> str:
 
 
 def recover_to_folder(log: Path, bench: str, out: Path) -> dict[str, Any]:
-    """Rebuild what a cut-off capture log holds as a CSV file of raw and SI columns.
+    """Make a capture of what a log holds that a run left behind.
 
     Raises
     ------
     CaptureError
-        The log lacks the columns of a capture.
+        Not a log of a capture.
     """
-    found = recover(log)
-    scales = Scales.of(load_bench(bench))
-    needed = {"commanded", "actual"}
-    if not needed <= set(found.columns):
-        raise CaptureError(
-            f"{log.name} holds {', '.join(found.columns)}, not a capture of an axis.",
-            code="PC-CAL-003",
-        )
-    _probe(out)
-    from pmac_comp.files.capture import Capture
-
-    raw = found.columns
-    n = raw["commanded"].size
-    capture = Capture(
-        time_s=np.arange(n, dtype=np.float64) * scales.period_s,
-        commanded_position_m=scales.motor_m(raw["commanded"]),
-        motor_position_m=scales.motor_m(raw["actual"]),
-        table_position_m=scales.table_m(raw["scale"]) if "scale" in raw else None,
-        torque_command_Nm=scales.torque_Nm(raw["output"]) if "output" in raw else None,
-        attributes={"source": f"recovered from {log.name}", "gaps": len(found.gaps)},
-    )
+    capture, found = capture_of_log(log, load_bench(bench))
     path = out / f"{log.stem}_recovered.h5"
+    _refuse_old([path], out)
+    _probe(out)
     write_capture(path, capture)
     whole = "whole" if found.is_complete else f"cut off, {found.bytes_lost} bytes damaged"
     return {
         "file": path,
-        "samples": n,
+        "samples": capture.n,
         "gaps": list(found.gaps),
-        "summary": f"{path}: {n} samples, {len(found.gaps)} gaps, log {whole}",
+        "summary": f"{path}: {capture.n} samples, {len(found.gaps)} gaps, log {whole}",
     }

@@ -147,7 +147,7 @@ class CaptureLog:
             return StorageFull(
                 f"No room left on the disk of {self.path}; {self._n_rows} samples were stored.",
                 code="PC-LOG-002",
-                hint=f"Free space, then `pmac-comp convert {self.path.name}` keeps what is there.",
+                hint="Free space and capture again.",
                 context={"rows": self._n_rows},
             )
         return CaptureError(
