@@ -5,6 +5,7 @@ this package.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -24,12 +25,15 @@ from pmac_comp.physics.diagnose.records import Gap, gap, prepare
 from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
 from pmac_comp.physics.diagnose.result import (
     Diagnosis,
+    Estimate,
     Evidence,
+    Finding,
     Growth,
     SeparatingExperiment,
     Trace,
     Verdict,
 )
+from pmac_comp.physics.diagnose.simpler import single_cause
 from pmac_comp.physics.diagnose.statistics import sign_flip_p
 from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
@@ -103,8 +107,14 @@ def diagnose(
         workbench = Workbench(fit, split(records, judges), executor)
         grown = grow(workbench, start, library, rules, tell)
         tell("measuring what is left")
-        left = remainder_of(grown, bench)
-        return _assembled(grown, left, library, bench, rules)
+        estimates, findings = estimates_of(grown, rules.material)
+        simpler = single_cause(grown, findings)
+        if simpler is not None:
+            grown, estimates, findings = simpler[0], (), (simpler[1],)
+        alone = simpler is not None
+        left = remainder_of(grown, bench, rivals_apply=not alone)
+        found = _Found(grown, left, estimates, findings, alone)
+        return _assembled(found, library, bench, rules)
 
 
 def _silent(text: str) -> None:
@@ -122,14 +132,25 @@ def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict
     }
 
 
+@dataclass(frozen=True)
+class _Found:
+    """What the loop found; ``alone``: one quantity of the bench file in place of effects."""
+
+    grown: Grown
+    left: Remainder
+    estimates: tuple[Estimate, ...]
+    findings: tuple[Finding, ...]
+    alone: bool
+
+
 def _assembled(
-    grown: Grown, left: Remainder, library: Mapping[str, Effect], bench: Bench, rules: Rules
+    found: _Found, library: Mapping[str, Effect], bench: Bench, rules: Rules
 ) -> Diagnosis:
+    grown, left, estimates, findings = found.grown, found.left, found.estimates, found.findings
     executor = grown.bench.executor
     judging = grown.bench.judging_records
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
-    estimates, findings = estimates_of(grown, rules.material)
     findings = pulled(findings) if left.visible else findings
     claims = claims_of(grown, left, estimates, rules, findings)
     tied = _tied_groups(claims)
@@ -169,6 +190,7 @@ def _assembled(
                     ruled_out(grown, library) if named else (),
                     library,
                     claims.withheld,
+                    restated=findings[0].text if found.alone else "",
                 )
             ),
             *told(grown.final.model, claims.effects),

@@ -267,6 +267,21 @@ def _finding(spec: ParameterSpec, value: float, std: float) -> Finding:
     return Finding(spec.name, shown, nominal, tolerance, text)
 
 
+def finding_of(spec: ParameterSpec, part: Workbench, point: Fitted) -> Finding | None:
+    """A quantity of the bench file where a model freed of its tolerance holds it; None within."""
+    gram, directions, _ = linearised(part, point, None)
+    gram = gram.with_bounds(_unbounded(gram.prior))
+    index = next(i for i, d in enumerate(directions) if d.label == spec.name)
+    solution = gram.solve(range(gram.n_columns))
+    robust = np.sqrt(max(robust_covariance(gram, solution)[index, index], 0.0))
+    std = float(max(robust, jackknife_spread(gram)[index])) * directions[index].unit
+    value = point.model.parameters[spec.name]
+    width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
+    if abs(value - spec.nominal) - width < _BEYOND * std:
+        return None
+    return _finding(spec, value, std)
+
+
 def pulled(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Findings as what they are beside a remainder without a name: where that pulls the fit."""
     return tuple(

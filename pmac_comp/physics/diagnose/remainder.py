@@ -101,8 +101,11 @@ class Remainder:
         return self.unexplained or self.excess_um > 0.5 * self.floor_um
 
 
-def remainder_of(grown: Grown, bench: Bench) -> Remainder:
-    """Judge what the last round left against flexible rivals and against the noise floor."""
+def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Remainder:
+    """Judge what the last round left against flexible rivals and against the noise floor.
+
+    Unless ``rivals_apply``, the rivals of the last round were those of another model.
+    """
     last = grown.rounds[-1]
     rivals = last.screening
     fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
@@ -130,7 +133,7 @@ def remainder_of(grown: Grown, bench: Bench) -> Remainder:
     return Remainder(
         explained=explained,
         open_share=max(0.0, gap_um**2 - floor_um**2) / max(base_um**2, 1e-12),
-        unexplained=bool(by_rivals or beyond or fine is not None),
+        unexplained=bool((by_rivals and rivals_apply) or beyond or fine is not None),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,

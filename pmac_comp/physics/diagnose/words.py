@@ -69,6 +69,8 @@ class Story:
         Effects with their own words.
     withheld : Mapping of str to str
         Effects that close some of the gap and are not claimed, and why.
+    restated : str
+        The one quantity of the bench file that does in place of effects, in words.
     """
 
     verdict: str
@@ -82,6 +84,7 @@ class Story:
     rivals: Sequence[Rival]
     library: Mapping[str, Effect]
     withheld: Mapping[str, str]
+    restated: str = ""
 
 
 def statements_of(story: Story) -> tuple[str, ...]:
@@ -109,6 +112,10 @@ def _headline(story: Story) -> str:
     found = "No effect of the library explains it."
     if story.named:
         found = f"Found: {', '.join(story.named)}."
+    if story.restated:
+        found = f"One quantity of the bench file does as well as any effects: {story.restated}."
+    if story.verdict == "unknown" and not story.left.unexplained:
+        return found
     if story.verdict == "unknown":
         return (
             f"{found} Something without a name is left, {story.left.excess_um:.3g} um rms beyond "

@@ -1,0 +1,88 @@
+"""One quantity of the bench file at another value, in place of a model that needs several.
+
+What lives here: the plainest answer where the data asks for what the bench file excludes. No
+effects. May import ``growth``, ``estimates`` and ``refit``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pmac_comp.base.errors import ModelError
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.estimates import finding_of
+from pmac_comp.physics.diagnose.growth import Grown
+from pmac_comp.physics.diagnose.records import gap
+from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
+from pmac_comp.physics.diagnose.result import Finding
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.parameters import ParameterSpec
+
+_FREE = 1.0  # tolerance of a quantity that is taken for unknown
+_PINNED = 0.9
+_ROUNDS = 8
+_NEARLY = 1.1
+_AS_CLOSE = 1.03  # to the runs that judge as the grown model
+
+
+def single_cause(grown: Grown, findings: Sequence[Finding]) -> tuple[Grown, Finding] | None:
+    """The base model with one quantity of the bench file outside its tolerance, if that does.
+
+    Parameters
+    ----------
+    grown : Grown
+        What the growth loop found.
+    findings : sequence of Finding
+        What its model needs outside a tolerance; without any there is nothing to be simpler than.
+
+    Returns
+    -------
+    tuple of Grown and Finding, or None
+        The growth without its effects and with that quantity, and the quantity.
+    """
+    if not findings:
+        return None
+    needed = {f.parameter for f in findings}
+    asked = [s for s in grown.base.model.specs if s.name in needed or _pinned(grown.base.model, s)]
+    tried = [t for t in (_loosened(grown, spec) for spec in asked) if t is not None]
+    if not tried:
+        return None
+    judging, executor = grown.bench.calm_records, grown.bench.executor
+    gaps = [gap(judging, fitted.model, executor).position_um for _, fitted in tried]
+    best = min(range(len(tried)), key=gaps.__getitem__)
+    if gaps[best] > _AS_CLOSE * gap(judging, grown.final.model, executor).position_um:
+        return None
+    spec, fitted = tried[best]
+    found = finding_of(spec, grown.bench.fitting_bench(), fitted)
+    if found is None:
+        return None
+    rivals = [s for (s, _), g in zip(tried, gaps, strict=True) if g <= _NEARLY * gaps[best]]
+    also = " or ".join(s.file_name or s.name for s in rivals if s.name != spec.name)
+    if also:
+        found = replace(found, text=f"{found.text} ({also} instead would do nearly as well)")
+    bare = tuple(replace(done, accepted=None, tied=()) for done in grown.rounds)
+    final = evaluate(grown.bench, fitted.model)
+    return replace(grown, final=final, rounds=bare, open_SI={}), found
+
+
+def _pinned(model: DriveModel, spec: ParameterSpec) -> bool:
+    """Whether the base model holds a known quantity at the end of its tolerance."""
+    width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
+    known = spec.kind == "known" and width > 0.0 and spec.name != "chain.damping_time_s"
+    return known and abs(model.parameters[spec.name] - spec.nominal) > _PINNED * width
+
+
+def _loosened(grown: Grown, spec: ParameterSpec) -> tuple[ParameterSpec, Fitted] | None:
+    """The base model refitted with one quantity that nothing is known of."""
+    part = grown.bench.fitting_bench()
+    loose = replace(grown.base.model, bench=_unknown(grown.base.model.bench, spec))
+    nominal = {s.name: s.nominal for s in loose.specs if s.kind == "known" and s.name != spec.name}
+    try:
+        start = evaluate(part, loose.with_parameters(nominal))
+        return spec, refit(part, start, rounds=_ROUNDS)
+    except ModelError:
+        return None
+
+
+def _unknown(bench: Bench, spec: ParameterSpec) -> Bench:
+    tolerance = bench.tolerance.model_copy(update={spec.file_name or "": _FREE})
+    return bench.model_copy(update={"tolerance": tolerance})
