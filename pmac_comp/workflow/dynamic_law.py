@@ -86,7 +86,7 @@ def dynamic_law(
     if progress is not None:
         progress("reading friction and cogging from the captures", 0.3)
     gripping, grip = gripping_law(law, loop, captures)
-    if grip > 0.0 and not slides(model):
+    if grip > 0.0 and not slides(model, gripping.torque_breakaway_m):
         # What grips late also lets go of the table late: the whole law is fitted anew with it.
         noted = {GRIP: gripping.torque_breakaway_m}
         model = gripping_model(model, replace(law, provenance=noted))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DISTANCES_m = (1e-6, 2e-6, 3e-6, 4e-6, 6e-6, 8e-6, 12e-6, 16e-6, 24e-6, 32e-6, 48e-6, 64e-6, 96e-6)
 GRIP = "grip_m"  # of a law's provenance: where captures showed a distance that the model lacks
 _NAME = "torque_breakaway_m"
+_AS_FAR_FRAC = 0.5
 _LEAST_GAIN_FRAC = 0.1  # of the unexplained rms: less than this is not worth a change
 _PATH_CUTOFF_Hz = 150.0  # a count that flickers at rest is no way
 
@@ -75,17 +76,31 @@ def gripping_torque(law: CompensationLaw, capture: Capture) -> FloatArray:
 def gripping_model(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
     """The model that a law was made with: its friction grips as the captures showed it to.
 
-    A law without such a note, or a model with presliding of its own, leaves the model as it is.
+    A law without such a note, or a model whose friction slides as far on its own, leaves the model
+    as it is.
     """
     distance_m = law.provenance.get(GRIP)
-    if distance_m is None or slides(model):
+    if distance_m is None or slides(model, distance_m):
         return model
-    return model.with_effect("presliding@all", {"distance_m": distance_m})
+    for name in _sliding(model):
+        model = model.without_effect(name)
+    both = dict.fromkeys(("distance_m", "rotary_m"), distance_m)
+    return model.with_effect("presliding@all", both)
 
 
-def slides(model: "DriveModel") -> bool:
-    """Whether the friction of a model grips over a distance of its own."""
-    return any(split_name(name)[0].startswith("presliding") for name in model.effects)
+def slides(model: "DriveModel", distance_m: float) -> bool:
+    """Whether the friction of a model grips over about such a distance, not over much less."""
+    own_m = [
+        value
+        for name in _sliding(model)
+        for key, value in model.values_of(name).items()
+        if key.endswith("_m")
+    ]
+    return max(own_m, default=0.0) >= _AS_FAR_FRAC * distance_m
+
+
+def _sliding(model: "DriveModel") -> list[str]:
+    return [name for name in model.effects if split_name(name)[0].startswith("presliding")]
 
 
 def _left_m(

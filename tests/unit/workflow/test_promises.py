@@ -136,6 +136,12 @@ def test_grip_that_captures_showed_is_in_the_model_that_promises() -> None:
     slides = gripping_model(model, noted)
     assert slides.parameters["presliding.distance_m"] == 6e-6
     assert gripping_model(slides, noted) is slides
+    # An onset over some tenths of a micrometre is no grip; a distance of the same size is.
+    short = {"distance_m": 0.3e-6, "rotary_m": 0.2e-6}
+    onset = model.with_effect("presliding@all", short)
+    assert gripping_model(onset, noted).parameters["presliding.distance_m"] == 6e-6
+    far = model.with_effect("presliding@guide", {"distance_m": 9e-6})
+    assert gripping_model(far, noted) is far
 
 
 def test_rounding_of_a_coarse_encoder_is_told_and_a_fine_one_has_none() -> None:
