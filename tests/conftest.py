@@ -2,11 +2,14 @@
 
 import os
 import signal
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from pmac_comp.workflow import axis_setup
 from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
     count_places,
     count_runs,
@@ -68,6 +71,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _journals_apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Axes without a folder of their own keep their journals apart, and not in the work tree."""
+    root = tmp_path_factory.mktemp("journals")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(axis_setup, "default_store", lambda: Path(tempfile.mkdtemp(dir=root)))
+        yield
 
 
 @pytest.fixture(scope="session")

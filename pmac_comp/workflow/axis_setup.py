@@ -1,10 +1,10 @@
-"""What a measurement needs of axes and units: put on before its programs, taken off at the end.
+"""What a measurement borrows: axes, units and a motion program, given back at the end.
 
-Other people's axis definitions must not be lost to a measurement: they go into a journalled
-backup, and come back when the session ends or with ``recover``.
+A measurement leaves a controller as it found it: what stood there goes into a journalled backup,
+and comes back when the session ends, however it ends, or with ``recover``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -14,18 +14,29 @@ from pmac_comp.machine.controller import temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.settings import (
     AxisDefinitions,
     Settings,
     plain_axes,
     read_axes,
 )
+from pmac_comp.machine.controller.settings_upload import texts
 from pmac_comp.machine.controller.transaction import untouched
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.variables import read_many, read_range
+from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.scales import Scales
 
 UNITS: Final = {"I5190": "1000", "I5113": "0", "I42": "0"}
 """Times of PVT programs in ms, velocities per second (Software Reference Manual, I5x13, I5x90)."""
+
+
+_GATHERING: Final = (5000, 5051)  # I-variables that a gather plan writes
+
+
+def default_store() -> Path:
+    """Folder of the journal where none is named."""
+    return DEFAULT_JOURNAL
 
 
 @dataclass
@@ -35,10 +46,10 @@ class AxisSetup:
     Parameters
     ----------
     store : Path
-        Folder of the journal, used only where definitions stand that would be lost.
+        Folder of the journal.
     """
 
-    store: Path = DEFAULT_JOURNAL
+    store: Path = field(default_factory=lambda: default_store())  # noqa: PLW0108 - when made
     _context: Context | None = None
 
     def put_on(self, link: Link, bench: Bench, controller: str) -> None:
@@ -51,14 +62,9 @@ class AxisSetup:
         """
         motor = bench.encoder.motor_number
         with untouched():
-            if _stands(link, motor):
+            if self._context is not None and _stands(link, motor):
                 return
-            present = read_axes(link)
-            is_free = all(a[0] != 1 and a[1] != motor for a in present) and _units_stand(link)
-        if is_free:
-            link.write_buffer([f"&1#{motor}->X"])
-            return
-        goal = Settings(UNITS, axes=axis_goal(present, {motor: "X"}))
+            goal = borrowed(link, motor)
         self._context = self._context_of(bench, controller)
         temporary.put_on(link, self._context, goal, motors=(motor,))
 
@@ -77,6 +83,19 @@ class AxisSetup:
             servo_period_s=scales.period_s,
             controller=controller or "controller",
         )
+
+
+def borrowed(link: Link, motor: int) -> Settings:
+    """What a measurement of a motor needs; program and gathering are written by each run."""
+    first, last = _GATHERING
+    gathering = {
+        f"I{n}": value for n, value in enumerate(read_range(link, "I", first, last), start=first)
+    }
+    return Settings(
+        {**UNITS, **texts(gathering)},
+        programs={(ProgramKind.PROG, PROGRAM_NUMBER): ()},
+        axes=axis_goal(read_axes(link), {motor: "X"}),
+    )
 
 
 def axis_goal(present: AxisDefinitions, ours: dict[int, str]) -> AxisDefinitions:

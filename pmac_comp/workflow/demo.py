@@ -209,6 +209,7 @@ def _whole_job(
     with watch.step("comparing the controller with the bench file"):
         prepare(axis)
     with watch.step("calibrating") as told:
+        axis.setup.store = out / "journal"
         captures = run_all(axis, calibration_motions(axis.bench), progress=told, what="capture")
         slow = run_all(axis, lead_motions(axis.bench), progress=told, what="lead error")
         for i, capture in enumerate([*captures, *slow]):

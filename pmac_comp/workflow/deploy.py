@@ -200,7 +200,8 @@ def double_corrections(
                     f"A law acts on the controller: the route {compensation.route} would correct "
                     "friction and elasticity a second time.",
                     code="PC-DEP-060",
-                    hint="Take the law back first: `pmac-comp rollback`.",
+                    hint="Take the law back first: `pmac-comp rollback`, or `pmac-comp remove` "
+                    "where it was put on before the last upload.",
                 )
             )
     number = axis.bench.controller.cam_motor_number

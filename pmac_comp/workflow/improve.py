@@ -177,6 +177,7 @@ def improve_axis(
     made without compensation. Where the grown model turns out no better, the first compensation
     is put back.
     """
+    axis.setup.store = out / "journal"
     captures = run_all(axis, calibration_motions(axis.bench), progress=progress, what="capture")
     slow = tuple(run_all(axis, lead_motions(axis.bench), progress=progress, what="lead error"))
     for i, capture in enumerate([*captures, *slow]):

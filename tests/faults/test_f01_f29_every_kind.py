@@ -33,7 +33,7 @@ from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import UNITS, axis_goal
+from pmac_comp.workflow.axis_setup import borrowed
 from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
 from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
 from tests.fault_table import all_of
@@ -138,7 +138,7 @@ def with_axes(link: Link, context: Context) -> None:
 def borrowed_axis(link: Link, context: Context) -> None:
     """What a measurement puts on for a while."""
     with untouched():
-        goal = Settings(UNITS, axes=axis_goal(read_axes(link), {1: "X"}))
+        goal = borrowed(link, 1)
     temporary.put_on(link, context, goal, motors=(1,))
 
 

@@ -34,6 +34,7 @@ from tests.faults.killed_child import dies_after
 from tests.faults.test_f01_f29_every_kind import (
     SCENARIOS,
     thinned,
+    whole_route,
     with_table,
 )
 from tests.faults.test_f20_reset_any_change import differing
@@ -245,6 +246,31 @@ def test_f29_a_reset_is_not_taken_for_somebody_else(*, rig: ChangeBench, count_r
         recovery.recover(rig.bench.link, here)
         assert recovery.left_open(here) == ()
         count_runs(1)
+
+
+def test_f19_a_rollback_is_not_written_over_somebody_elses_upload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """What a measurement of another folder borrowed meanwhile is no upload, and no obstacle."""
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    rig = ChangeBench(tmp_path / "here", Scenario("law route", with_table, whole_route), ids)
+    assert rig.run() is None
+    here = rig.fresh().context
+    elsewhere = replace(here, store=tmp_path / "elsewhere")
+    upload_tables(rig.bench.link, elsewhere, [OTHER_TABLE])
+    theirs = standing(rig.fresh())
+    with pytest.raises(ForeignChange, match="not written back over it") as said:
+        recovery.rollback_last(rig.bench.link, here)
+    assert said.value.left is ControllerState.NEW
+    assert not differing(standing(rig.fresh()), theirs)
+    assert rig.run() is None
+    here = rig.fresh().context
+    borrow(rig.bench.link, elsewhere)
+    temporary.take_off(rig.bench.link, elsewhere)
+    recovery.rollback_last(rig.bench.link, here)
+    assert not differing(standing(rig.fresh()), rig.before)
+    count_runs(2)
 
 
 def test_f29_what_a_measurement_borrowed_is_given_back_before_an_upload(

@@ -189,9 +189,9 @@ def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Le
     return Lease(context.owner, expires)
 
 
-def release_lease(link: Link, context: Context, *, ended: int = 0) -> None:
-    """Give the lease back; with a number also say that this change has ended."""
-    said = f" P{context.block.p(Index.CHANGE)}={-ended}" if ended else ""
+def release_lease(link: Link, context: Context, *, number: int | None = None) -> None:
+    """Give the lease back; with a number also write it as that of the last change."""
+    said = "" if number is None else f" P{context.block.p(Index.CHANGE)}={number}"
     link.command(f"P{context.block.p(Index.LEASE)}=0{said}")
 
 

@@ -91,7 +91,7 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
         with _whole_or_taken_back(link, context, journal):
             yield inner
             _require_whole(link, context, journal.group)
-            release_lease(link, context, ended=journal.group)
+            release_lease(link, context, number=-journal.group)
         try:
             journal.write(DONE)
         except StorageFull as error:
@@ -237,8 +237,13 @@ def last_change(context: Context) -> str:
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
-    _refuse_what_others_changed(link, context)
-    notes = list(take_off(link, context, whatever_stands=True))
+    foreign = _is_foreign(link, context)
+    if foreign and waiting(context):
+        raise _changed_elsewhere(foreign)
+    if open_elsewhere(link, context):
+        raise begun_elsewhere(foreign)
+    # What a measurement borrowed is given back if nobody else has written it since.
+    notes = list(take_off(link, context, whatever_stands=not foreign))
     torn = _torn_groups(context)
     for group in reversed(torn):
         notes += _take_group_back(link, context, group)
@@ -255,7 +260,8 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
 def _end(link: Link, context: Context) -> None:
     """Give the lease back, and say on the controller that our last change has ended."""
     number = read_change(link, context)
-    release_lease(link, context, ended=number if number in own_numbers(context) else 0)
+    own = number in own_numbers(context)
+    release_lease(link, context, number=-number if own else None)
 
 
 def _torn_groups(context: Context) -> list[Journal]:
@@ -266,31 +272,29 @@ def waiting(context: Context) -> list[Journal]:
     """Journals of what a recovery would write back."""
     groups = {group.group for group in _torn_groups(context)}
     parts = [p for p in parts_of(context) if p.journal.group in groups and p.closing != ROLLED_BACK]
-    temporary = [found.journal for found in standing(context)]
-    return [*(p.journal for p in (*parts, *unsettled(context))), *temporary]
+    return [part.journal for part in (*parts, *unsettled(context))]
 
 
-def _refuse_what_others_changed(link: Link, context: Context) -> None:
-    """Nothing is written back over a change that another folder or host made since.
+def _is_foreign(link: Link, context: Context) -> int:
+    """Number of a change that another folder or host made since ours, 0 for none.
 
-    The number on the controller is of a change of this folder then, or, after a reset, an older
-    one that stood there before them.
+    Otherwise a change of this folder was the last, or, after a reset, the number on the controller
+    is an older one that stood there before them.
     """
-    open_here = waiting(context)
-    elsewhere = open_elsewhere(link, context)
-    if elsewhere and not open_here:
-        raise begun_elsewhere(elsewhere)
-    number, own = read_change(link, context), own_numbers(context)
+    number = abs(read_change(link, context))
     seen = {abs(int(str(e.data.get(FOUND, 0)))) for j in journals(context) for e in j.entries()}
-    if open_here and abs(number) not in own | seen | {0}:
-        raise ForeignChange(
-            f"Another folder or host has changed this controller (number {abs(number)}) since "
-            "the interruption; what stood before is not written back over it.",
-            code="PC-REC-004",
-            hint="Look at what stands (`pmac-comp status`, `backup`). `pmac-comp recover --keep` "
-            "takes it as it is and closes what was left open here.",
-            context={"number": abs(number)},
-        )
+    return 0 if number in own_numbers(context) | seen else number
+
+
+def _changed_elsewhere(number: int) -> ForeignChange:
+    return ForeignChange(
+        f"Another folder or host has changed this controller (number {number}) since; what stood "
+        "before is not written back over it.",
+        code="PC-REC-004",
+        hint="Look at what stands (`pmac-comp status`, `backup`). `pmac-comp recover --keep` takes "
+        "it as it is and closes what was left open here; `pmac-comp remove` takes it off.",
+        context={"number": number},
+    )
 
 
 def keep(link: Link, context: Context) -> UploadResult:
@@ -306,7 +310,7 @@ def keep(link: Link, context: Context) -> UploadResult:
         still_open = [j for j in journals(context) if is_torn(j)]
         for journal in reversed(still_open):
             journal.write(KEPT)
-        release_lease(link, context, ended=abs(read_change(link, context)))
+        release_lease(link, context, number=-abs(read_change(link, context)))
         status = table_status(link, context)
     note = f"what stands was kept; {len(still_open)} open change(s) of this folder closed"
     return UploadResult(
@@ -355,7 +359,9 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take an upload back; an error says of all of it what stands, not of one part."""
     try:
         _refuse_newer(context, group)
-        _refuse_what_others_changed(link, context)
+        foreign = _is_foreign(link, context)
+        if foreign:
+            raise _changed_elsewhere(foreign)
         notes = _take_group_back(link, context, group)
         _end(link, context)
     except PmacCompError as error:
@@ -369,7 +375,14 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
 def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
     """The last upload and its parts that still stand, the last one first; ConfigError if none."""
     groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
-    if not groups or any(groups[-1].last(step) is not None for step in (ROLLED_BACK, KEPT)):
+    if groups and any(groups[-1].last(step) is not None for step in (ROLLED_BACK, KEPT)):
+        raise ConfigError(
+            "The last upload was taken back already; what stands now was there before it.",
+            code="PC-REC-007",
+            hint="`pmac-comp remove` takes off what compensates this axis.",
+            context={"journal": str(groups[-1].path)},
+        )
+    if not groups:
         raise ConfigError(
             f"There is no upload in {context.store} that could be taken back.",
             code="PC-REC-001",

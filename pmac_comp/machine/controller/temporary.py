@@ -5,9 +5,12 @@ stays open. After a kill ``recover`` takes them off, and so does the next sessio
 same settings on. Never a part of an upload: ``recover`` looks at them apart.
 """
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from typing import Final
 
 from pmac_comp.base.errors import ControllerState, ForeignChange
+from pmac_comp.machine.controller import gather, programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import host_lock
@@ -28,6 +31,8 @@ from pmac_comp.machine.controller.transaction import (
     untouched,
 )
 
+_OF_GATHERING: Final = re.compile(r"I50\d\d")
+
 
 @dataclass(frozen=True)
 class Temporary:
@@ -39,7 +44,11 @@ class Temporary:
 
 
 def put_on(link: Link, context: Context, goal: Settings, *, motors: tuple[int, ...] = ()) -> None:
-    """Bring settings onto the card for a while; nothing is done where they stand already.
+    """Bring settings onto the card for a while.
+
+    Nothing is done where those of an earlier session still stand: its journal brings back what
+    stood before both. The programs named are the measurement's own from now on, and so are the
+    variables of gathering (I5000-I5099), whatever it writes there.
 
     Raises
     ------
@@ -47,7 +56,8 @@ def put_on(link: Link, context: Context, goal: Settings, *, motors: tuple[int, .
         A motor moves, or another host holds the lease; nothing was changed.
     """
     with untouched():
-        if not differences(goal, read_settings(link, goal)):
+        lasting = _lasting(goal)
+        if standing(context) and not differences(lasting, read_settings(link, lasting)):
             return
     take_off(link, context)
     with SettingsUpload(
@@ -77,14 +87,18 @@ def take_off(link: Link, context: Context, *, whatever_stands: bool = False) -> 
     notes: list[str] = []
     for found in standing(context):
         with host_lock(context):
+            # What follows would go into a buffer that an interruption left open.
+            link.write_buffer(["CLOSE"])
             raise_all(running_refusals(link), "Taking the measurement's settings off")
-            present = read_settings(link, found.new)
-            if differences(found.old, present):
-                if differences(found.new, present) and not whatever_stands:
-                    raise _foreign(found)
-                _put_back(link, found)
+            gather.stop(link)
+            old, new = _lasting(found.old), _lasting(found.new)
+            present = read_settings(link, new)
+            changed = differences(old, present)
+            if changed and differences(new, present) and not whatever_stands:
+                raise _foreign(found)
+            _put_back(link, found)
             found.journal.write(ROLLED_BACK)
-        notes.append("axis definitions and units are as before the measurement")
+        notes.append("axis definitions, units and motion program are as before the measurement")
     return tuple(notes)
 
 
@@ -101,7 +115,17 @@ def standing(context: Context) -> tuple[Temporary, ...]:
     return tuple(found)
 
 
+def _lasting(settings: Settings) -> Settings:
+    """What stands unchanged meanwhile: programs and gathering are written by every run."""
+    kept = {k: v for k, v in settings.variables.items() if not _OF_GATHERING.fullmatch(k)}
+    return replace(settings, variables=kept, programs={})
+
+
 def _put_back(link: Link, found: Temporary) -> None:
+    for (kind, number), lines in found.old.programs.items():
+        if not lines:
+            # Emptied unread: a long motion takes a serial line half a minute to list.
+            programs.delete(link, kind, number)
     if put_back(link, found.old) is not ControllerState.OLD:
         raise ForeignChange(
             "The axis definitions from before the measurement could not be written back.",

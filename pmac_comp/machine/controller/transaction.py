@@ -264,13 +264,16 @@ class Change:
             # An upload ends with its last part, a recovery when all is settled.
             alone = not (self.context.group or self.context.settling)
             over = alone and (self._ended is not None or not is_torn(self.journal))
-            release_lease(self.link, self.context, ended=self._number if over else 0)
+            release_lease(self.link, self.context, number=-self._number if over else None)
             self._leased_at_s = None
 
     def leave_open(self, verdict: ControllerState) -> None:
         """Give the lease back and leave the journal open: what was put on stands for a while."""
         self.left = self._ended = verdict
-        self.release()
+        if self._leased_at_s is not None:
+            # For what compensates an axis the change before is still the last one.
+            release_lease(self.link, self.context, number=self._found)
+            self._leased_at_s = None
 
     @contextmanager
     def explained(self) -> Iterator[None]:
