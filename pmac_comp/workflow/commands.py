@@ -1,6 +1,7 @@
 """Files that commands are given: command files, and lists of captures with folders in them."""
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from pmac_comp.files.capture import read_capture
 
 _TIME, _POSITION = "time_s", "commanded_position_mm"
 _CAPTURES = frozenset({".h5", ".hdf5", ".csv", ".mat"})
+_SIDES = re.compile("(before|after)_[0-9]+$")  # as `verify --out` names its runs
 
 
 def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -63,8 +65,8 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
 def capture_paths(paths: Sequence[Path], *, side: str = "") -> tuple[Path, ...]:
     """Files of a list that may hold folders: a folder stands for its captures in order of name.
 
-    With a ``side`` (``before`` or ``after``) a folder that ``verify --out`` wrote stands for its
-    runs of that side.
+    With a ``side`` (``before`` or ``after``) a folder that ``verify --out`` wrote, to its end or
+    not, stands for its runs of that side.
 
     Raises
     ------
@@ -83,7 +85,7 @@ def capture_paths(paths: Sequence[Path], *, side: str = "") -> tuple[Path, ...]:
             found.append(path)
             continue
         inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _CAPTURES)
-        if side and (path / "verification.json").is_file():
+        if side and all(_SIDES.search(p.stem) for p in inside):
             inside = [p for p in inside if side in p.stem]
         if not inside:
             raise ConfigError(

@@ -6,12 +6,13 @@ statistics (``outcome``), plots (``report``).
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
@@ -140,22 +141,56 @@ def _paired(before: Sequence[Capture], after: Sequence[Capture]) -> dict[str, Pa
 
 def store(verification: Verification, folder: Path) -> dict[str, list[str]]:
     """Write the captures and the result of a verification into a folder; names by kind."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written: dict[str, list[str]] = {"before": [], "after": []}
-    for side in ("before", "after"):
-        for i, capture in enumerate(getattr(verification, side)):
-            path = folder / f"{side}_{i + 1:02d}.h5"
-            write_capture(path, capture)
-            written[side].append(path.name)
-    for kind, found in (("static", verification.static), ("ringing", verification.ringing)):
-        for i, capture in enumerate(() if found is None else found.captures):
-            side = "after" if capture.attributes.get("compensation") == "on" else "before"
-            path = folder / f"{kind}_{side}_{i + 1:02d}.h5"
-            write_capture(path, capture)
-            written[side].append(path.name)
-    text = json.dumps({**verification.as_result(), "files": written}, indent=2)
-    atomic_write_text(folder / "verification.json", text + "\n")
-    return written
+    kept = KeptRuns(folder)
+    special = (verification.static, verification.ringing)
+    runs = [*verification.before, *verification.after]
+    for capture in (*runs, *(c for found in special if found is not None for c in found.captures)):
+        kept.keep(capture)
+    result = {**verification.as_result(), "files": kept.names}
+    atomic_write_text(folder / "verification.json", json.dumps(result, indent=2) + "\n")
+    return kept.names
+
+
+class KeptRuns:
+    """Runs of a verification in a folder, each written when it is gathered.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Made if it is missing; None keeps nothing.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self.names: dict[str, list[str]] = {"before": [], "after": []}
+        self._counts: dict[str, int] = {}
+
+    def keep(self, capture: Capture) -> None:
+        """Write one run under its kind, side and number."""
+        if self.folder is None:
+            return
+        side = "after" if capture.attributes.get("compensation") == "on" else "before"
+        kind = "static_" if is_static(capture) else "ringing_" if is_ringing(capture) else ""
+        number = self._counts.get(kind + side, 0) + 1
+        self._counts[kind + side] = number
+        self.folder.mkdir(parents=True, exist_ok=True)
+        name = f"{kind}{side}_{number:02d}.h5"
+        write_capture(self.folder / name, capture)
+        self.names[side].append(name)
+
+    def left(self, motor: int) -> str:
+        """What an interrupted verification leaves, for people."""
+        stands = (
+            f"The axis was not put back as it was found: look at `pmac-comp status` whether motor "
+            f"#{motor} is enabled and the compensation on."
+        )
+        n = sum(len(names) for names in self.names.values())
+        if self.folder is None or n == 0:
+            return f"{stands} No run was kept (--out DIR keeps each one as it is made)."
+        return (
+            f"{stands} {n} runs are kept: `pmac-comp verify --before {self.folder} --after "
+            f"{self.folder}` compares the motions that were run on both sides."
+        )
 
 
 # On a controller ----------------------------------------------------------------------------------
@@ -185,7 +220,8 @@ def verify_on_controller(
         No compensation file is named, so nobody knows what to switch.
     """
     compensation = named_compensation(law)
-    with open_axis(url, bench) as axis:
+    kept = KeptRuns(out)
+    with open_axis(url, bench) as axis, _told_what_is_left(kept, axis.motor):
         chosen = [parse_motion(text, axis.bench) for text in motions] or verification_motions(
             axis.bench, seed
         )
@@ -200,6 +236,7 @@ def verify_on_controller(
                 repeats=repeats,
                 static_runs=static_runs,
                 drive=None if model is None else load_model(model, axis.bench),
+                keep=kept.keep,
                 progress=progress,
             )
             remarks = (*verification.remarks, *measured)
@@ -214,6 +251,16 @@ def verify_on_controller(
     if out is not None:
         store(verification, out)
     return verification
+
+
+@contextmanager
+def _told_what_is_left(kept: KeptRuns, motor: int) -> Iterator[None]:
+    """Errors that say which runs were kept and that nothing was put back."""
+    try:
+        yield
+    except (PmacCompError, KeyboardInterrupt) as error:
+        error.add_note(kept.left(motor))
+        raise
 
 
 def measured_sign(axis: Axis, context: Context, compensation: Compensation) -> list[str]:
@@ -235,6 +282,7 @@ def verify_axis(
     static_runs: int = 0,
     drive: Any = None,
     truth: Callable[[], Truth | None] | None = None,
+    keep: Callable[[Capture], None] | None = None,
     progress: Progress | None = None,
 ) -> Verification:
     """Fresh runs before and after, alternating so that drift does not count as gain.
@@ -253,6 +301,8 @@ def verify_axis(
         Model that promises.
     truth : callable or None
         True positions of a simulated plant.
+    keep : callable, optional
+        Called with each run when it is gathered.
     progress : callable, optional
         Called with a step and a fraction.
     """
@@ -262,7 +312,7 @@ def verify_axis(
     wanted = [(motion, repeats) for motion in runs.motions]
     wanted += [(rings, repeats)] if rings is not None else []
     wanted += [(static, static_runs)] if static is not None else []
-    pairs = list(alternating(runs, wanted, progress))
+    pairs = list(alternating(runs, wanted, progress, keep))
     found = truth() if truth is not None else None
     outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
@@ -293,7 +343,10 @@ def verify_axis(
 
 
 def alternating(
-    runs: Runs, wanted: Sequence[tuple[Motion, int]], progress: Progress | None
+    runs: Runs,
+    wanted: Sequence[tuple[Motion, int]],
+    progress: Progress | None,
+    keep: Callable[[Capture], None] | None = None,
 ) -> Iterator[Pair]:
     """Captures without and with compensation of each motion, pair by pair."""
     total_s = sum(2.0 * n * motion.duration_s for motion, n in wanted)
@@ -308,7 +361,10 @@ def alternating(
                         f"verifying {motion.name}, {'with' if on else 'without'}", done_s / total_s
                     )
                 capture = runs.run(motion, on=on)
-                sides[on].append(capture.with_attributes(compensation="on" if on else "off"))
+                capture = capture.with_attributes(compensation="on" if on else "off")
+                if keep is not None:
+                    keep(capture)
+                sides[on].append(capture)
                 done_s += motion.duration_s
         yield sides
 

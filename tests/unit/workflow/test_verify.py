@@ -1,6 +1,7 @@
 """Before and after: error terms of the contract, intervals, verdict on the promise."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
 from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
-from pmac_comp.workflow.verify import verify_files
+from pmac_comp.workflow.verify import KeptRuns, verify_files
 
 BENCH = load_bench("paper")
 PERIOD = BENCH.servo_period_s
@@ -158,3 +160,25 @@ def test_unpaired_captures_and_missing_tables_are_refused(tmp_path: object) -> N
     bare = run(correction_um=0.0, e_um=1.0, control_um=1.0)
     with pytest.raises(CaptureError, match="no table position"):
         error_signals(Capture(bare.time_s, bare.commanded_position_m, bare.motor_position_m))
+
+
+def test_runs_of_an_interrupted_verification_are_kept_and_can_be_compared(tmp_path: Path) -> None:
+    kept = KeptRuns(tmp_path / "runs")
+    bare = run(correction_um=0.0, e_um=3.0, control_um=10.0)
+    better = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
+    alone = run(correction_um=0.0, e_um=3.0, control_um=10.0, motion="b")
+    for capture, on in ((bare, "off"), (better, "on"), (alone, "off")):
+        kept.keep(capture.with_attributes(compensation=on))
+    assert kept.names == {"before": ["before_01.h5", "before_02.h5"], "after": ["after_01.h5"]}
+    assert "3 runs are kept" in kept.left(1)
+    sides = [capture_paths([tmp_path / "runs"], side=side) for side in ("before", "after")]
+    (motion,) = verify_files("paper", *sides).motions
+    assert motion.name == "a"
+    assert motion.mechanical.value == pytest.approx(0.1, rel=0.02)
+
+
+def test_an_interrupted_verification_that_kept_nothing_says_how_to_keep() -> None:
+    kept = KeptRuns(None)
+    kept.keep(run(correction_um=0.0, e_um=3.0, control_um=10.0))
+    assert "--out" in kept.left(4)
+    assert "#4" in kept.left(4)
