@@ -108,7 +108,9 @@ def status(
                 for m in result["motors"]
             ],
         )
-        output.table("compensation", ("item", "value"), result["compensation"].items())
+        items = result["compensation"].items()
+        rows = [(name.replace("_", " "), value) for name, value in items]
+        output.table("compensation", ("item", "value"), rows)
 
     output.finish(result, json_target, show)
 

@@ -16,6 +16,7 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
+from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
@@ -75,7 +76,9 @@ def differing_variables(link: Link, bench: Bench) -> dict[str, tuple[float, floa
 
 def variables_text(differing: dict[str, tuple[float, float]]) -> str:
     """The first few differences, for a person."""
-    items = [f"{name} = {card:g} ({value:g})" for name, (card, value) in differing.items()]
+    items = [
+        f"{name} = {plain(card)} ({plain(value)})" for name, (card, value) in differing.items()
+    ]
     more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
     return ", ".join(items[:_SHOWN]) + more
 

@@ -63,18 +63,18 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     compensation = {
         "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
                             state.tables) or "none",
-        "tables act (I51)": state.i51,
+        "tables_act": state.i51,
         "verdict": state.decision.state.value,
         "why": f"tables: {state.decision.reason}; law: {_law_text(form, head)}",
-        "left open": advice,
-        "last change": recovery.last_change(context) or "none from this folder",
+        "left_open": advice,
+        "last_change": recovery.last_change(context) or "none from this folder",
         "lease": lease,
         "law": form.name.lower(),
-        "law bank": head.bank,
-        "law gain": head.gain,
-        "law correction ct": head.correction_ct,
-        "law torque DAC units": head.torque_dac,
-        "clamped passes": head.n_clamped,
+        "law_bank": head.bank,
+        "law_gain": head.gain,
+        "law_correction_ct": head.correction_ct,
+        "law_torque_dac": head.torque_dac,
+        "clamped_passes": head.n_clamped,
     }  # fmt: skip
     return {
         "motors": [

@@ -140,7 +140,7 @@ def decide(manifest: Manifest | None, i51: int, crc: int) -> Decision:
         stands whole, sealed and enabled, ``DISABLED`` in every other case with tables off.
     """
     if manifest is None:
-        return Decision(ControllerState.OLD, Action.NOTHING, "no upload was begun")
+        return Decision(ControllerState.OLD, Action.NOTHING, "no upload is under way")
     if crc == manifest.crc_old and i51 == manifest.enabled_old:
         if not (crc == manifest.crc_new and manifest.state is ManifestState.VALID and i51):
             return Decision(ControllerState.OLD, Action.NOTHING, "the old tables are untouched")

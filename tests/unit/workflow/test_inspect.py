@@ -24,15 +24,15 @@ def test_a_torn_upload_is_told_although_the_tables_are_old(
 
     monkeypatch.setattr(inspect, "context_of", noted)
     before = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
-    assert (before["verdict"], before["left open"], before["lease"]) == ("OLD", "nothing", "free")
+    assert (before["verdict"], before["left_open"], before["lease"]) == ("OLD", "nothing", "free")
     assert before["law"] == "none"
     journal = Journal(tmp_path / f"{names[0]}-000001-0000000007.journal")
     journal.write("begin", {"kind": "group", "group": 7, "name": "law"})
     torn = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
-    assert torn["left open"] == "an upload (law) was interrupted: run `pmac-comp recover`"
+    assert torn["left_open"] == "an upload (law) was interrupted: run `pmac-comp recover`"
     journal.write("rolled back")
     after = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
-    assert after["left open"] == "nothing"
+    assert after["left_open"] == "nothing"
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,31 @@ def test_a_torn_upload_is_told_although_the_tables_are_old(
 )
 def test_the_lease_in_words(lease: Lease, said: str) -> None:
     assert inspect.lease_text(lease, int(10 * CLOCK_PER_s)) == said
+
+
+def test_status_has_stable_names_without_blanks(tmp_path: Path) -> None:
+    """Scripts read them: names change with a note in the README only."""
+    found = inspect.controller_status("sim://", "paper", tmp_path)
+    assert list(found) == ["motors", "compensation"]
+    assert set(found["motors"][0]) == {
+        "number",
+        "position_ct",
+        "following_error_ct",
+        "state",
+        "bits",
+    }
+    assert list(found["compensation"]) == [
+        "tables",
+        "tables_act",
+        "verdict",
+        "why",
+        "left_open",
+        "last_change",
+        "lease",
+        "law",
+        "law_bank",
+        "law_gain",
+        "law_correction_ct",
+        "law_torque_dac",
+        "clamped_passes",
+    ]
