@@ -11,6 +11,7 @@ from pmac_comp.physics.model.drive import DriveModel
 
 _SHORTEST_DIP_m = 0.15e-3  # dips are half to five millimetres long, presliding 5 to 50 um
 _SHORTEST_PRESLIDING_m = 1e-6
+_SHORTEST_GROWTH_s = 0.5  # screws warm over minutes
 ONSET = "it is so short that the friction is Coulomb friction, which nowhere sets in at once"
 """Of presliding within what the encoder resolves."""
 
@@ -48,6 +49,12 @@ def _short_dip(model: DriveModel) -> str:
     return "its length is that of presliding"
 
 
+def _grown_at_once(model: DriveModel) -> str:
+    if model.parameters["thermal_growth.time_constant_s"] > _SHORTEST_GROWTH_s:
+        return ""
+    return "it is over before the run has begun: a slope of lead or scale"
+
+
 def _onset(model: DriveModel) -> str:
     shortest = max(_SHORTEST_PRESLIDING_m, model.bench.motor_resolution_m)
     return "" if model.parameters["presliding.distance_m"] > shortest else ONSET
@@ -61,6 +68,7 @@ _IMITATIONS: Mapping[str, Callable[[DriveModel], str]] = {
     "viscous_nonlinear": _no_curve,
     "post_reversal_dip": _short_dip,
     "presliding": _onset,
+    "thermal_growth": _grown_at_once,
 }
 
 
@@ -75,6 +83,7 @@ _TRUE_NAMES: Mapping[str, str] = {
     "cable_drag": "bias_force",
     "preload_loss": "backlash",
     "post_reversal_dip": "presliding",
+    "thermal_growth": "lead_linear",
 }
 
 

@@ -29,6 +29,7 @@ BENCH = load_bench("paper")
         ("viscous_nonlinear", {"exponent": 0.5}, {"exponent": 0.99}),
         ("post_reversal_dip", {"length_m": 1e-3}, {"length_m": 2e-5}),
         ("presliding", {"distance_m": 5e-6}, {"distance_m": 3e-7}),
+        ("thermal_growth", {"time_constant_s": 5.0}, {"time_constant_s": 0.05}),
     ],
 )
 def test_an_effect_at_the_corner_of_its_range_is_another_one(effect, own, corner):
