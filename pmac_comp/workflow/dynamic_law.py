@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
+_SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
 _TURN_EFFECTS = frozenset({"cogging", "friction_per_rev"})
 Progress = Callable[[str, float], None]
 
@@ -81,10 +82,12 @@ def dynamic_law(
         )
 
     law = designed(model, loop, {})
-    if route not in TORQUE_ROUTES or not captures:
+    if not captures:
         return law
     if progress is not None:
         progress("reading friction and cogging from the captures", 0.3)
+    if route not in TORQUE_ROUTES:
+        return _noting_grip(law, model, loop, captures)
     gripping, grip = gripping_law(law, loop, captures)
     if grip > 0.0 and not slides(model, gripping.torque_breakaway_m):
         # What grips late also lets go of the table late: the whole law is fitted anew with it.
@@ -101,6 +104,24 @@ def dynamic_law(
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
     said = {"turn_explained": found.explained, "grip_explained": grip}
     return replace(law, provenance={**law.provenance, **said})
+
+
+def _noting_grip(
+    law: CompensationLaw, model: "DriveModel", loop: LoopRunner, captures: Sequence[Capture]
+) -> CompensationLaw:
+    """A law without torque with the distance over which friction grips, for what is promised."""
+    friction = law.with_values(torque_coulomb_Nm=_friction_Nm(model), torque_breakaway_m=_SHARP_m)
+    found, grip = gripping_law(friction, loop, captures)
+    if grip == 0.0 or slides(model, found.torque_breakaway_m):
+        return law
+    return replace(law, provenance={**law.provenance, GRIP: found.torque_breakaway_m})
+
+
+def _friction_Nm(model: "DriveModel") -> float:
+    """Coulomb friction of a model at the motor, N m."""
+    own = model.parameters
+    turning = own.get("coulomb.motor_Nm", 0.0) + own.get("coulomb.nut_Nm", 0.0)
+    return turning + own.get("coulomb.guide_N", 0.0) * model.bench.lead_m_per_rad
 
 
 def turn_errors(
