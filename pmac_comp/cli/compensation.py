@@ -165,7 +165,7 @@ def upload(
     from pmac_comp.workflow.upload_plan import plan_upload
 
     check_bench(new, bench)
-    plan = plan_upload(url, bench, new, persist=persist)
+    plan = plan_upload(url, bench, new, journal=journal, persist=persist)
 
     def show_plan() -> None:
         output.echo_all(plan.text)

@@ -149,6 +149,7 @@ def improve_on_controller(
     require_many_motions(route)
     out.mkdir(parents=True, exist_ok=True)
     with open_axis(url, bench) as axis:
+        axis.setup.store = out / "journal"
         prepare(axis)
         result = improve_axis(
             axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
@@ -177,7 +178,6 @@ def improve_axis(
     made without compensation. Where the grown model turns out no better, the first compensation
     is put back.
     """
-    axis.setup.store = out / "journal"
     captures = run_all(axis, calibration_motions(axis.bench), progress=progress, what="capture")
     slow = tuple(run_all(axis, lead_motions(axis.bench), progress=progress, what="lead error"))
     for i, capture in enumerate([*captures, *slow]):

@@ -4,14 +4,16 @@ What changes and by how much at most, what is off meanwhile and for how long, wh
 and everything that forbids it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import law_install, motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
@@ -75,11 +77,13 @@ class UploadPreview:
         }
 
 
-def plan_upload(url: str, bench: str, new: Path, *, persist: bool = False) -> UploadPreview:
+def plan_upload(
+    url: str, bench: str, new: Path, *, journal: Path = DEFAULT_JOURNAL, persist: bool = False
+) -> UploadPreview:
     """Preview of an upload; ``persist`` says that it will be saved to flash afterwards."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        context = context_of(axis)
+        context = replace(context_of(axis), store=journal)
         return preview(axis, context, compensation, url, persist=persist)
 
 
@@ -88,7 +92,8 @@ def preview(
 ) -> UploadPreview:
     """Preview on a connected axis."""
     lines: list[str] = []
-    refusals = double_corrections(axis, context, compensation)
+    refusals = waiting_refusals(axis.link, context)
+    refusals += double_corrections(axis, context, compensation)
     if compensation.route == "law":
         refusals += law_install.owner_refusals(axis.link, context, axis.motor)
     change = difference_on(axis, context, compensation)

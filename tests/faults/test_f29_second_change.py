@@ -16,7 +16,6 @@ from pmac_comp.base.errors import (
     ForeignChange,
     PmacCompError,
     SafetyRefusal,
-    UploadIncomplete,
 )
 from pmac_comp.machine.controller import law_upload, recovery, temporary, transaction
 from pmac_comp.machine.controller.backup import Backup, read_backup
@@ -157,7 +156,7 @@ def test_f29_a_second_change_waits_for_recover(
         left = standing(rig.bench)
         second = SECOND[k % len(SECOND)]
         if is_torn(here):
-            with pytest.raises(UploadIncomplete, match="interrupted and is still open") as said:
+            with pytest.raises(SafetyRefusal, match="interrupted and is still open") as said:
                 second(rig.bench.link, here)
             assert said.value.code == "PC-TXN-010"
             assert said.value.left is ControllerState.OLD

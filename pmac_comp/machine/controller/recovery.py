@@ -19,7 +19,6 @@ from pmac_comp.base.errors import (
     ProtocolError,
     SafetyRefusal,
     StorageFull,
-    UploadIncomplete,
     VerifyMismatch,
 )
 from pmac_comp.machine.controller.context import Context, never
@@ -59,7 +58,7 @@ from pmac_comp.machine.controller.transaction import (
     mark_left,
     open_group,
     own_numbers,
-    require_settled,
+    torn_refusals,
     untouched,
 )
 
@@ -108,12 +107,16 @@ def _one_at_a_time(context: Context) -> AbstractContextManager[None]:
 
 
 def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
-    require_settled(context)
-    elsewhere = open_elsewhere(link, context)
-    if elsewhere:
-        raise begun_elsewhere(elsewhere)
+    for refusal in waiting_refusals(link, context):
+        raise refusal
     take_off(link, context)  # what a measurement borrowed must not become part of an upload
     return open_group(context, name)
+
+
+def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
+    """Refusals of a change while another one, of this folder or elsewhere, has not ended."""
+    elsewhere = open_elsewhere(link, context)
+    return [*torn_refusals(context), *([begun_elsewhere(elsewhere)] if elsewhere else [])]
 
 
 def open_elsewhere(link: Link, context: Context) -> int:
@@ -400,7 +403,7 @@ def _refuse_newer(context: Context, group: Journal) -> None:
     """A change that was interrupted after an upload is settled first."""
     newer = [p for p in unsettled(context) if p.journal.group != group.group]
     if newer:
-        raise UploadIncomplete(
+        raise SafetyRefusal(
             f"A change of {newer[0].kind.value} after the upload was interrupted and is still "
             "open.",
             code="PC-TXN-010",

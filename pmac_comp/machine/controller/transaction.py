@@ -24,7 +24,7 @@ from pmac_comp.base.errors import (
     LinkError,
     PmacCompError,
     ProtocolError,
-    UploadIncomplete,
+    SafetyRefusal,
 )
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
@@ -183,7 +183,7 @@ class Change:
 
         Raises
         ------
-        UploadIncomplete
+        SafetyRefusal
             An earlier change of this folder was interrupted and waits for ``recover``.
         """
         self.may_go_on()
@@ -313,7 +313,7 @@ def open_group(context: Context, name: str) -> tuple[Journal, Context]:
 
     Raises
     ------
-    UploadIncomplete
+    SafetyRefusal
         An earlier change of this folder was interrupted and waits for ``recover``.
     """
     with host_lock(context):
@@ -353,24 +353,31 @@ def is_torn(journal: Journal) -> bool:
 
 
 def require_settled(context: Context) -> None:
-    """Refuse a change while an interrupted one of this folder waits for ``recover``.
-
-    Its backup is what stood before: a change on top would be lost when that is written back.
-    What a measurement borrowed stands open without being half-changed, and is taken off apart.
+    """Refuse a change while an interrupted one of this folder waits; see ``torn_refusals``.
 
     Raises
     ------
-    UploadIncomplete
+    SafetyRefusal
         There is one.
     """
-    if context.settling:
-        return
+    for refusal in torn_refusals(context):
+        raise refusal
+
+
+def torn_refusals(context: Context) -> list[SafetyRefusal]:
+    """Refusal of a change while an interrupted one of this folder waits for ``recover``.
+
+    Its backup is what stood before: a change on top would be lost when that is written back.
+    What a measurement borrowed stands open without being half-changed, and is taken off apart.
+    """
     torn = [j for j in journals(context) if is_torn(j) and not is_temporary(j)]
-    if torn:
-        begin = torn[-1].first()
-        data = {} if begin is None else begin.data
-        name = data.get("name") or data.get("route") or data.get("kind")
-        raise UploadIncomplete(
+    if context.settling or not torn:
+        return []
+    begin = torn[-1].first()
+    data = {} if begin is None else begin.data
+    name = data.get("name") or data.get("route") or data.get("kind")
+    return [
+        SafetyRefusal(
             f"An earlier change of this controller ({name}) was interrupted and is still open.",
             code="PC-TXN-010",
             hint="Run `pmac-comp recover` first: it ends the earlier one as it was before or as "
@@ -378,6 +385,7 @@ def require_settled(context: Context) -> None:
             context={"journal": str(torn[-1].path), "confirmed": True},
             left=ControllerState.OLD,
         )
+    ]
 
 
 def is_temporary(journal: Journal) -> bool:

@@ -44,7 +44,7 @@ def test_rollback_and_recovery_are_told_from_what_stands(axis: Axis, tmp_path: P
     assert read_tables(axis.link) == stands
     assert files_of(tmp_path) == kept
     recovery.rollback_last(axis.link, context)
-    with pytest.raises(ConfigError, match="no upload"):
+    with pytest.raises(ConfigError, match="taken back already"):
         what_was_uploaded(axis, tmp_path)
 
 
