@@ -12,8 +12,8 @@ prints it alone).
 
 Aims: e_r at most a tenth of e, or 0.15 um where that is more (0.30 um with 10 000 counts per turn
 or fewer); total error at most a fifth of the baseline's on ``law`` and ``servo``. The other routes
-report what they reach. ``promise`` is how often the measured e_r and total lie within what was
-promised.
+report what they reach. ``promise`` is how often the measured e_r and total stay below the upper end
+of what was promised, the sensors' steps apart.
 """
 
 import argparse
