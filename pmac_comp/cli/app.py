@@ -20,6 +20,7 @@ _INTERRUPTED = 130
 CHANGING = frozenset(
     {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup", "remove"}
 )
+_MOVING = frozenset({"capture", "verify"})
 app = typer.Typer(
     name="pmac-comp",
     help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",
@@ -50,6 +51,12 @@ def _interrupted(words: Sequence[str]) -> str:
     command = next(iter(words), "")
     if command not in CHANGING:
         return "interrupted"
+    if command in _MOVING:
+        return (
+            "interrupted; the axis was stopped and is left as `pmac-comp status` shows it. If it "
+            "does not answer or says that something is left open: `pmac-comp recover`, with the "
+            "same URL and bench."
+        )
     return (
         "interrupted at once. If the change had begun, what the controller was left with is "
         "unconfirmed: run `pmac-comp status`, then `pmac-comp recover`, with the same URL, bench "

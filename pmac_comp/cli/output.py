@@ -18,6 +18,7 @@ from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 
 JSON_STDOUT = "--json=-"
 _WHOLE_BELOW = 1e7  # counts are shown to the last one
+_ROUNDED_FROM = 1e4  # of which fractions say nothing
 Progress = Callable[[str, float], None]
 
 
@@ -190,7 +191,8 @@ def _cell(value: Any) -> str:
         return "-"
     if isinstance(value, float):
         whole = value.is_integer() and abs(value) < _WHOLE_BELOW
-        return f"{value:.0f}" if whole else f"{value:.4g}"
+        large = _ROUNDED_FROM <= abs(value) < _WHOLE_BELOW
+        return f"{value:.0f}" if whole or large else f"{value:.4g}"
     return str(value)
 
 

@@ -54,10 +54,19 @@ def demo(
 
 
 def sim(
-    tcp: Annotated[int | None, typer.Option("--tcp", help="Packet port over TCP (0: any)")] = None,
-    udp: Annotated[int | None, typer.Option("--udp", help="Packet port over UDP (0: any)")] = None,
+    tcp: Annotated[
+        int | None,
+        typer.Option("--tcp", min=0, max=65535, help="Packet port over TCP (0: any)"),
+    ] = None,
+    udp: Annotated[
+        int | None,
+        typer.Option("--udp", min=0, max=65535, help="Packet port over UDP (0: any)"),
+    ] = None,
     ascii_port: Annotated[
-        int | None, typer.Option("--ascii-port", help="ASCII port as behind a terminal server")
+        int | None,
+        typer.Option(
+            "--ascii-port", min=0, max=65535, help="ASCII port as behind a terminal server"
+        ),
     ] = None,
     pty: Annotated[bool, typer.Option("--pty", help="Serial line on a pseudo terminal")] = False,
     host: Annotated[str, typer.Option("--host", help="Address to listen on")] = "127.0.0.1",

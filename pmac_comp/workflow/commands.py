@@ -48,6 +48,7 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
         raise CaptureError(
             f"{path.name}: a row does not hold {len(header)} numbers: {error}.",
             code="PC-CMD-002",
+            hint="Each row needs one decimal number (point, no thousands sign) per column.",
         ) from error
     time_s, position_mm = columns
     steps = np.diff(time_s)

@@ -173,7 +173,11 @@ def refine_motion(
     from pmac_comp.workflow.deploy import switch
 
     if axis.bench.scale is None:
-        raise ConfigError("Learning needs a scale at the table.", code="PC-REF-001")
+        raise ConfigError(
+            "Learning needs a scale at the table.",
+            code="PC-REF-001",
+            hint="Leave --refine out, or add [scale] to the bench file.",
+        )
     nothing = np.zeros(motion.position_m.size)
 
     def total(offset: FloatArray) -> FloatArray:

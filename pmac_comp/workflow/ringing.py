@@ -88,7 +88,11 @@ def ringing_of(
     first = [part for capture in before for part in ringing_windows(capture, lowest)]
     second = [part for capture in after for part in ringing_windows(capture, lowest)]
     if not first or not second:
-        raise CaptureError("The runs have no step of the acceleration.", code="PC-RNG-001")
+        raise CaptureError(
+            "The runs have no step of the acceleration.",
+            code="PC-RNG-001",
+            hint="Ringing is read from a trapezoid without s_curve_ms.",
+        )
     period = before[0].sample_period_s
     return RingingOutcome(
         _strongest_Hz(first, period), Spread.of(first, period), Spread.of(second, period),

@@ -22,6 +22,7 @@ from pmac_comp.physics.signals.metrics import Positioning, positioning
 
 STATIC_NAME = "positioning after ISO 230-2"
 STATIC_RUNS = 5  # ISO 230-2:2014, clause 5.3.2
+_RUNS = "Give runs of one `verify --static` on both sides."
 _LEAST_REST_s = 0.15
 _READ_FRAC = 0.4  # last share of a rest that is averaged: the loop has settled
 _SAME_m = 1e-6
@@ -159,10 +160,14 @@ def approaches(captures: Sequence[Capture]) -> Approaches:
     targets = [_targets(up, down) for up, down in runs]
     if not targets or any(t.size != targets[0].size for t in targets):
         raise CaptureError(
-            "The positioning runs have different targets, or there is none.", code="PC-ISO-002"
+            "The positioning runs have different targets, or there is none.",
+            code="PC-ISO-002",
+            hint=_RUNS,
         )
     if any(np.max(np.abs(t - targets[0])) > _SAME_m for t in targets):
-        raise CaptureError("The positioning runs have different targets.", code="PC-ISO-002")
+        raise CaptureError(
+            "The positioning runs have different targets.", code="PC-ISO-002", hint=_RUNS
+        )
     pick = [[[_nearest(side, target) for target in targets[0]] for side in run] for run in runs]
     values = np.asarray(pick)
     up, down = values[:, 0], values[:, 1]

@@ -31,6 +31,7 @@ Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin w
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
 N_PROGRAMS: Final = 224
 SYSTEMS: Final = 16
+_WANTED: Final = "Give a file that `pmac-comp backup --out` wrote."
 FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 SUSPECT_SHARE: Final = 0.2
 SUSPECT_LEAST: Final = 5
@@ -192,11 +193,13 @@ def load_backup(path: Path) -> Backup:
     """Read a backup file; raises ConfigError if it was changed or is none."""
     data = read_sealed_json(path)
     if data.get("kind") != "backup":
-        raise ConfigError(f"{path} is no backup of a controller.", code="PC-BCK-001")
+        raise ConfigError(f"{path} is no backup of a controller.", code="PC-BCK-001", hint=_WANTED)
     try:
         return _from_dict(data)
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path} is not understood: {error}.", code="PC-BCK-002") from error
+        raise ConfigError(
+            f"{path} is not understood: {error}.", code="PC-BCK-002", hint=_WANTED
+        ) from error
 
 
 def _from_dict(data: Mapping[str, object]) -> Backup:

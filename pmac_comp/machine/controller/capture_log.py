@@ -151,7 +151,9 @@ class CaptureLog:
                 context={"rows": self._n_rows},
             )
         return CaptureError(
-            f"The capture log {self.path} cannot be written: {error.strerror}.", code="PC-LOG-003"
+            f"The capture log {self.path} cannot be written: {error.strerror}.",
+            code="PC-LOG-003",
+            hint="Check the disk, or capture into another folder with --out.",
         )
 
 
@@ -195,10 +197,18 @@ def recover(path: Path) -> RecoveredLog:
     """
     data = path.read_bytes()
     if not data.startswith(MAGIC):
-        raise CaptureError(f"{path} is no capture log.", code="PC-LOG-004")
+        raise CaptureError(
+            f"{path} is no capture log.",
+            code="PC-LOG-004",
+            hint="Give the .log file that an interrupted `pmac-comp capture` named.",
+        )
     records, end = _intact_records(data)
     if not records or records[0][0] != RecordKind.HEADER:
-        raise CaptureError(f"{path} holds no intact header.", code="PC-LOG-005")
+        raise CaptureError(
+            f"{path} holds no intact header.",
+            code="PC-LOG-005",
+            hint="Nothing can be read from it: the disk was full or failed as it was begun.",
+        )
     blocks = [_decode_block(payload) for kind, payload in records if kind == RecordKind.BLOCK]
     gaps = tuple(json.loads(p) for kind, p in records if kind == RecordKind.GAP)
     ends = [json.loads(p)["reason"] for kind, p in records if kind == RecordKind.END]

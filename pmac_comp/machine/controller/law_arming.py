@@ -34,7 +34,10 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
     head = read_law_head(link, block)
     if is_running(link, block, context.servo_period_s) is LawForm.NONE:
         raise TableStateError(
-            "No algorithm evaluates the law.", code="PC-LAW-028", left=ControllerState.DISABLED
+            "No algorithm evaluates the law.",
+            code="PC-LAW-028",
+            hint="PLC 0 or the open servo does not run: `pmac-comp status` shows it; upload again.",
+            left=ControllerState.DISABLED,
         )
     if read_bank(link, block, head.bank) is None:
         raise TableStateError(
@@ -48,6 +51,7 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
         raise MotorNotSafe(
             f"Motor #{head.motor} is not in closed loop.",
             code="PC-LAW-030",
+            hint=f"Enable it (`pmac-comp terminal URL -c '#{head.motor}J/'`) and upload again.",
             left=ControllerState.DISABLED,
         )
     return _ramp(link, context, gain, timeout_s)

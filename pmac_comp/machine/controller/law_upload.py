@@ -5,7 +5,6 @@ the index changes over. Arming is a step of its own (``law_arming``).
 """
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -342,44 +341,6 @@ def restore_law(link: Link, context: Context, old: LawBackup) -> None:
         disarm(link, context)
     if old.target != 0.0 and old.law is not None and head.form is not LawForm.NONE:
         arm(link, context, gain=old.target)
-
-
-def rollback_law(link: Link, context: Context, backup: Path) -> UploadResult:
-    """Put the law of a backup back; a backup without a law disarms and empties the banks."""
-    old = read_law_backup(backup)
-    change = Change(link, context, ChangeKind.LAW)
-    with change, change.explained():
-        head = read_law_head(link, context.block)
-        before = read_bank(link, context.block, head.bank)
-        raise_all(_rollback_refusals(link, context, head), "The rollback")
-        change.begin()
-        change.step(
-            "intent",
-            {
-                "backup": backup.name,
-                "bank": 1 - head.bank,
-                "values": None if before is None else list(before.values()),
-                "clamp_ct": head.clamp_ct,
-            },
-        )
-        change.left = ControllerState.DISABLED
-        restore_law(link, context, old)
-        change.finish(ControllerState.OLD, "rolled back")
-    return UploadResult(
-        ControllerState.OLD,
-        "law",
-        0 if before is None else before.digest,
-        old.crc,
-        0.0,
-        backup,
-        change.journal.path,
-        ("law removed",) if old.law is None else ("the old law is back",),
-    )
-
-
-def _rollback_refusals(link: Link, context: Context, head: LawHead) -> Sequence[SafetyRefusal]:
-    moving = motion_refusals(link, [head.motor]) if head.motor else []
-    return [*lease_refusals(link, context), *moving]
 
 
 def write_law_backup(path: Path, old: LawBackup) -> None:

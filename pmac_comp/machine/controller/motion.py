@@ -70,7 +70,11 @@ def wait_for_end(
         status = program_status(link, cs)
         if status.run_time_error or status.faults:
             why = ", ".join(status.faults) or "run-time error"
-            raise MotorNotSafe(f"The motion program stopped: {why}.", code="PC-RUN-002")
+            raise MotorNotSafe(
+                f"The motion program stopped: {why}.",
+                code="PC-RUN-002",
+                hint="`pmac-comp status` shows the motors; clear the fault and run it again.",
+            )
         if not status.running:
             return
         if deadline.expired():
@@ -78,6 +82,8 @@ def wait_for_end(
             raise ReplyTimeout(
                 f"The motion program still ran after {timeout_s:g} s and was aborted.",
                 code="PC-RUN-003",
+                hint="Look at the feed rate override: `pmac-comp terminal URL -c '&1%'` should "
+                "say 100.",
             )
         if on_poll is not None:
             on_poll()

@@ -326,7 +326,11 @@ def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
             return reading
         if deadline.expired():
             reasons = ", ".join(reading.status.trips) or "the amplifier stays off"
-            raise MotorNotSafe(f"Motor #{motor} does not close its loop: {reasons}.")
+            raise MotorNotSafe(
+                f"Motor #{motor} does not close its loop: {reasons}.",
+                code="PC-MOT-003",
+                hint="Check amplifier power, its enable and fault lines, and the limit switches.",
+            )
         link.clock.sleep_s(POLL_s)
 
 
@@ -360,7 +364,12 @@ def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReadin
         reading = read_motor(link, motor)
         if reading.status.trips or reading.status.is_killed:
             why = ", ".join(reading.status.trips) or "it was killed"
-            raise MotorNotSafe(f"Motor #{motor} stopped before its target: {why}.")
+            raise MotorNotSafe(
+                f"Motor #{motor} stopped before its target: {why}.",
+                code="PC-MOT-004",
+                hint="Find out what stopped it before it is enabled again; `pmac-comp status` "
+                "shows the motors.",
+            )
         if reading.status.is_in_position and reading.status.is_commanded_still:
             return reading
         if deadline.expired():

@@ -102,5 +102,6 @@ def save(link: Link) -> None:
         raise MotorNotSafe(
             f"SAVE needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
             code="PC-UPL-010",
+            hint="Kill them (`pmac-comp terminal URL -c '#1K'`) and run the command again.",
         )
     link.command("SAVE", timeout_s=SAVE_TIMEOUT_s)

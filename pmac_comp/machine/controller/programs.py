@@ -74,7 +74,11 @@ class Program:
         limit = 31 if self.kind is ProgramKind.PLC else 32767
         low = 0 if self.kind is ProgramKind.PLC else 1
         if not low <= self.number <= limit:
-            raise ConfigError(f"There is no {self.kind.value} {self.number}.", code="PC-PRG-001")
+            raise ConfigError(
+                f"There is no {self.kind.value} {self.number}.",
+                code="PC-PRG-001",
+                hint="PLC programs are 0 to 31, motion programs 1 to 32767.",
+            )
         if not self.lines:
             raise ConfigError("A program needs at least one line.", code="PC-PRG-002")
 
@@ -168,7 +172,11 @@ def parse_source(text: str) -> Source:
         elif line.upper() != "CLEAR":
             body.append(line)
     if body is not None:
-        raise ConfigError(f"{head[0].value} {head[1]} is not closed.", code="PC-PRG-003")
+        raise ConfigError(
+            f"{head[0].value} {head[1]} is not closed.",
+            code="PC-PRG-003",
+            hint="End the program in the file with CLOSE.",
+        )
     return Source(tuple(commands), tuple(programs))
 
 
@@ -179,7 +187,11 @@ def render(text: str, *, motor: int = 1, scale_motor: int = 2, first_p: int = DE
     ``#1`` and the addresses of both motors' registers ($80-$FF, $100-$17F) are moved.
     """
     if not 0 <= first_p <= 8192 - BLOCK_SIZE or not 1 <= motor <= 32:
-        raise ConfigError(f"No place for motor #{motor} and P{first_p}.", code="PC-PRG-004")
+        raise ConfigError(
+            f"No place for motor #{motor} and P{first_p}.",
+            code="PC-PRG-004",
+            hint=f"Motors are 1 to 32; p_block of the bench file needs {BLOCK_SIZE} P-variables.",
+        )
     moved = []
     for line in text.splitlines():
         code, mark, comment = line.partition(";")

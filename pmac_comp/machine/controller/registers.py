@@ -44,7 +44,11 @@ def motor_base(motor: int) -> int:
         There are motors 1 to 32 only.
     """
     if not 1 <= motor <= 32:
-        raise ConfigError(f"There is no motor #{motor}; motors are 1 to 32.", code="PC-REG-001")
+        raise ConfigError(
+            f"There is no motor #{motor}; motors are 1 to 32.",
+            code="PC-REG-001",
+            hint="Check motor_number of [encoder] and [scale] in the bench file.",
+        )
     return MOTOR_STEP * motor
 
 

@@ -5,7 +5,7 @@ controller.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,16 +43,6 @@ class Limits:
     def text_um(self, value_ct: float) -> str:
         """A value in um for a person."""
         return f"{value_ct * self.um_per_ct:.3g} um"
-
-
-@dataclass(frozen=True)
-class Cut:
-    """One place at which a correction was limited."""
-
-    index: int
-    position_ct: float
-    before_ct: float
-    after_ct: float
 
 
 def raise_all(refusals: Sequence[SafetyRefusal], what: str) -> None:
@@ -118,32 +108,6 @@ def _check_span(table: Table, limits: Limits) -> list[SafetyRefusal]:
             hint="Make the table at least as long as the travel.",
         )
     ]
-
-
-def limit_table(table: CompTable, limits: Limits) -> tuple[CompTable, tuple[Cut, ...]]:
-    """Table cut to the amplitude and the slope, and the places that were cut."""
-    entries = np.array(table.entries, dtype=np.int64)
-    largest = int(np.floor(limits.max_correction_ct * 16.0))
-    step = max(1, int(np.floor(limits.max_slope * table.spacing_ct * 16.0)))
-    cut = np.clip(entries, -largest, largest)
-    first = 0 if not table.wrap else int(cut[-1])
-    for k in range(len(cut)):
-        before = first if k == 0 else int(cut[k - 1])
-        cut[k] = min(max(int(cut[k]), before - step), before + step)
-    for k in range(len(cut) - 2, -1, -1):
-        cut[k] = min(max(int(cut[k]), int(cut[k + 1]) - step), int(cut[k + 1]) + step)
-    if not table.wrap and cut[-1] != 0:
-        cut = _ramp_to_zero(cut, step)
-    places = tuple(
-        Cut(k + 1, (k + 1) * table.spacing_ct, entries[k] / 16.0, cut[k] / 16.0)
-        for k in np.flatnonzero(cut != entries).tolist()
-    )
-    return replace(table, entries=tuple(int(v) for v in cut)), places
-
-
-def _ramp_to_zero(values: np.ndarray, step: int) -> np.ndarray:
-    distance = np.arange(len(values) - 1, -1, -1) * step
-    return np.asarray(np.clip(values, -distance, distance))
 
 
 def check_step(

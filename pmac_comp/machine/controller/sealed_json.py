@@ -35,6 +35,7 @@ def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
         raise TableStateError(
             f"The file {path} does not read back as written.",
             code="PC-TXN-004",
+            hint="Nothing was sent. Check the disk, or name another folder with --journal.",
             left=ControllerState.OLD,
         )
 
@@ -53,7 +54,11 @@ def read_sealed_json(path: Path) -> dict[str, object]:
         fits = sha256(body.encode()).hexdigest() == outer["sha256"]
         data = json.loads(body)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path} is no readable backup.", code="PC-TXN-005") from error
+        raise ConfigError(
+            f"{path} is no readable backup.",
+            code="PC-TXN-005",
+            hint="Give a file that `pmac-comp backup --out` wrote, or one of a journal folder.",
+        ) from error
     if not fits or not isinstance(data, dict):
         raise ConfigError(
             f"{path} was changed after it was written (digest mismatch).",

@@ -280,16 +280,3 @@ def read_settings_backup(path: Path) -> Settings:
 def texts(values: Mapping[str, float]) -> dict[str, str]:
     """Variables as command texts."""
     return {name: plain(value) for name, value in values.items()}
-
-
-def rollback_settings(link: Link, context: Context, backup: Path) -> UploadResult:
-    """Put the settings of a backup back, as a change of their own.
-
-    Raises
-    ------
-    ConfigError
-        No backup of settings.
-    """
-    old = read_settings_backup(backup)
-    result = change_settings(link, context, old)
-    return replace(result, verdict=ControllerState.OLD, notes=("the old settings are back",))

@@ -90,4 +90,6 @@ def watch(link: Link, context: Context, motors: Sequence[int]) -> None:
                     f"Motor #{motor} left its place by {jump:.1f} counts after enabling; "
                     "compensation was switched off again.",
                     code="PC-UPL-008",
+                    hint="Something pushes the axis, or a table is not the one meant: look at "
+                    "`pmac-comp diff`, then `pmac-comp recover`.",
                 )

@@ -429,7 +429,10 @@ class TableUpload:
         after = table_status(self.link, self.context)
         if after.tables.crc != the_plan.new.crc or after.decision.state is not self._change.left:
             raise VerifyMismatch(
-                "After SAVE the controller holds something else.", code="PC-UPL-009"
+                "After SAVE the controller holds something else.",
+                code="PC-UPL-009",
+                hint="The flash may hold it too: do not reset the card; `pmac-comp status` shows "
+                "what stands, `pmac-comp rollback --persist` saves the old over it.",
             )
 
 

@@ -131,7 +131,7 @@ I_VARIABLES: Final[Mapping[int, IVariable]] = _build()
 def describe(number: int) -> IVariable:
     """What is known of I``number``; variables outside our map have no range."""
     if not 0 <= number <= 8191:
-        raise ConfigError(f"There is no I{number}; I-variables are I0 to I8191.")
+        raise ConfigError(f"There is no I{number}; I-variables are I0 to I8191.", code="PC-VAR-004")
     return I_VARIABLES.get(number, IVariable(number, f"I{number}"))
 
 

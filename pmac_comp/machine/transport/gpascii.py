@@ -140,7 +140,10 @@ def _shell(client: paramiko.SSHClient, deadline: Deadline) -> paramiko.Channel:
         # No terminal is asked for: fewer shells then echo, colour or prompt.
         channel.invoke_shell()
     except (paramiko.SSHException, OSError, EOFError) as error:
-        raise ConnectFailed(f"the login gives no shell: {error}") from error
+        raise ConnectFailed(
+            f"the login gives no shell: {error}",
+            hint="Try the same login with ssh; the account needs a shell that starts gpascii.",
+        ) from error
     return channel
 
 

@@ -40,7 +40,9 @@ class RecordingTransport:
         except OSError as error:
             inner.close()
             raise ConfigError(
-                f"the session cannot be recorded in {path}: {error.strerror}"
+                f"the session cannot be recorded in {path}: {error.strerror}",
+                code="PC-URL-005",
+                hint="?record= takes the name of a new file in a folder that can be written.",
             ) from error
         self._note_line({"name": inner.name, "framing": inner.framing.value})
 

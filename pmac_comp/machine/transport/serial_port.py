@@ -33,7 +33,11 @@ class SerialTransport:
         self, device: str, *, baud: int = DEFAULT_BAUD, parity: str = "N", rtscts: bool = False
     ) -> None:
         if parity not in _PARITIES:
-            raise ConfigError(f"parity={parity} is none of N, E, O")
+            raise ConfigError(
+                f"parity={parity} is none of N, E, O",
+                code="PC-URL-002",
+                hint="N is none, E even, O odd; without ?parity= it is none.",
+            )
         self._name = f"serial://{device}"
         try:
             self._port = serial.Serial(

@@ -149,7 +149,10 @@ def _connect(
             hint="Give a way to log in: ?identity=FILE, ?agent=yes or ?password_env=NAME.",
         ) from error
     except socket.gaierror as error:
-        raise ConnectFailed(f"the name '{endpoint.host}' is not known: {error.strerror}") from error
+        raise ConnectFailed(
+            f"the name '{endpoint.host}' is not known: {error.strerror}",
+            hint="Check the spelling of the gateway, or use its address.",
+        ) from error
     except (paramiko.SSHException, OSError, EOFError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConnectFailed(
@@ -177,7 +180,11 @@ def _password(variable: str | None) -> str | None:
     try:
         return os.environ[variable]
     except KeyError as error:
-        raise ConfigError(f"the environment variable {variable} is not set") from error
+        raise ConfigError(
+            f"the environment variable {variable} is not set",
+            code="PC-URL-003",
+            hint="?password_env= names the variable that holds the password; export it first.",
+        ) from error
 
 
 def _identity(file_name: str | None) -> str | None:
@@ -185,10 +192,16 @@ def _identity(file_name: str | None) -> str | None:
         return None
     path = Path(file_name).expanduser()
     if not path.is_file():
-        raise ConfigError(f"there is no key file {path}")
+        raise ConfigError(
+            f"there is no key file {path}",
+            code="PC-URL-004",
+            hint="?identity= names the private key, for example ~/.ssh/id_ed25519.",
+        )
     if os.name == "posix" and path.stat().st_mode & 0o077:
         raise ConfigError(
-            f"others can read the key file {path}", hint=f"Protect it with: chmod 600 {path}"
+            f"others can read the key file {path}",
+            code="PC-URL-004",
+            hint=f"Protect it with: chmod 600 {path}",
         )
     return str(path)
 

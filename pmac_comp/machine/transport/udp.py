@@ -22,7 +22,10 @@ class UdpTransport:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         except socket.gaierror as error:
-            raise ConnectFailed(f"the name '{host}' is not known: {error.strerror}") from error
+            raise ConnectFailed(
+                f"the name '{host}' is not known: {error.strerror}",
+                hint="Check the spelling, or use the controller's address (factory: 192.6.94.5).",
+            ) from error
         self._family: int = found[0][0]
         self._address: tuple[object, ...] = found[0][4]
         self._closed = False
@@ -34,7 +37,10 @@ class UdpTransport:
             link.connect(self._address)
         except OSError as error:
             link.close()
-            raise ConnectFailed(f"no route to {self._name}: {error.strerror}") from error
+            raise ConnectFailed(
+                f"no route to {self._name}: {error.strerror}",
+                hint="This computer needs an address in the controller's network; check its cable.",
+            ) from error
         return link
 
     @property

@@ -85,15 +85,21 @@ class Endpoint:
         """Value of a whole-number option."""
         text = self.options.get(key, str(default))
         if not text.isdecimal():
-            raise ConfigError(f"{key}={text} in the address is no whole number")
+            raise _wrong(f"{key}={text} in the address is no whole number", self.scheme)
         return int(text)
 
     def option_flag(self, key: str, *, default: bool) -> bool:
         """Value of a yes/no option."""
         text = self.options.get(key, "yes" if default else "no").lower()
         if text not in {"yes", "no", "1", "0", "true", "false"}:
-            raise ConfigError(f"{key}={text} in the address is neither yes nor no")
+            raise _wrong(f"{key}={text} in the address is neither yes nor no", self.scheme)
         return text in {"yes", "1", "true"}
+
+
+def _wrong(message: str, scheme: str = "", *, hint: str = "") -> ConfigError:
+    """Error of an address, with the form that its scheme has where nothing better is said."""
+    example = _EXAMPLES.get(scheme, "tcp://192.6.94.5:1025")
+    return ConfigError(message, code="PC-URL-001", hint=hint or f"For example {example}.")
 
 
 def parse_url(url: str) -> Endpoint:
@@ -107,10 +113,10 @@ def parse_url(url: str) -> Endpoint:
     scheme, separator, _ = url.partition("://")
     scheme = scheme.lower()
     if not separator or scheme not in _EXAMPLES:
-        raise ConfigError(_unknown_scheme(url, scheme), hint=_hint_all())
+        raise _wrong(_unknown_scheme(url, scheme), hint=_hint_all())
     parts = urlsplit(url)
     if parts.password is not None:
-        raise ConfigError(
+        raise _wrong(
             "an address never holds a password: it would end up in histories and logs",
             hint="Use ?identity=FILE, ?agent=yes or ?password_env=NAME.",
         )
@@ -135,9 +141,12 @@ def _read_options(scheme: str, query: str) -> dict[str, str]:
     for key in options:
         if key not in _OPTIONS[scheme]:
             known = ", ".join(sorted(_OPTIONS[scheme])) or "none"
-            raise ConfigError(f"{scheme}:// knows no option '{key}'", hint=f"Known: {known}.")
+            raise _wrong(f"{scheme}:// knows no option '{key}'", hint=f"Known: {known}.")
     if options.get("dialog", "ascii") not in {"ascii", "packets"}:
-        raise ConfigError(f"dialog={options['dialog']} is neither ascii nor packets")
+        raise _wrong(
+            f"dialog={options['dialog']} is neither ascii nor packets",
+            hint="?dialog=ascii is a terminal server; packets is the controller's own port.",
+        )
     return options
 
 
@@ -145,22 +154,26 @@ def _port(url: str, netloc: str) -> int:
     try:
         return urlsplit(url).port or 0
     except ValueError as error:
-        raise ConfigError(f"'{netloc}' has no valid port: 1 to 65535") from error
+        scheme = url.partition("://")[0].lower()
+        raise _wrong(f"'{netloc}' has no valid port: 1 to 65535", scheme) from error
 
 
 def _require_host(scheme: str, host: str) -> None:
     if not host:
-        raise ConfigError(f"{scheme}:// needs a host", hint=f"For example {_EXAMPLES[scheme]}.")
+        raise _wrong(f"{scheme}:// needs a host", scheme)
 
 
 def _no_path(scheme: str, path: str) -> None:
     if path not in {"", "/"}:
-        raise ConfigError(f"{scheme}:// takes no path, but '{path}' was given")
+        raise _wrong(f"{scheme}:// takes no path, but '{path}' was given", scheme)
 
 
 def _sim(host: str, port: int, user: str, path: str, options: dict[str, str]) -> Endpoint:
     if host or port or user or path not in {"", "/"}:
-        raise ConfigError("sim:// is the embedded simulated PMAC and takes no host or path")
+        raise _wrong(
+            "sim:// is the embedded simulated PMAC and takes no host or path",
+            hint="Write sim:// alone; one that `pmac-comp sim --tcp` serves is tcp://127.0.0.1:PORT.",
+        )
     return Endpoint("sim", options=options)
 
 
@@ -178,17 +191,17 @@ def _network(
     _require_host(scheme, host)
     _no_path(scheme, path)
     if user:
-        raise ConfigError(f"{scheme}:// has no login, but '{user}@' was given")
+        raise _wrong(f"{scheme}:// has no login, but '{user}@' was given", scheme)
     return Endpoint(scheme, host, port or PACKET_PORT, options=options)
 
 
 def _serial(host: str, port: int, user: str, path: str, options: dict[str, str]) -> Endpoint:
     if user or port:
-        raise ConfigError("serial:// takes a device only", hint=f"{_EXAMPLES['serial']}")
+        raise _wrong("serial:// takes a device only", "serial")
     # serial://COM3 puts the Windows name where others have a host
     device = unquote(path) if not host else host.upper() + unquote(path)
     if not device or device == "/":
-        raise ConfigError("serial:// needs a device", hint=f"For example {_EXAMPLES['serial']}.")
+        raise _wrong("serial:// needs a device", "serial")
     return Endpoint("serial", device=device, options=options)
 
 
@@ -196,10 +209,7 @@ def _ssh(host: str, port: int, user: str, path: str, options: dict[str, str]) ->
     _require_host("ssh", host)
     target = urlsplit(f"//{path.lstrip('/')}")
     if not target.hostname or target.path:
-        raise ConfigError(
-            "ssh:// needs the controller behind the gateway",
-            hint=f"For example {_EXAMPLES['ssh']}.",
-        )
+        raise _wrong("ssh:// needs the controller behind the gateway", "ssh")
     target_port = _port(f"//{path.lstrip('/')}", path)
     return Endpoint(
         "ssh",

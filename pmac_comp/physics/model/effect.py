@@ -141,11 +141,17 @@ def _executed(source: Path) -> object:
         key = hashlib.sha256(str(source.resolve()).encode()).hexdigest()[:12]
         spec = importlib.util.spec_from_file_location(f"pmac_comp_user_effects_{key}", source)
         if spec is None or spec.loader is None:
-            raise ConfigError(f"{source} is not a Python file.", code="PC-MOD-005")
+            raise ConfigError(
+                f"{source} is not a Python file.",
+                code="PC-MOD-005",
+                hint="Give a .py file with one EFFECT, as configs/effect_worn_stretch.py.",
+            )
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
     except (OSError, SyntaxError, ImportError, AttributeError, NameError, TypeError) as error:
         raise ConfigError(
-            f"The effects file {source} cannot be loaded: {error}.", code="PC-MOD-005"
+            f"The effects file {source} cannot be loaded: {error}.",
+            code="PC-MOD-005",
+            hint="Correct it; configs/effect_worn_stretch.py is a worked example.",
         ) from error
     return module
