@@ -186,8 +186,8 @@ def test_program_goes_up_and_comes_back(tmp_path: Path) -> None:
     second = program_upload.upload_program(bench.link, bench.context, new)
     assert (first.crc_old, second.crc_old, second.crc_new) == (0, old.crc, new.crc)
     assert second.backup is not None
-    back = settings_upload.rollback_settings(bench.link, bench.context, second.backup)
-    assert back.verdict is ControllerState.OLD
+    before = settings_upload.read_settings_backup(second.backup)
+    settings_upload.change_settings(bench.link, bench.context, before)
     assert programs.is_present(bench.link, old)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_upload, table_recovery
+from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -79,9 +79,7 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
     switch(axis, context, compensation, on=False)
     off = axis.run(MOTION)
     assert np.max(np.abs(off.desired_m - off.commanded_position_m)) < 1e-9
-    tables = sorted(tmp_path.glob("*.tables.json"))
-    table_recovery.rollback_tables(axis.link, context, tables[0])
-    law_upload.rollback_law(axis.link, context, next(iter(tmp_path.glob("*.law.json"))))
+    recovery.rollback_last(axis.link, context)
     assert len(read_tables(axis.link)) == 0
 
 
