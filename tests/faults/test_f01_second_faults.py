@@ -8,45 +8,90 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, ForeignChange, PmacCompError, SafetyRefusal
-from pmac_comp.machine.controller import recovery, upload
+from pmac_comp.machine.controller import recovery, transaction, upload
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench, Scenario, cut
+from tests.faults.same_state import stand_ins, stretches
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
-from tests.faults.upload_bench import SPAN_CT, UploadBench
+from tests.faults.upload_bench import SPAN_CT, SameIds, UploadBench, put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 
 
+class TornBench:
+    """A change that was cut at a byte, put back as it was left before each recovery."""
+
+    def __init__(self, rig: ChangeBench, at: int) -> None:
+        self.rig = rig
+        rig.run(cut(Way.SEND, at))
+        self._left = saved(rig.fresh())
+        self._files = {path: path.read_bytes() for path in rig.folder.iterdir()}
+        self._number = rig.ids.n
+
+    def start(self) -> CardBench:
+        """The same card, folder and numbers each time, with a fresh conversation."""
+        put_back(self.rig.bench, self._left)
+        for path in self.rig.folder.iterdir():
+            path.unlink()
+        for path, text in self._files.items():
+            path.write_bytes(text)
+        self.rig.ids.n = self._number
+        return self.rig.fresh()
+
+    def recover(self) -> None:
+        bench = self.rig.bench
+        recovery.recover(bench.link, bench.context)
+
+    def requests(self) -> list[int]:
+        """Byte numbers at which requests of the recovery begin."""
+        bench = self.start()
+        ends: list[int] = []
+        bench.on_request = lambda _n: ends.append(bench.tap.sent)
+        self.recover()
+        return ends
+
+    def cut_and_recover(self, way: Way, n: int, *, resume: bool) -> None:
+        """Cut the recovery at a byte; the next one settles it."""
+        self.start().tap.schedule([Fault(FaultKind.CUT, way, n)])
+        with suppress(PmacCompError):
+            self.recover()
+        self.rig.recover(resume=resume)
+
+
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name)
 def test_f01_recovery_of_any_change_may_be_cut(
-    *, scenario: Scenario, tmp_path: Path, exhaustive: bool, count_runs: Count
+    *,
+    scenario: Scenario,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    exhaustive: bool,
+    count_runs: Count,
+    count_places: Count,
 ) -> None:
-    rig = ChangeBench(tmp_path, scenario)
+    """At every byte, both ways, of the recovery of changes that were cut early, amid and late."""
+    ids = SameIds()
+    monkeypatch.setattr(transaction, "secrets", ids)
+    rig = ChangeBench(tmp_path, scenario, ids)
     edges = rig.edges(Way.SEND)
-    middle = edges[2 * len(edges) // 3]
-
-    def torn() -> CardBench:
-        rig.run(cut(Way.SEND, middle))
-        return rig.fresh()
-
-    bench = torn()
-    bench.tap.sent = 0
-    ends: list[int] = []
-    bench.on_request = lambda _n: ends.append(bench.tap.sent)
-    recovery.recover(bench.link, bench.context)
-    for n in thinned(ends, 5, exhaustive=exhaustive):
-        bench = torn()
-        bench.tap.sent = 0
-        bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])
-        with suppress(PmacCompError):
-            recovery.recover(bench.link, bench.context)
-        rig.recover(resume=True)
-        count_runs(1)
+    for share in (0.33, 0.67, 0.95) if exhaustive else (0.67,):
+        torn = TornBench(rig, edges[int(share * len(edges))])
+        if not exhaustive:
+            for n in thinned(torn.requests(), 5, exhaustive=False):
+                torn.cut_and_recover(Way.SEND, n, resume=True)
+                count_runs(1)
+            continue
+        for way in (Way.SEND, Way.RECEIVE):
+            places = stretches(torn.start, torn.recover, way, kind=FaultKind.CUT)
+            count_places(sum(map(len, places)))
+            at = all_of(stand_ins(places))
+            for n, resume in at:
+                torn.cut_and_recover(way, n, resume=resume)
+            count_runs(len(at))
 
 
 def uploaded(rig: UploadBench) -> CardBench:

@@ -28,7 +28,7 @@ from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.journal import Journal, Sync
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.numbers import nine_digits, plain
-from pmac_comp.machine.controller.safety import check_law, check_table, limit_table
+from pmac_comp.machine.controller.safety import check_law, check_table
 from pmac_comp.machine.controller.transaction import new_transaction_id
 from pmac_comp.machine.controller.variables import check_value
 from pmac_comp.workflow.deploy import context_of
@@ -85,18 +85,6 @@ def test_f35_values_that_no_register_takes() -> None:
     for name, value in (("I130", 8388608), ("I129", 32768), ("I4904", 1), ("I51", 2)):
         with pytest.raises(ConfigError):
             check_value(name, value)
-
-
-def test_f35_limit_cuts_and_lists_what_it_cut() -> None:
-    steep = CompTable(1, tuple([1600] * 20 + [-1600] * 43 + [0]), N * SPACING)
-    cut, places = limit_table(steep, LIMITS)
-    assert check_table(cut, LIMITS) == []
-    assert len(places) > 10
-    assert all(abs(p.after_ct) <= 60 for p in places)
-    assert places[0].before_ct == 100
-    same, none = limit_table(ramp(320, 10), LIMITS)
-    assert none == ()
-    assert same == ramp(320, 10)
 
 
 def test_f35_all_refusals_are_reported_together(tmp_path: Path) -> None:
