@@ -5,8 +5,10 @@ that closes the gap only as the imitation of another is part of the model and no
 ``growth`` and ``remainder``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.candidates import amplitude_of
@@ -15,7 +17,9 @@ from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import ONSET, imitation
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate, Finding
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.effect import split_name
 
 _LEAST_SIGMAS = 3.0
 _WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
@@ -56,6 +60,7 @@ def claims_of(
     estimates: Sequence[Estimate],
     rules: Rules,
     findings: Sequence[Finding] = (),
+    beyond: Collection[str] = (),
 ) -> Claims:
     """Effects that may be claimed by name.
 
@@ -71,6 +76,8 @@ def claims_of(
         Figures of the decisions.
     findings : sequence of Finding
         Known parameters that the data places outside their tolerance.
+    beyond : collection of str
+        Effects whose corner no run reaches.
 
     Returns
     -------
@@ -83,6 +90,8 @@ def claims_of(
         if done.accepted is None:
             continue
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
+        if done.accepted.effect in beyond:
+            why = "no run reaches its corner, so what shows is a spring of another stiffness"
         if left.visible and findings and not why:
             # Names that need quantities of the bench file to be wrong, and explain it not even
             # then, share among them what is none of them.
@@ -93,6 +102,17 @@ def claims_of(
         else:
             claimed.append(done)
     return Claims(tuple(claimed), withheld, imitated)
+
+
+def unreached(grown: Grown) -> frozenset[str]:
+    """Effects with a corner in the joint's spring that lies beyond the force of every run."""
+    model = grown.final.model
+    if "preload_loss" not in {split_name(name)[0] for name in model.effects}:
+        return frozenset()
+    vector = model.kernel_vector()
+    corner_N = vector[slots.K_NUT] * vector[slots.SOFT_RATIO] * vector[slots.SOFT_HALF]
+    forces_N = (np.abs(r.response(model).joint_force_N).max() for r in grown.bench.records)
+    return frozenset({"preload_loss"}) if corner_N > max(forces_N) else frozenset()
 
 
 def _listed(findings: Sequence[Finding]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.diagnose.claims import Claims, claims_of
+from pmac_comp.physics.diagnose.claims import Claims, claims_of, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import estimates_of, pulled
@@ -108,12 +108,13 @@ def diagnose(
         grown = grow(workbench, start, library, rules, tell)
         tell("measuring what is left")
         estimates, findings = estimates_of(grown, rules.material)
-        simpler = single_cause(grown, findings)
+        beyond = unreached(grown)
+        simpler = single_cause(grown, findings, doubted=bool(beyond))
         if simpler is not None:
             grown, estimates, findings = simpler[0], (), (simpler[1],)
         alone = simpler is not None
         left = remainder_of(grown, bench, rivals_apply=not alone)
-        found = _Found(grown, left, estimates, findings, alone)
+        found = _Found(grown, left, estimates, findings, alone, beyond)
         return _assembled(found, library, bench, rules)
 
 
@@ -141,6 +142,7 @@ class _Found:
     estimates: tuple[Estimate, ...]
     findings: tuple[Finding, ...]
     alone: bool
+    beyond: frozenset[str]
 
 
 def _assembled(
@@ -152,7 +154,7 @@ def _assembled(
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
     findings = pulled(findings) if left.visible else findings
-    claims = claims_of(grown, left, estimates, rules, findings)
+    claims = claims_of(grown, left, estimates, rules, findings, found.beyond)
     tied = _tied_groups(claims)
     named = _named(claims, tied)
     # What the bench file knows cannot be what the data asks for: a name beside that is a stand-in.

@@ -24,7 +24,9 @@ _NEARLY = 1.1
 _AS_CLOSE = 1.03  # to the runs that judge as the grown model
 
 
-def single_cause(grown: Grown, findings: Sequence[Finding]) -> tuple[Grown, Finding] | None:
+def single_cause(
+    grown: Grown, findings: Sequence[Finding], *, doubted: bool = False
+) -> tuple[Grown, Finding] | None:
     """The base model with one quantity of the bench file outside its tolerance, if that does.
 
     Parameters
@@ -33,13 +35,15 @@ def single_cause(grown: Grown, findings: Sequence[Finding]) -> tuple[Grown, Find
         What the growth loop found.
     findings : sequence of Finding
         What its model needs outside a tolerance; without any there is nothing to be simpler than.
+    doubted : bool
+        Whether an effect of its model stands for a stated quantity without such a finding.
 
     Returns
     -------
     tuple of Grown and Finding, or None
         The growth without its effects and with that quantity, and the quantity.
     """
-    if not findings:
+    if not findings and not doubted:
         return None
     needed = {f.parameter for f in findings}
     asked = [s for s in grown.base.model.specs if s.name in needed or _pinned(grown.base.model, s)]

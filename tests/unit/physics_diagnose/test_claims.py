@@ -3,10 +3,11 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.claims import claims_of
+from pmac_comp.physics.diagnose.claims import claims_of, unreached
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import pulled
 from pmac_comp.physics.diagnose.imitations import imitation, true_name
@@ -79,3 +80,20 @@ def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():
     assert moved.text.startswith(FINDING.text)
     assert "no name" in moved.text
     assert moved.value == FINDING.value
+
+
+@pytest.mark.parametrize("place", ["centre", "beyond"])
+def test_a_corner_that_no_run_reaches_carries_no_name(place):
+    def grown(half_width_m: float, largest_N: float) -> Any:
+        values = {"half_width_m": half_width_m, "stiffness_ratio": 0.5}
+        model = DriveModel.base(BENCH).with_effect(f"preload_loss@{place}", values)
+        response = SimpleNamespace(joint_force_N=np.array([0.0, -largest_N]))
+        record = SimpleNamespace(response=lambda _model: response)
+        return SimpleNamespace(
+            final=SimpleNamespace(model=model), bench=SimpleNamespace(records=[record])
+        )
+
+    assert unreached(grown(1e-6, 700.0)) == frozenset()
+    assert unreached(grown(23e-6, 700.0)) == {"preload_loss"}
+    plain: Any = SimpleNamespace(final=SimpleNamespace(model=DriveModel.base(BENCH)))
+    assert unreached(plain) == frozenset()
