@@ -156,6 +156,12 @@ def backup(
     """Read everything relevant from the controller into a file, twice, and compare."""
     from pmac_comp.workflow.safekeeping import backup_to_file
 
+    if out.exists():
+        raise ConfigError(
+            f"There is a file {out} already; the state it may hold cannot be read again.",
+            code="PC-CLI-012",
+            hint="Name another file with --out.",
+        )
     progress = ProgressLines()
     result = backup_to_file(url, bench, output.checked_target(out), progress=progress)
     progress.close()
@@ -180,7 +186,8 @@ def restore(
 
     plan = plan_restore(url, bench, source)
     if dry_run:
-        output.finish(plan, json_target, lambda: output.echo_all(plan["lines"]))
+        shown = plan["lines"] or [f"nothing differs from {source}"]
+        output.finish(plan, json_target, lambda: output.echo_all(shown))
         return
     confirmed(f"Restore {source} to {url} ({plan['summary']})?", yes=yes)
     progress = ProgressLines()

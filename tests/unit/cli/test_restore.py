@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.cli.app import main
+from pmac_comp.cli.controller import backup, restore
 
 
 def test_what_a_restore_replaces_is_journalled_in_the_folder_named(
@@ -19,3 +21,19 @@ def test_what_a_restore_replaces_is_journalled_in_the_folder_named(
     assert not done.value.code
     assert len(list(kept.glob("*.journal"))) == 2  # the download, and its one part
     assert not (tmp_path / "pmac-comp-journal").exists()
+
+
+def test_a_backup_is_never_written_over(tmp_path: Path) -> None:
+    (tmp_path / "before.json").write_text("kept")
+    with pytest.raises(ConfigError, match="already"):
+        backup("sim://", tmp_path / "before.json")
+    assert (tmp_path / "before.json").read_text() == "kept"
+
+
+def test_a_rehearsed_restore_of_what_stands_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    backup("sim://", tmp_path / "before.json")
+    capsys.readouterr()
+    restore("sim://", tmp_path / "before.json", dry_run=True)
+    assert "nothing differs" in capsys.readouterr().out
