@@ -86,8 +86,9 @@ def test_interrupted_capture_stops_the_axis(tmp_path: Path, how: signal.Signals)
                 _, said = going.communicate(timeout=30)
             assert going.returncode == 130
             assert b"interrupted" in said
+            # stopped in closed loop, then left as it was found
             wait_until(lambda: state_of(url, tmp_path) != "moving")
-            assert state_of(url, tmp_path) == "holding"
+            wait_until(lambda: state_of(url, tmp_path) == "killed")
         finally:
             sim.kill()
 
