@@ -139,10 +139,13 @@ def refit(
             continue
         promised, gain = best.chi2 - solution.chi2, best.chi2 - moved.chi2
         best = moved
-        if gain < max(_ENOUGH, 1e-4 * best.chi2):
+        little = gain < max(_ENOUGH, 1e-4 * best.chi2)
+        if little and held is frozen:
             return best
-        # Columns that foretold their step well serve once more.
-        held = Frozen(tuple(directions), columns) if gain > _TRUSTED * promised else frozen
+        # Columns that foretold their step well serve once more; that little is left in used ones
+        # says nothing of what fresh ones would find.
+        well = not little and _TRUSTED * promised < gain < promised / _TRUSTED
+        held = Frozen(tuple(directions), columns) if well else frozen
     return best
 
 
