@@ -152,14 +152,15 @@ class Site:
         raise RuntimeError(done)
 
     def recovered(self) -> str:
-        """Recover until it is done: while an axis still moves it is refused."""
+        """Recover until it is done: while an axis or a motion program runs it is refused."""
         end_s = time.monotonic() + 120.0
         while True:
             code, said, complaint = self.run("recover", "{url}", "--json")
             if code == 0:
                 return str(json.loads(said)["verdict"])
-            moving = "move" in said + complaint and time.monotonic() < end_s
-            require(moving, "recover", said, complaint)
+            waits = any(word in said + complaint for word in ("move", "motion program runs"))
+            require(waits and time.monotonic() < end_s, "recover", said, complaint)
+            time.sleep(0.5)
 
 
 @contextmanager
