@@ -184,7 +184,7 @@ def upload(
     progress.close()
 
     def show() -> None:
-        output.echo(f"{result['verdict']}: {result['summary']}")
+        output.echo(_ended(result))
         output.echo(result["next"])
 
     output.finish(result, json_target, show)
@@ -214,9 +214,7 @@ def recover(
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, keep=keep, progress=progress)
     progress.close()
-    output.finish(
-        result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
-    )
+    output.finish(result, json_target, lambda: output.echo(_ended(result)))
 
 
 def rollback(
@@ -240,9 +238,7 @@ def rollback(
     progress = ProgressLines()
     result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
     progress.close()
-    output.finish(
-        result, json_target, lambda: output.echo(f"{result['verdict']}: {result['summary']}")
-    )
+    output.finish(result, json_target, lambda: output.echo(_ended(result)))
 
 
 def remove(
@@ -268,6 +264,10 @@ def remove(
     result = remove_compensation(url, bench, journal, progress=progress)
     progress.close()
     output.finish(result, json_target, lambda: output.echo("removed and verified"))
+
+
+def _ended(result: dict[str, Any]) -> str:
+    return f"{result['verdict']}: {result['summary']}"
 
 
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew
 from pmac_comp.simulator.plant.ballscrew import make_plant
+from tests.generators.true_values import friction_of
 from tools.acceptance.identify_coverage import truth_si
 
 PAPER = load_bench("paper")
@@ -65,10 +66,7 @@ def model_of(plant, bench):
         "chain.axial_stiffness_N_per_m": truth.axial_stiffness_N_per_um * 1e6,
         "chain.actuator_delay_s": truth.actuator_delay_us * 1e-6,
         "chain.damping_time_s": truth.damping_time_us * 1e-6,
-        "coulomb.guide_N": truth.guide_coulomb_N,
-        "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-        "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-        "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
+        **friction_of(truth),
         "viscous.nut_Nms_per_rad": truth.nut_viscous_Nms_per_rad,
         "viscous.motor_Nms_per_rad": truth.motor_viscous_Nms_per_rad,
     }

@@ -29,6 +29,7 @@ from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import DriveTruth
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.campaigns import calibration_motions
+from tests.generators.true_values import friction_of
 
 
 def truth_si(truth: DriveTruth) -> dict[str, float]:
@@ -44,10 +45,7 @@ def truth_si(truth: DriveTruth) -> dict[str, float]:
         "chain.current_bandwidth_Hz": truth.current_bandwidth_Hz,
         "chain.actuator_delay_s": truth.actuator_delay_us * 1e-6,
         "chain.damping_time_s": truth.damping_time_us * 1e-6,
-        "coulomb.guide_N": truth.guide_coulomb_N,
-        "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-        "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-        "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
+        **friction_of(truth),
         "viscous.nut_Nms_per_rad": truth.nut_viscous_Nms_per_rad,
         "viscous.motor_Nms_per_rad": truth.motor_viscous_Nms_per_rad,
     }

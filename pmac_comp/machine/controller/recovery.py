@@ -243,8 +243,8 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     foreign = _is_foreign(link, context)
     if foreign and waiting(context):
         raise _changed_elsewhere(foreign)
-    if open_elsewhere(link, context):
-        raise begun_elsewhere(foreign)
+    if elsewhere := open_elsewhere(link, context):
+        raise begun_elsewhere(elsewhere)
     # What a measurement borrowed is given back if nobody else has written it since.
     notes = list(take_off(link, context, whatever_stands=not foreign))
     torn = _torn_groups(context)

@@ -14,6 +14,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")
 LAW = CompensationLaw(turn_m=BENCH.pitch_m, torque_limit_Nm=10.0)
@@ -28,10 +29,7 @@ def rest_of(amplitude_Nm: float, law: CompensationLaw = LAW) -> Unmodelled:
     model = DriveModel.base(
         BENCH,
         {
-            "coulomb.guide_N": truth.guide_coulomb_N,
-            "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-            "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-            "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
+            **friction_of(truth),
             "chain.axial_stiffness_N_per_m": truth.axial_stiffness_N_per_um * 1e6,
         },
     )

@@ -22,6 +22,7 @@ from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.outcome import ROUNDING
 from pmac_comp.workflow.promises import Promiser, static_of, worse_remarks
 from pmac_comp.workflow.simulated import TruthRecorder, embedded
+from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper")
 X = np.arange(-0.3, 0.3005, 1e-3)
@@ -58,15 +59,9 @@ def test_promise_of_the_run_as_it_begins_is_what_a_card_measures() -> None:
         effects={"presliding": {"distance_um": SLIDES_m * 1e6, "place": "rotary"}},
         spread=0.0,
     )
-    truth = plant.truth
     model = DriveModel.base(
         BENCH,
-        {
-            "coulomb.guide_N": truth.guide_coulomb_N,
-            "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-            "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-            "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
-        },
+        friction_of(plant.truth),
     ).with_effect("presliding@rotary", {"distance_m": SLIDES_m})
     card = Card(BENCH, plant=plant)
     recorder = TruthRecorder(card, 60.0)

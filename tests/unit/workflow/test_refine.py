@@ -17,6 +17,7 @@ from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.repeated import Refinement, refine_motion
 from pmac_comp.workflow.simulated import embedded
+from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")
 HIDDEN = {
@@ -29,15 +30,9 @@ HIDDEN = {
 def refined(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Refinement]:
     folder: Path = tmp_path_factory.mktemp("refine")
     plant = make_plant(BENCH, effects=HIDDEN, spread=0.0)
-    truth = plant.truth
     model = DriveModel.base(
         BENCH,
-        {
-            "coulomb.guide_N": truth.guide_coulomb_N,
-            "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-            "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-            "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
-        },
+        friction_of(plant.truth),
     )
     law = design_law(BENCH, model_loop(model), latency_cycles=1)
     motion = Motion(

@@ -19,6 +19,7 @@ from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.routes import LATENCY_CYCLES
 from pmac_comp.workflow.simulated import default_servo, embedded
+from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")
 # Not in the law: the axis stops a few um off, inside its friction.
@@ -31,15 +32,9 @@ def axis(
 ) -> Iterator[Axis]:
     """Axis with a law that does not hold all of its drive, armed."""
     plant = make_plant(BENCH, effects=HIDDEN, spread=0.0)
-    truth = plant.truth
     model = DriveModel.base(
         BENCH,
-        {
-            "coulomb.guide_N": truth.guide_coulomb_N,
-            "coulomb.nut_Nm": truth.nut_coulomb_Nm,
-            "coulomb.motor_Nm": truth.motor_coulomb_Nm,
-            "viscous.guide_Ns_per_m": truth.guide_viscous_Ns_per_m,
-        },
+        friction_of(plant.truth),
     )
     route = request.param
     law = design_law(BENCH, model_loop(model), latency_cycles=LATENCY_CYCLES[route])
