@@ -28,6 +28,7 @@ from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.dynamic_law import (
+    constant_remarks,
     dynamic_law,
     law_remarks,
     turn_errors,
@@ -267,6 +268,7 @@ def compensate_files(
             *cuts,
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
+            *constant_remarks(loaded, law),
             *clearance_remarks(law),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),

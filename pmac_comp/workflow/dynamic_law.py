@@ -15,6 +15,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
 from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
 from pmac_comp.physics.compensate.grip import (
     GRIP,
@@ -58,8 +59,9 @@ def dynamic_law(
     route : str
         One of ``ROUTES``; only ``law`` and ``servo`` carry torque.
     captures : sequence of Capture
-        Runs without compensation, slow ones included: cogging, friction per turn and the distance
-        over which friction grips are read from them, which the model need not hold.
+        Runs without compensation, slow ones included: cogging, friction per turn, a constant load
+        and the distance over which friction grips are read from them, which the model need not
+        hold.
     every_cycles : int
         Servo cycles between two passes of the law.
     provenance : dict, optional
@@ -102,6 +104,7 @@ def dynamic_law(
     # A value that is held for some cycles is half of that late on average.
     latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
     law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
+    law = with_constant_torque(law, loop, captures)
     said = {"turn_explained": found.explained, "grip_explained": grip}
     return replace(law, provenance={**law.provenance, **said})
 
@@ -232,6 +235,20 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
             "turns; while the table crosses the gap freely the law is wrong by a part of it"
         )
     return remarks
+
+
+def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
+    """What load the captures showed that the model does not hold, for people."""
+    torque_Nm = law.provenance.get("trim", {}).get("torque_constant_Nm", 0.0)
+    if torque_Nm == 0.0:
+        return []
+    two_std_Nm = law.provenance.get(TWO_STD, 0.0)
+    force_N = torque_Nm / bench.lead_m_per_rad
+    return [
+        f"in both directions the runs need {torque_Nm:+.3f} +- {two_std_Nm:.1g} N m that the model "
+        f"does not hold ({force_N:+.0f} N at the table): a load, not friction. The law sends it; "
+        "should the load change, capture and compute again"
+    ]
 
 
 def drive_delay_s(model: "DriveModel") -> float:

@@ -5,8 +5,15 @@ import math
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.physics.compensate.constant import TWO_STD
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.dynamic_law import drive_delay_s, nut_gap, without_turn
+from pmac_comp.workflow.dynamic_law import (
+    constant_remarks,
+    drive_delay_s,
+    nut_gap,
+    without_turn,
+)
 
 BENCH = load_bench("paper")
 
@@ -40,3 +47,11 @@ def test_gap_of_a_grown_model_is_that_of_backlash_or_of_the_soft_zone() -> None:
     found = nut_gap(base.with_effect("preload_loss", soft))
     assert found is not None
     assert found[0] == pytest.approx(3e-6)
+
+
+def test_load_that_only_the_runs_know_is_said_with_its_force() -> None:
+    assert constant_remarks(BENCH, CompensationLaw(torque_constant_Nm=0.1)) == []
+    noted = {"trim": {"torque_constant_Nm": 0.0955}, TWO_STD: 0.0004}
+    (said,) = constant_remarks(BENCH, CompensationLaw(provenance=noted))
+    assert "+0.096 +- 0.0004 N m" in said
+    assert "+60 N" in said

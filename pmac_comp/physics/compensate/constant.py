@@ -1,0 +1,138 @@
+"""Constant torque that a drive needs in both directions alike, found in captures.
+
+What lives here: the regression that parts it from friction. What may not: the model's fit,
+controllers.
+
+A slanted axis, a counterweight or a cable asks for torque that friction does not. At rest the two
+look the same, and a law that takes all that the output holds for friction begins the next motion
+with friction on the wrong side. Under way they part: friction turns with the direction, a constant
+load does not. So the mean of both directions is what the load needs, whatever the friction is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.law import CompensationLaw
+
+TWO_STD = "torque_constant_two_std_Nm"  # of a law's provenance, where captures added a constant
+_NAME = "torque_constant_Nm"
+_CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
+_LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
+_LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
+_LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
+
+
+@dataclass(frozen=True)
+class ConstantTorque:
+    """Torque in N m that a model lacks in both directions, and two standard deviations of it."""
+
+    torque_Nm: float
+    two_std_Nm: float
+
+
+def with_constant_torque(
+    law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture]
+) -> CompensationLaw:
+    """Law that also sends the constant torque that captures show beyond the model.
+
+    The law stays as it is where the torque is not known to be there, or is nothing beside friction;
+    the change is kept as ``trim``: it is not the model's word.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        Law of a model, with torque.
+    loop : LoopRunner
+        Closed loop of that model.
+    captures : sequence of Capture
+        Runs without compensation, with torque.
+    """
+    found = constant_torque(loop, captures)
+    least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
+    if found is None or abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
+        return law
+    trim = {**law.provenance.get("trim", {}), _NAME: found.torque_Nm}
+    return replace(
+        law,
+        torque_constant_Nm=law.torque_constant_Nm + found.torque_Nm,
+        provenance={**law.provenance, "trim": trim, TWO_STD: found.two_std_Nm},
+    )
+
+
+def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTorque | None:
+    """Constant torque that captures show beyond a model; None where they cannot tell.
+
+    What friction, damping or mass of the model miss, and what changes along the travel, is fitted
+    beside it; the constant is that of the middle of the runs. Each stretch of one direction counts
+    as one observation of what is left, as torque of the same turns repeats within it.
+
+    Parameters
+    ----------
+    loop : LoopRunner
+        Closed loop of the model.
+    captures : sequence of Capture
+        Runs without compensation.
+
+    Source
+    ------
+    Reversal averaging; variance by sums over clusters (Liang and Zeger 1986).
+    """
+    parts = [_rows(loop, c) for c in captures if c.torque_command_Nm is not None]
+    if not parts:
+        return None
+    columns = np.concatenate([part[0] for part in parts])
+    rest_Nm = np.concatenate([part[1] for part in parts])
+    begins = np.concatenate([part[2] for part in parts])
+    n_stretches = int(begins.sum())
+    if n_stretches < _LEAST_STRETCHES or np.ptp(columns[:, 1]) == 0.0:
+        return None
+    columns[:, 4] -= columns[:, 4].mean()
+    columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
+    one, others = columns[:, 0], columns[:, 1:]
+    alone = one - others @ np.linalg.lstsq(others, one, rcond=1e-6)[0]
+    weight = float(alone @ alone)
+    if weight < _LEAST_ALONE * one.size:
+        return None
+    found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
+    left = (rest_Nm - columns @ found) * alone
+    sums = np.add.reduceat(left, np.flatnonzero(begins))
+    few = n_stretches / (n_stretches - 1.0)
+    return ConstantTorque(
+        float(alone @ rest_Nm) / weight, 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
+    )
+
+
+def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Columns one, direction, speed, acceleration, place; torque beyond the model; first rows.
+
+    Rows are those on which the direction is clear; the last array marks the first of each stretch.
+    """
+    r, period = capture.commanded_position_m, capture.sample_period_s
+    measured = np.zeros(0) if capture.torque_command_Nm is None else capture.torque_command_Nm
+    v = np.gradient(r, period)
+    columns = np.column_stack([np.ones_like(r), np.sign(v), v, np.gradient(v, period), r])
+    use, stretch = _clear_way(r)
+    use &= capture.mask
+    numbers = stretch[use]
+    begins = np.concatenate([np.ones(min(numbers.size, 1)), np.diff(numbers)]) != 0.0
+    rest = measured[use] - loop(r, None, None).torque_Nm[use]
+    return columns[use], rest, begins
+
+
+def _clear_way(r: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Moving samples far enough from the last turn, and the number of the stretch of each."""
+    steps = np.diff(r, prepend=r[0])
+    direction = np.sign(steps)
+    moving = np.flatnonzero(direction != 0.0)
+    turns = np.zeros(r.size)
+    turns[moving[1:]] = np.diff(direction[moving]) != 0.0
+    stretch = np.cumsum(turns)
+    way = np.cumsum(np.abs(steps))
+    first = np.searchsorted(stretch, np.arange(stretch[-1] + 1.0))
+    since = way - way[first][stretch.astype(np.int64)]
+    return (direction != 0.0) & (since > _CLEAR_m), stretch
