@@ -21,6 +21,7 @@ from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law
 from pmac_comp.workflow.backlash import has_backlash
@@ -110,6 +111,8 @@ def compute_compensation(
     check_route(route)
     if route in MOTION_ROUTES:
         _require_motion(route, motion)
+    begun = with_starts(bench, model_loop(without_turn(model)), (*captures, *slow))
+    captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
         clearance = found_clearance(bench, model, slow, captures)
         model = model if clearance is None else with_clearance(model, clearance.values)

@@ -13,7 +13,7 @@ that undo them come out instead of being assumed.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -86,7 +86,19 @@ class LoopSignals:
     torque_Nm: FloatArray
 
 
-LoopRunner = Callable[[FloatArray, FloatArray | None, FloatArray | None], LoopSignals]
+class LoopRunner(Protocol):
+    """Closed loop: of command, desired position, torque added, and what friction held before."""
+
+    def __call__(
+        self,
+        commanded: FloatArray,
+        desired: FloatArray | None,
+        torque: FloatArray | None,
+        resting_Nm: float = 0.0,
+        /,
+    ) -> LoopSignals:
+        """Positions and torque along it."""
+        ...
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
@@ -106,10 +118,18 @@ def model_loop(model: "DriveModel") -> LoopRunner:
     dynamic = without_static(model)
 
     def run(
-        commanded: FloatArray, desired: FloatArray | None, torque: FloatArray | None
+        commanded: FloatArray,
+        desired: FloatArray | None,
+        torque: FloatArray | None,
+        resting_Nm: float = 0.0,
+        /,
     ) -> LoopSignals:
         response = simulate(
-            dynamic, commanded, desired_position_m=desired, torque_feedforward_Nm=torque
+            dynamic,
+            commanded,
+            desired_position_m=desired,
+            torque_feedforward_Nm=torque,
+            resting_torque_Nm=resting_Nm,
         )
         if response.table_position_m is None:
             raise ModelError(

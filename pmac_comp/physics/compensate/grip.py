@@ -21,6 +21,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 from pmac_comp.physics.model.effect import split_name
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def _left_m(
     squares, n = 0.0, 0
     for capture in captures:
         missing = _missing_Nm(law, capture, law.torque_breakaway_m, breakaway_m)
-        signals = loop(capture.commanded_position_m, None, missing)
+        signals = loop(capture.commanded_position_m, None, missing, held_at_start_Nm(capture))
         rest = (capture.motor_position_m - signals.motor_position_m)[capture.mask]
         squares += float(np.sum((rest - rest.mean()) ** 2))
         n += rest.size
@@ -125,7 +126,8 @@ def _missing_Nm(
         return np.zeros(capture.n)
     period = capture.sample_period_s
     way = _speed(capture.motor_position_m, period)
-    states = [friction_state(way, distance, period) for distance in (model_m, drive_m)]
+    start = state_at_start(capture, law.torque_coulomb_Nm)
+    states = [friction_state(way, distance, period, start) for distance in (model_m, drive_m)]
     return np.asarray(law.torque_coulomb_Nm * (states[0] - states[1]))
 
 

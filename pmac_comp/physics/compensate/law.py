@@ -280,10 +280,12 @@ def evaluate_law(
     )
 
 
-def friction_state(speed_m_per_s: FloatArray, breakaway_m: float, period_s: float) -> FloatArray:
+def friction_state(
+    speed_m_per_s: FloatArray, breakaway_m: float, period_s: float, start: float = 0.0
+) -> FloatArray:
     """Direction of a motion as its friction has it: follows distance, holds at rest."""
     state = np.empty_like(speed_m_per_s)
-    value = 0.0
+    value = start
     for k, step in enumerate((speed_m_per_s * period_s / breakaway_m).tolist()):
         value = (value + step) / (1.0 + abs(step))
         state[k] = value

@@ -86,13 +86,18 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
     rounds = model.bench.encoder.extension == "none"
 
     def run(
-        commanded: FloatArray, desired: FloatArray | None, torque: FloatArray | None
+        commanded: FloatArray,
+        desired: FloatArray | None,
+        torque: FloatArray | None,
+        resting_Nm: float = 0.0,
+        /,
     ) -> LoopSignals:
         found = simulate(
             dynamic,
             commanded,
             desired_position_m=desired,
             torque_feedforward_Nm=torque,
+            resting_torque_Nm=resting_Nm,
             quantise=rounds,
         )
         return LoopSignals(

@@ -19,6 +19,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.starts import held_at_start_Nm
 
 _HIGHEST_ORDER = 60
 _LEAST_TURNS = 3.0
@@ -159,7 +160,8 @@ def _order_scores(
 def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:
     """Motor position that the model does not explain, m."""
     missing = gripping_torque(law, capture)
-    simulated = loop(capture.commanded_position_m, None, missing).motor_position_m
+    held_Nm = held_at_start_Nm(capture)
+    simulated = loop(capture.commanded_position_m, None, missing, held_Nm).motor_position_m
     return np.asarray(capture.motor_position_m - simulated)
 
 

@@ -20,6 +20,7 @@ from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
 from pmac_comp.physics.compensate.grip import DISTANCES_m, gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 
 _LEAST_GAIN_FRAC = 0.05  # of the unexplained rms: less than this is not worth a change
 _LEAST_GRIP_FRAC = 0.01  # the same of another break-away distance: it acts at reversals only
@@ -88,6 +89,7 @@ class _Run:
     rest_m: FloatArray  # of the samples in use, without its mean
     use: BoolArray
     period_s: float
+    start: float  # of its friction state
 
 
 @dataclass(frozen=True)
@@ -101,13 +103,14 @@ class _Fit:
 
 def _run(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None) -> _Run:
     r, table = capture.commanded_position_m, capture.table_position_m
-    signals = loop(r, None, gripping_torque(law, capture))
+    signals = loop(r, None, gripping_torque(law, capture), held_at_start_Nm(capture))
     simulated = signals.table_position_m - signals.motor_position_m
     measured = (table if table is not None else r) - capture.motor_position_m
     rest = measured - simulated - (0.0 if lead is None else lead.at(r))
     use = settled(capture) if law.gap_half_m > 0.0 else capture.mask
     motor = signals.motor_position_m
-    return _Run(motor, rest[use] - rest[use].mean(), use, capture.sample_period_s)
+    start = state_at_start(capture, law.torque_coulomb_Nm)
+    return _Run(motor, rest[use] - rest[use].mean(), use, capture.sample_period_s, start)
 
 
 def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit:
@@ -121,8 +124,8 @@ def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit
         v = np.gradient(run.motor_m, run.period_s)
         a = np.gradient(v, run.period_s)
         x = run.motor_m - law.origin_m
-        s = friction_state(v, breakaway_m, run.period_s)
-        own = friction_state(v, law.breakaway_m, run.period_s)
+        s = friction_state(v, breakaway_m, run.period_s, run.start)
+        own = friction_state(v, law.breakaway_m, run.period_s, run.start)
         level = law.coulomb_m + law.coulomb_per_m * x
         terms = np.column_stack([a, a * x, v, v * x, s, s * x])[run.use]
         rest = run.rest_m - (level * (own - s))[run.use]

@@ -25,6 +25,7 @@ from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.promise import MotionPromise
+from pmac_comp.physics.compensate.starts import held_at_start_Nm
 
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25
@@ -128,7 +129,8 @@ def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadM
     """What is left of the mechanical and the total error of a run."""
     r, period = capture.commanded_position_m, capture.sample_period_s
     per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
-    signals = loop(r, None, gripping_torque(law, capture) - per_turn)
+    added_Nm = gripping_torque(law, capture) - per_turn
+    signals = loop(r, None, added_Nm, held_at_start_Nm(capture))
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)
     measured = table - capture.motor_position_m - static

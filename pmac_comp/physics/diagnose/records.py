@@ -23,9 +23,9 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
-from pmac_comp.physics.identify.resting import first_under_way, resting_torque_Nm
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
+from pmac_comp.physics.model.resting import first_under_way, resting_torque_Nm
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2

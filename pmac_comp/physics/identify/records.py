@@ -25,9 +25,9 @@ from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, usable_rows
-from pmac_comp.physics.identify.resting import first_under_way, resting_torque_Nm
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
+from pmac_comp.physics.model.resting import first_under_way, resting_torque_Nm
 
 LeaveOut = Literal["nothing", "rest", "reversals"]
 EXTERNAL_FORCE = "external_force_N"

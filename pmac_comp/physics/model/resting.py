@@ -1,7 +1,7 @@
 """How a run begins: what its axis holds at rest, and from when on that no longer matters.
 
-What lives here: the state of controller and friction at the first sample, as captures tell it. May
-import ``physics.model``.
+What lives here: the state of controller and friction at the first sample, as captures tell it. What
+may not: captures themselves.
 
 Real runs begin where an earlier move ended: friction strained by it, the integrator holding
 against that. Both show in the torque at rest; how the strain is shared shows nowhere.

@@ -1,0 +1,60 @@
+"""How the runs of a calibration began: what friction held, as their torque at rest tells.
+
+What lives here: that torque beside each capture. What may not: its arithmetic (``physics.model``).
+
+A run follows an earlier move, and at rest the integrator winds against friction. A model that
+begins relaxed misses its motor by micrometres until the integrator has unwound, and what it misses
+so would be taken for something that the drive has and the model lacks.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.constant import constant_torque
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.model.resting import resting_torque_Nm
+
+_RESTING = "resting_torque_Nm"  # attribute of a capture in memory, not of its file
+
+
+def with_starts(bench: Bench, loop: LoopRunner, captures: Sequence[Capture]) -> list[Capture]:
+    """Captures that know with what torque the loop of a model has to begin them.
+
+    Parameters
+    ----------
+    bench : Bench
+        Gives the control law, and with it what of the torque the integrator holds.
+    loop : LoopRunner
+        Closed loop of the model; a constant load that it lacks is no friction.
+    captures : sequence of Capture
+        Runs without compensation.
+    """
+    constant = constant_torque(loop, captures)
+    load_Nm = 0.0 if constant is None else constant.torque_Nm
+    return [c.with_attributes(**{_RESTING: _held_Nm(bench, c, load_Nm)}) for c in captures]
+
+
+def _held_Nm(bench: Bench, capture: Capture, load_Nm: float) -> float:
+    held = resting_torque_Nm(
+        bench,
+        capture.desired_m,
+        capture.motor_position_m,
+        capture.torque_command_Nm,
+        capture.sample_period_s,
+    )
+    return held - load_Nm if held != 0.0 else 0.0
+
+
+def held_at_start_Nm(capture: Capture) -> float:
+    """Torque in N m that friction held as a run began; 0 where nobody has looked."""
+    return float(capture.attributes.get(_RESTING, 0.0))
+
+
+def state_at_start(capture: Capture, friction_Nm: float) -> float:
+    """The same as a friction state, -1 to 1, of a drive with this friction."""
+    if friction_Nm <= 0.0:
+        return 0.0
+    return float(np.clip(held_at_start_Nm(capture) / friction_Nm, -1.0, 1.0))
