@@ -24,7 +24,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import identify_with_friction
-from pmac_comp.physics.model import drive, kernel
+from pmac_comp.physics.model import drive, kernel, kernel_chain
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.signals import trajectory as tr
@@ -76,7 +76,7 @@ class Case:
         low, high = float(self.desired.min()), float(self.desired.max())
         self.first, nodes = drive._nodes(self.vector, low, high)  # noqa: SLF001 same preparation
         period = self.vector[s.PERIOD]
-        self.bank = kernel.step_bank(
+        self.bank = kernel_chain.step_bank(
             self.vector, self.first, drive.NODE_SPACING_m, nodes, period / n_sub
         )
         self.zeros = np.zeros(motion.n)
@@ -141,7 +141,7 @@ def against_scipy(model: DriveModel) -> dict[str, float]:
 
     @njit
     def right_side(t: float, y: FloatArray) -> FloatArray:
-        mass, damping, stiffness = kernel.chain_matrices(vector, y[3] + vector[s.X_ORIGIN])
+        mass, damping, stiffness = kernel_chain.chain_matrices(vector, y[3] + vector[s.X_ORIGIN])
         cell = math.floor((t - delay) / period + 1e-9)
         held = torque[cell] if cell >= 0 else 0.0
         force = -damping @ y[4:8] - stiffness @ y[:4]

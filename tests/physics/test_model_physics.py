@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.model import kernel, quasi_static
+from pmac_comp.physics.model import kernel, kernel_chain, quasi_static
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals import trajectory as tr
@@ -118,7 +118,7 @@ def test_constant_load_at_rest_gives_the_static_deflection():
 
 
 def free_chain_energy(par, state):
-    mass, _, stiffness = kernel.chain_matrices(par, 0.45)
+    mass, _, stiffness = kernel_chain.chain_matrices(par, 0.45)
     q, v = state[:4], state[4:]
     return 0.5 * v @ mass @ v + 0.5 * q @ stiffness @ q
 
@@ -131,7 +131,7 @@ def test_exact_steps_keep_energy_without_damping_and_lose_it_with():
     start = rng.normal(size=8) * np.array([1e-4, 1e-4, 1e-7, 1e-6, 1e-1, 1e-1, 1e-3, 1e-2])
     for beta, falls in ((0.0, False), (7.3e-5, True)):
         par[s.BETA] = beta
-        step = kernel.step_matrices(par, 0.45, 1.1e-4)[:, :8]
+        step = kernel_chain.step_matrices(par, 0.45, 1.1e-4)[:, :8]
         state = start.copy()
         energies = [free_chain_energy(par, state)]
         for _ in range(2000):
@@ -205,7 +205,7 @@ def test_compiled_kernel_equals_its_python_source_bit_for_bit():
     vector = model.kernel_vector()
     zeros = np.zeros(n)
     rows, values = np.zeros((0, s.TERM_COLUMNS)), np.zeros((0, 1))
-    bank = kernel.step_bank(vector, 0.43, 0.01, 5, TS / 4)
+    bank = kernel_chain.step_bank(vector, 0.43, 0.01, 5, TS / 4)
     compiled, plain = np.zeros((5, n)), np.zeros((5, n))
     kernel.run(vector, bank, 0.43, 0.01, 4, desired, zeros, zeros, rows, values, 0.0, compiled)
     run_as_python(vector, bank, 0.43, 0.01, 4, desired, zeros, zeros, rows, values, 0.0, plain)

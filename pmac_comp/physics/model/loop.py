@@ -52,7 +52,7 @@ def run_loop(
     NonFinite
         The loop became unstable.
     """
-    from pmac_comp.physics.model import kernel
+    from pmac_comp.physics.model import kernel, kernel_chain
 
     if not 1 <= n_sub <= _MAX_SUBSTEPS:
         raise ModelError(
@@ -68,7 +68,7 @@ def run_loop(
             hint="Correct actuator_delay_us in the bench file, or the delay of the model.",
         )
     first, n_nodes = _nodes(vector, float(desired_m.min()), float(desired_m.max()))
-    bank = kernel.step_bank(vector, first, NODE_SPACING_m, n_nodes, period / n_sub)
+    bank = kernel_chain.step_bank(vector, first, NODE_SPACING_m, n_nodes, period / n_sub)
     out = np.zeros((7, desired_m.size))
     done = kernel.run(
         vector, bank, first, NODE_SPACING_m, n_sub, desired_m, torque_Nm, force_N, rows, values,

@@ -227,7 +227,7 @@ def modes_Hz(model: DriveModel, table_position_m: float, *, motor_held: bool = F
     ------
     Ball-screw facts 2.1 and 2.7.
     """
-    from pmac_comp.physics.model.kernel import chain_matrices
+    from pmac_comp.physics.model.kernel_chain import chain_matrices
 
     vector = _elastic(model)
     x = float(_screw_position(vector, table_position_m)[0])
