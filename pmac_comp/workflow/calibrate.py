@@ -8,7 +8,7 @@ from typing import Any
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import write_capture
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
@@ -70,21 +70,28 @@ def capture_to_folder(
 ) -> dict[str, Any]:
     """Run the motions of a plan and store one HDF5 file each; names of the files."""
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
-    _refuse_old(paths, out)
-    _probe(out)
-    files: list[Path] = []
+    require_new(paths, out)
     with open_axis(url, bench) as axis:
         remarks = reference_remarks(axis.link, axis.bench)
         with motor_as_found(axis):
             prepare(axis)
-            for i, motion in enumerate(plan.motions):
-                with _kept_meanwhile(axis, out, paths[i].stem, progress):
-                    capture = run_all(
-                        axis, [motion], progress=progress, what=f"{i + 1}/{len(plan.motions)}"
-                    )
-                    write_capture(paths[i], capture[0])
-                files.append(paths[i])
-    return {"files": files, "samples": len(files), "remarks": remarks}
+            run_to_files(axis, plan.motions, paths, progress)
+    return {"files": paths, "samples": len(paths), "remarks": remarks}
+
+
+def run_to_files(
+    axis: Axis, motions: Sequence[Motion], paths: Sequence[Path], progress: Progress | None
+) -> list[Capture]:
+    """Captures of motions, each in its file before the next one begins.
+
+    While a run lasts its samples are in a log beside its file; an error says where they are.
+    """
+    captures: list[Capture] = []
+    for i, (motion, path) in enumerate(zip(motions, paths, strict=True)):
+        with _kept_meanwhile(axis, path, progress):
+            captures += run_all(axis, [motion], progress=progress, what=f"{i + 1}/{len(motions)}")
+            write_capture(path, captures[-1])
+    return captures
 
 
 @contextmanager
@@ -107,11 +114,9 @@ def motor_as_found(axis: Axis) -> Iterator[None]:
 
 
 @contextmanager
-def _kept_meanwhile(
-    axis: Axis, folder: Path, stem: str, progress: Progress | None
-) -> Iterator[None]:
+def _kept_meanwhile(axis: Axis, path: Path, progress: Progress | None) -> Iterator[None]:
     """Keep the samples of a run in a log until its file is whole; after an error, say where."""
-    axis.run_log = new_log(folder, stem)
+    axis.run_log = new_log(path.parent, path.stem)
     try:
         yield
     except PmacCompError as error:
@@ -132,6 +137,20 @@ def prepare(axis: Axis) -> None:
     """Close the loop of an axis where it stands, if the card is as the bench file says."""
     require_as_described(axis)
     axis.enable()
+
+
+def require_new(paths: Sequence[Path], folder: Path) -> None:
+    """Refuse a folder that holds earlier runs or cannot be written, before anything moves.
+
+    Raises
+    ------
+    ConfigError
+        One of the files is there already.
+    StorageFull
+        The folder cannot be written.
+    """
+    _refuse_old(paths, folder)
+    _probe(folder)
 
 
 def _refuse_old(paths: Sequence[Path], folder: Path) -> None:
@@ -176,8 +195,7 @@ def recover_to_folder(log: Path, bench: str, out: Path) -> dict[str, Any]:
     """
     capture, found = capture_of_log(log, load_bench(bench))
     path = out / f"{log.stem}_recovered.h5"
-    _refuse_old([path], out)
-    _probe(out)
+    require_new([path], out)
     write_capture(path, capture)
     whole = "whole" if found.is_complete else f"cut off, {found.bytes_lost} bytes damaged"
     return {

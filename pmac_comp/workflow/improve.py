@@ -1,18 +1,19 @@
 """Diagnose, grow the model, recompute, upload, verify, and see whether the error falls again."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
-from pmac_comp.base.errors import ConfigError, ModelError
-from pmac_comp.files.bench import Bench
-from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.files.model_file import write_model
-from pmac_comp.workflow.axis import Axis, run_all
-from pmac_comp.workflow.calibrate import prepare
+from pmac_comp.base.errors import ConfigError, ModelError, PmacCompError
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.files.model_file import ModelFile, read_model, write_model
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.calibrate import motor_as_found, prepare, require_new, run_to_files
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation
@@ -23,12 +24,14 @@ from pmac_comp.workflow.identification import identify_captures, load_model
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import store, verify_axis
+from pmac_comp.workflow.verify import KeptRuns, store, verify_axis
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
+_JOURNAL = "journal"
+_RESULT = "improvement.json"
 _SAME = 0.02  # of an rms: below this two verifications tell nothing apart
 
 
@@ -141,24 +144,23 @@ def improve_on_controller(
 ) -> Improvement:
     """The whole loop on a controller; everything is left in a folder.
 
+    Afterwards the motor holds or is killed as it was found.
+
     Raises
     ------
     ConfigError
-        The route is for one known motion.
+        The route is for one known motion, or the folder holds an earlier improvement.
     """
     require_many_motions(route)
-    out.mkdir(parents=True, exist_ok=True)
-    with open_axis(url, bench) as axis:
-        axis.setup.store = out / "journal"
+    require_new([*_run_paths(out, load_bench(bench)), out / _RESULT], out)
+    with open_axis(url, bench) as axis, _told_what_is_left(out), motor_as_found(axis):
+        axis.setup.store = out / _JOURNAL
         prepare(axis)
         result = improve_axis(
             axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
         )
-        axis.kill()
     result = replace(result, diagnosis=replace(result.diagnosis, url=url, bench_name=bench))
-    atomic_write_text(
-        out / "improvement.json", json.dumps(result.as_result(), indent=2, default=str) + "\n"
-    )
+    atomic_write_text(out / _RESULT, json.dumps(result.as_result(), indent=2, default=str) + "\n")
     return result
 
 
@@ -178,16 +180,13 @@ def improve_axis(
     made without compensation. Where the grown model turns out no better, the first compensation
     is put back.
     """
-    captures = run_all(axis, calibration_motions(axis.bench), progress=progress, what="capture")
-    slow = tuple(run_all(axis, lead_motions(axis.bench), progress=progress, what="lead error"))
-    for i, capture in enumerate([*captures, *slow]):
-        write_capture(out / f"calibration_{i + 1:02d}.h5", capture)
-    if model is None:
-        first = identify_captures(captures, axis.bench, progress=progress).identification.model
-    else:
-        first = load_model(model, axis.bench, effects=effects)
-    if first is None:
-        raise ModelError("The identification gave no model.", code="PC-IMP-001")
+    motions = calibration_motions(axis.bench)
+    runs = run_to_files(
+        axis, [*motions, *lead_motions(axis.bench)], _run_paths(out, axis.bench), progress
+    )
+    captures, slow = runs[: len(motions)], tuple(runs[len(motions) :])
+    first, file = _first_model(captures, axis.bench, model, effects, progress)
+    write_model(out / "first_model.json", file)
     steps = _Steps(axis, out, route, captures, slow, seed, progress)
     compensation, before = steps.measured(first, "first")
     diagnosis = diagnose_captures(
@@ -201,7 +200,8 @@ def improve_axis(
     write_model(out / "grown_model.json", diagnosis.model)
     if not diagnosis.diagnosis.named:
         return Improvement(diagnosis, before, None, "first")
-    model_grown = reestimated(captures, axis.bench, diagnosis.diagnosis.model, progress)
+    model_grown, file = reestimated(captures, axis.bench, diagnosis, progress)
+    write_model(out / "grown_model.json", file)
     steps.off(compensation)
     grown, after = steps.measured(model_grown, "grown")
     if is_better(before, after):
@@ -211,9 +211,50 @@ def improve_axis(
     return Improvement(diagnosis, before, after, "first")
 
 
+def _run_paths(out: Path, bench: Bench) -> list[Path]:
+    """Files of the runs that the models are fitted to."""
+    n = len(calibration_motions(bench)) + len(lead_motions(bench))
+    return [out / f"calibration_{i + 1:02d}.h5" for i in range(n)]
+
+
+@contextmanager
+def _told_what_is_left(out: Path) -> Iterator[None]:
+    """Errors that say what was kept, and how to see and take back what was uploaded."""
+    try:
+        yield
+    except (PmacCompError, KeyboardInterrupt) as error:
+        error.add_note(f"What was measured so far is in {out}.")
+        if (out / _JOURNAL).exists():
+            error.add_note(
+                f"`pmac-comp status` shows which compensation stands; `pmac-comp recover` settles "
+                f"an interrupted upload and `pmac-comp rollback` takes the last one back, both "
+                f"with --journal {out / _JOURNAL}."
+            )
+        raise
+
+
+def _first_model(
+    captures: Sequence[Capture],
+    bench: Bench,
+    path: Path | None,
+    effects: Path | None,
+    progress: Progress | None,
+) -> tuple["DriveModel", ModelFile]:
+    """The model to start from, as given or identified, with its file."""
+    if path is not None:
+        return load_model(path, bench, effects=effects), read_model(path)
+    found = identify_captures(captures, bench, progress=progress)
+    if found.identification.model is None:
+        raise ModelError("The identification gave no model.", code="PC-IMP-001")
+    return found.identification.model, found.model_file
+
+
 def reestimated(
-    captures: Sequence[Capture], bench: Bench, grown: "DriveModel", progress: Progress | None
-) -> "DriveModel":
+    captures: Sequence[Capture],
+    bench: Bench,
+    diagnosis: DiagnosisOutcome,
+    progress: Progress | None,
+) -> tuple["DriveModel", ModelFile]:
     """The grown model with its parameters estimated as the first model's were, torque included.
 
     The diagnosis weighs positions to tell effects apart; between two laws nothing but the effect
@@ -221,13 +262,16 @@ def reestimated(
     stay. So they do with a gap in the nut: torque does not show it, and an estimate that weighs
     torque trades it against friction (4.9 became 3.5 um of 5).
     """
+    grown = diagnosis.diagnosis.model
+    as_found = grown, diagnosis.model
     if nut_gap(grown) is not None:
-        return grown
+        return as_found
     try:
         found = identify_captures(captures, bench, model=grown, progress=progress)
     except ModelError:
-        return grown
-    return found.identification.model or grown
+        return as_found
+    model = found.identification.model
+    return as_found if model is None else (model, found.model_file)
 
 
 class _Steps:
@@ -256,8 +300,10 @@ class _Steps:
             route=self._route,
             slow=self._slow,
             captures=self._captures,
+            provenance={"bench_digest": self._axis.bench.digest, "model": f"{name}_model.json"},
             progress=self._progress,
         )
+        folder = self._out / f"verification_{name}"
         write_compensation(self._out / f"compensation_{name}.json", compensation)
         deploy(self._axis, compensation, self.context)
         found = verify_axis(
@@ -266,9 +312,10 @@ class _Steps:
             compensation,
             self._motions,
             drive=drive,
+            keep=KeptRuns(folder).keep,
             progress=self._progress,
         )
-        store(found, self._out / f"verification_{name}")
+        store(found, folder)
         return compensation, found
 
     def off(self, compensation: Compensation) -> None:

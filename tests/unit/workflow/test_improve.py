@@ -1,12 +1,13 @@
 """The order of an improvement: what is uploaded when, what is put back, what people are told."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from pmac_comp.base.errors import ConfigError, NotIdentifiable
+from pmac_comp.base.errors import ConfigError, LinkLost, NotIdentifiable
 from pmac_comp.workflow import improve
 from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_controller, is_better
 from pmac_comp.workflow.verification import Verification
@@ -28,6 +29,8 @@ class Bench:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, named: tuple[str, ...]) -> None:
         self.done: list[str] = []
+        self.models: list[tuple[str, str]] = []
+        self.provenance: list[dict[str, str]] = []
         self.answers = [verification(1.0, 2.0)]
         self.validated: Any = None
         self.hopeless = False
@@ -40,18 +43,17 @@ class Bench:
             as_result=lambda: {},
         )
         for name, fake in {
-            "run_all": lambda *a, **k: ["run"],
+            "run_to_files": lambda axis, motions, paths, progress: ["run"],
             "calibration_motions": lambda *a: [],
             "lead_motions": lambda *a: [],
             "verification_motions": lambda *a: [],
-            "write_capture": lambda *a: None,
-            "write_model": lambda *a: None,
+            "write_model": lambda path, model: self.models.append((path.name, model)),
             "write_compensation": lambda *a: None,
             "store": lambda *a: None,
             "context_of": lambda *a: "context",
             "identify_captures": self.identified,
             "nut_gap": lambda model: None if self.gap is None else (self.gap, None),
-            "compute_compensation": lambda bench, drive, **k: f"compensation of {drive}",
+            "compute_compensation": self.computed,
             "deploy": lambda axis, compensation, context: self.done.append(f"up {compensation}"),
             "switch": lambda axis, context, what, on: self.done.append(f"off {what}"),
             "verify_axis": lambda *a, **k: self.answers.pop(0),
@@ -63,14 +65,20 @@ class Bench:
         if self.hopeless and model is not None:
             raise NotIdentifiable("nothing to stand on", code="PC-TST-001")
         name = "first" if model is None else f"{model} again"
-        return SimpleNamespace(identification=SimpleNamespace(model=name))
+        return SimpleNamespace(
+            identification=SimpleNamespace(model=name), model_file=f"file of {name}"
+        )
+
+    def computed(self, bench: Any, drive: str, *, provenance: dict[str, str], **rest: Any) -> str:
+        self.provenance.append(provenance)
+        return f"compensation of {drive}"
 
     def diagnosed(self, *args: Any, validate: Any, **rest: Any) -> Any:
         self.validated = validate
         return self.diagnosis
 
     def run(self, tmp_path: Path) -> Improvement:
-        return improve_axis(SimpleNamespace(bench="bench"), tmp_path)
+        return improve_axis(SimpleNamespace(bench=SimpleNamespace(digest="d1")), tmp_path)
 
 
 def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, tmp_path) -> None:
@@ -92,6 +100,23 @@ def test_where_the_effect_cannot_be_estimated_again_the_diagnosis_values_stay(
     bench.answers.append(verification(0.4, 1.5))
     bench.run(tmp_path)
     assert bench.done[-1] == "up compensation of grown"
+    assert bench.models[-1] == ("grown_model.json", "file")
+
+
+def test_the_models_that_were_used_are_left_and_each_compensation_knows_bench_and_model(
+    monkeypatch, tmp_path
+) -> None:
+    bench = Bench(monkeypatch, ("backlash",))
+    bench.answers.append(verification(0.4, 1.5))
+    bench.run(tmp_path)
+    assert dict(bench.models) == {
+        "first_model.json": "file of first",
+        "grown_model.json": "file of grown again",
+    }
+    assert bench.provenance == [
+        {"bench_digest": "d1", "model": "first_model.json"},
+        {"bench_digest": "d1", "model": "grown_model.json"},
+    ]
 
 
 def test_a_gap_that_torque_does_not_show_stays_as_the_diagnosis_found_it(
@@ -146,3 +171,37 @@ def test_one_error_falls_or_nothing_changes(mechanical: float, total: float) -> 
 @pytest.mark.parametrize(("mechanical", "total"), [(1.1, 2.0), (1.0, 2.2), (0.95, 3.0)])
 def test_one_error_rises_by_more_than_the_other_falls(mechanical: float, total: float) -> None:
     assert not is_better(verification(1.0, 2.0), verification(mechanical, total))
+
+
+def opened(monkeypatch: pytest.MonkeyPatch, axis: Any) -> None:
+    """Let ``improve_on_controller`` find this axis behind its URL."""
+    monkeypatch.setattr(improve, "open_axis", lambda *a: nullcontext(axis))
+    monkeypatch.setattr(improve, "motor_as_found", lambda axis: nullcontext())
+    monkeypatch.setattr(improve, "prepare", lambda axis: None)
+
+
+def test_an_earlier_improvement_is_not_written_over(monkeypatch, tmp_path) -> None:
+    (tmp_path / "calibration_03.h5").write_bytes(b"measured last week")
+    monkeypatch.setattr(improve, "open_axis", lambda *a: pytest.fail("the card was touched"))
+    with pytest.raises(ConfigError, match=r"calibration_03\.h5") as refused:
+        improve_on_controller("sim://", "paper", tmp_path)
+    assert "--out" in refused.value.hint
+    assert (tmp_path / "calibration_03.h5").read_bytes() == b"measured last week"
+
+
+@pytest.mark.parametrize("ended_by", [LinkLost, KeyboardInterrupt])
+def test_an_end_in_the_middle_says_what_was_kept_and_how_to_settle(
+    monkeypatch, tmp_path, ended_by: type[BaseException]
+) -> None:
+    opened(monkeypatch, SimpleNamespace(setup=SimpleNamespace(store=None)))
+
+    def cut(axis: Any, out: Path, **rest: Any) -> None:
+        axis.setup.store.mkdir()
+        raise ended_by("gone")
+
+    monkeypatch.setattr(improve, "improve_axis", cut)
+    with pytest.raises(ended_by) as left:
+        improve_on_controller("sim://", "paper", tmp_path / "out")
+    said = " ".join(left.value.__notes__)
+    assert f"so far is in {tmp_path / 'out'}" in said
+    assert f"--journal {tmp_path / 'out' / 'journal'}" in said
