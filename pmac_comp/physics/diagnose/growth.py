@@ -22,7 +22,7 @@ from pmac_comp.physics.diagnose.contenders import (
     polished,
 )
 from pmac_comp.physics.diagnose.noise import noise_floor_um
-from pmac_comp.physics.diagnose.onset import with_onset
+from pmac_comp.physics.diagnose.onset import not_outgrown, with_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.revision import Reviser, accepted_of
@@ -157,6 +157,10 @@ def grow(
             point, open_SI = settled(part, evaluate(part, whole.model))
     progress("looking at how friction sets in")
     final = with_onset(bench, evaluate(bench, point.model))
+    if final.model.effects != point.model.effects:
+        # What stood for how friction sets in need not stay beside it.
+        final, rounds = Reviser(bench, library, rules, progress).pruned(final, rounds)
+        final = not_outgrown(bench, final)
     grew = base is not None and bool(accepted_of(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI)

@@ -67,6 +67,18 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     return evaluate(bench, fitted.model)
 
 
+def not_outgrown(bench: Workbench, point: Fitted) -> Fitted:
+    """The model without an onset that grew beyond what an encoder resolves in a refit.
+
+    Friction that grips over such a distance is an effect, found by name or left unknown.
+    """
+    if not _resolved(point.model):
+        return point
+    part = bench.fitting_bench()
+    bare = evaluate(part, point.model.without_effect("presliding"))
+    return evaluate(bench, refit(part, bare, rounds=_ROUNDS).model)
+
+
 def without_onset(model: DriveModel) -> DriveModel:
     """The model with Coulomb friction that sets in at once, where it did so unseen.
 
@@ -75,6 +87,11 @@ def without_onset(model: DriveModel) -> DriveModel:
     if _resolved(model) or not any(name in model.parameters for name in _DISTANCES):
         return model
     return model.without_effect("presliding")
+
+
+def holds_onset(model: DriveModel) -> bool:
+    """Whether friction of a model sets in over a distance, whichever it is."""
+    return any(name in model.parameters for name in _DISTANCES)
 
 
 def told(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:

@@ -8,13 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.fine import FinePattern, fine_pattern
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.noise import ambient_m2, noise_floor_um
+from pmac_comp.physics.diagnose.onset import holds_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.statistics import block_means, corrected_p, sign_flip_p
@@ -29,9 +32,10 @@ _FORM = 0.15  # the same where it hardly shows in um: no right form leaves so mu
 _MODEL_um = 0.08
 _ONSETS = 1.5
 _TRIM = 0.1
-_LARGEST_SHAPE = 3.0
+# Of the onset's shapes, and the same where the model holds an onset that was fitted.
+_LARGEST_SHAPE, _FITTED_SHAPE = 3.0, 1.0
 _TRIM_BLOCK = 50  # coarse samples, a ninth of a second
-_HALF = 0.5  # of the base model's excess, in squares
+_MOST = 0.25  # of the base model's excess, in squares: half of it in um
 _FAR = 2.0  # of the noise floor: no name closes a gap that leaves so much
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 _CHANCE = 1e-4  # that white noise shows the wave that is told
@@ -64,7 +68,7 @@ class Remainder:
     unexplained : bool
         Whether something material is left.
     explained : bool
-        Whether the accepted effects closed more than half of the base model's excess.
+        Whether the accepted effects closed most of the base model's excess: more than half in um.
     open_share : float
         Share of the base model's gap beyond the noise floor that is left, in squares.
     fit_share, judged_share : float
@@ -122,7 +126,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     by_rivals = fit_share > material and p_value < 0.01 and (noticeable or fit_share > _FORM)
     base_um = float(np.sqrt(max(0.0, _rms_um(grown, grown.base.model) ** 2 - floor_um**2)))
     worth = max(_EXCESS * floor_um, open_um, 0.25 * base_um)
-    explained = excess_um**2 < _HALF * base_um**2
+    explained = excess_um**2 < _MOST * base_um**2
     far = excess_um > max(worth, _FAR * floor_um)
     beyond = quiet_um > worth or far or (excess_um > worth and not explained)
     fine = _material_wave(grown, max(floor_um, _MODEL_um, 0.25 * base_um))
@@ -189,6 +193,7 @@ def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
     """
     simulated = bench.simulate([model])[0]
     doubtful = None if bench.noise is None else bench.noise.doubtful
+    largest = _FITTED_SHAPE if holds_onset(model) else _LARGEST_SHAPE
     powers = []
     counted = bench.counted
     for i, (record, mask) in enumerate(zip(bench.records, bench.fitting, strict=True)):
@@ -199,15 +204,17 @@ def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
         if bench.channels > 1:
             left = left - np.median(left)
         if doubtful is not None:
-            shapes = doubtful[i][judged, -1]
-            # The shapes are one standard deviation each: they may not grow without bound.
-            noise = 2.0 * float(np.var(np.diff(left))) / (4.0 * _LARGEST_SHAPE**2)
-            matrix = shapes.T @ shapes + noise * np.eye(shapes.shape[1])
-            left = left - shapes @ np.linalg.solve(matrix, shapes.T @ left)
+            left = left - _shaped(left, doubtful[i][judged, -1], largest)
         powers.append(block_means(left**2, _TRIM_BLOCK))
     ranked = np.sort(np.concatenate(powers)) if powers else np.zeros(1)
     kept = ranked[: max(1, round((1.0 - _TRIM) * ranked.size))]
     return float(1e12 * ranked.mean()), float(1e12 * kept.mean())
+
+
+def _shaped(left_m: FloatArray, shapes_m: FloatArray, largest: float) -> FloatArray:
+    """What shapes of one standard deviation each explain at no more than so many of them."""
+    bounded = lsq_linear(UM_PER_M * shapes_m, UM_PER_M * left_m, bounds=(-largest, largest))
+    return np.asarray(shapes_m @ bounded.x)
 
 
 def _onset_um(grown: Grown) -> float:

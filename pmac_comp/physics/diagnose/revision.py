@@ -120,9 +120,10 @@ class Reviser:
         the model, an imitation has nothing left to explain.
         """
         kept = list(rounds)
-        while len(accepted_of(kept)) > 1:
+        while accepted_of(kept):
+            alone = len(accepted_of(kept)) == 1
             for i, done in enumerate(kept):
-                less = self._without(whole, done)
+                less = None if alone and self._beyond_doubt(done) else self._without(whole, done)
                 if less is not None:
                     self.progress("an effect is no longer needed beside those found after it")
                     kept[i] = replace(done, accepted=None, tied=())
@@ -131,6 +132,11 @@ class Reviser:
             else:
                 break
         return whole, kept
+
+    def _beyond_doubt(self, done: Round) -> bool:
+        """Whether a round's effect earned so much that no refit of the others replaces it."""
+        least = self.rules.overwhelming * self.rules.material * done.rows_fit
+        return done.accepted is not None and done.accepted.fit_gain > least
 
     def _without(self, whole: Fitted, done: Round) -> Fitted | None:
         """The model refitted without a round's effect, or None where that earns its place.

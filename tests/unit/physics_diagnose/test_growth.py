@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from pmac_comp.physics.diagnose import contenders
+from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.revision import Reviser
@@ -18,6 +19,20 @@ def test_elementary_friction_is_never_taken_out_again(effect):
     done = SimpleNamespace(accepted=SimpleNamespace(effect=effect))
     reviser = Reviser(None, {}, contenders.Rules(), print)  # type: ignore[arg-type]
     assert reviser._without(None, done) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("fit_gain", "asked"), [(100.0, True), (1e5, False)])
+def test_the_only_effect_is_asked_whether_it_is_needed_unless_it_earned_beyond_doubt(
+    monkeypatch, fit_gain, asked
+):
+    whole, less = SimpleNamespace(), SimpleNamespace()
+    monkeypatch.setattr(Reviser, "_without", lambda self, whole, done: less)
+    reviser = Reviser(None, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
+    accepted = SimpleNamespace(effect="actuator_delay", fit_gain=fit_gain)
+    bare = Round(None, None, (), accepted, (), 3e4, 1e4, 1.0, 0.1)  # type: ignore[arg-type]
+    kept, (done,) = reviser.pruned(whole, [bare])  # type: ignore[arg-type]
+    assert kept is (less if asked else whole)
+    assert (done.accepted is None) == asked
 
 
 @pytest.mark.parametrize(

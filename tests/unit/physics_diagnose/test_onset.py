@@ -1,11 +1,13 @@
 """How sharply friction sets in: part of a model, and no finding."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.onset import told, with_onset
+from pmac_comp.physics.diagnose import onset
+from pmac_comp.physics.diagnose.onset import holds_onset, not_outgrown, told, with_onset
 from pmac_comp.physics.model.drive import DriveModel
 
 BENCH = load_bench("paper_x4")
@@ -31,3 +33,14 @@ def test_nothing_is_simulated_where_friction_grips_already_or_there_is_none(effe
     # Where something were, the missing workbench would show.
     point = SimpleNamespace(model=SimpleNamespace(effects=effects))
     assert with_onset(None, point) is point  # type: ignore[arg-type, comparison-overlap]
+
+
+def test_a_distance_that_an_encoder_resolves_is_no_onset(monkeypatch):
+    monkeypatch.setattr(onset, "evaluate", lambda bench, model: SimpleNamespace(model=model))
+    monkeypatch.setattr(onset, "refit", lambda bench, point, *, rounds: point)
+    bench: Any = SimpleNamespace(fitting_bench=lambda: None)
+    short: Any = SimpleNamespace(model=_gripping(0.03e-6))
+    assert not_outgrown(bench, short) is short
+    grown: Any = SimpleNamespace(model=_gripping(0.03e-6, 2e-6))
+    assert holds_onset(grown.model)
+    assert not holds_onset(not_outgrown(bench, grown).model)
