@@ -60,7 +60,9 @@ def claims_of(
     estimates: Sequence[Estimate],
     rules: Rules,
     findings: Sequence[Finding] = (),
+    *,
     beyond: Collection[str] = (),
+    apart: Collection[str] = (),
 ) -> Claims:
     """Effects that may be claimed by name.
 
@@ -78,6 +80,8 @@ def claims_of(
         Known parameters that the data places outside their tolerance.
     beyond : collection of str
         Effects whose corner no run reaches.
+    apart : collection of str
+        Effects whose size would have to differ from run to run.
 
     Returns
     -------
@@ -92,6 +96,8 @@ def claims_of(
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
         if done.accepted.effect in beyond:
             why = "no run reaches its corner, so what shows is a spring of another stiffness"
+        if done.accepted.effect in apart and not why:
+            why = "its size would have to differ from run to run"
         if left.visible and findings and not why:
             # Names that need quantities of the bench file to be wrong, and explain it not even
             # then, share among them what is none of them.

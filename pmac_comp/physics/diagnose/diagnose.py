@@ -15,8 +15,9 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.claims import Claims, claims_of, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
+from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
-from pmac_comp.physics.diagnose.estimates import estimates_of, pulled
+from pmac_comp.physics.diagnose.estimates import Told, estimates_of, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
@@ -107,14 +108,16 @@ def diagnose(
         workbench = Workbench(fit, split(records, judges), executor)
         grown = grow(workbench, start, library, rules, tell)
         tell("measuring what is left")
-        estimates, findings = estimates_of(grown, rules.material)
+        told_of = Told.of(grown)
+        estimates, findings = estimates_of(grown, told_of, rules.material)
+        apart = inconstant(grown, told_of)
         beyond = unreached(grown)
         simpler = single_cause(grown, findings, doubted=bool(beyond))
         if simpler is not None:
             grown, estimates, findings = simpler[0], (), (simpler[1],)
         alone = simpler is not None
         left = remainder_of(grown, bench, rivals_apply=not alone)
-        found = _Found(grown, left, estimates, findings, alone, beyond)
+        found = _Found(grown, left, estimates, findings, alone, beyond, apart)
         return _assembled(found, library, bench, rules)
 
 
@@ -135,7 +138,11 @@ def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict
 
 @dataclass(frozen=True)
 class _Found:
-    """What the loop found; ``alone``: one quantity of the bench file in place of effects."""
+    """What the loop found.
+
+    ``alone``: one quantity of the bench file in place of effects; ``beyond`` and ``apart``: effects
+    with a corner that no run reaches, and with another size in every run.
+    """
 
     grown: Grown
     left: Remainder
@@ -143,6 +150,7 @@ class _Found:
     findings: tuple[Finding, ...]
     alone: bool
     beyond: frozenset[str]
+    apart: frozenset[str]
 
 
 def _assembled(
@@ -154,7 +162,9 @@ def _assembled(
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
     findings = pulled(findings) if left.visible else findings
-    claims = claims_of(grown, left, estimates, rules, findings, found.beyond)
+    claims = claims_of(
+        grown, left, estimates, rules, findings, beyond=found.beyond, apart=found.apart
+    )
     tied = _tied_groups(claims)
     named = _named(claims, tied)
     # What the bench file knows cannot be what the data asks for: a name beside that is a stand-in.

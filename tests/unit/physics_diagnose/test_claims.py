@@ -75,6 +75,19 @@ def test_a_name_that_needs_the_bench_file_to_be_wrong_must_explain_all(visible, 
     assert all("motor_inertia" in why for why in found.withheld.values())
 
 
+@pytest.mark.parametrize("apart", [frozenset(), frozenset({"payload"})])
+def test_an_effect_of_another_size_in_every_run_is_claimed_by_nobody(apart):
+    accepted = SimpleNamespace(effect="payload", fit_gain=1e5, gap_um=0.2)
+    done: Any = SimpleNamespace(accepted=accepted, rows_fit=1e4, gap_um=5.0, floor_um=0.1)
+    model = DriveModel.base(BENCH).with_effect("payload")
+    grown: Any = SimpleNamespace(rounds=(done,), final=SimpleNamespace(model=model))
+    left: Any = SimpleNamespace(unexplained=False, visible=False, open_share=0.0)
+    found = claims_of(grown, left, (), Rules(), apart=apart)
+    assert found.effects == (() if apart else ("payload",))
+    assert found.imitated == bool(apart)
+    assert all("from run to run" in why for why in found.withheld.values())
+
+
 def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():
     (moved,) = pulled((FINDING,))
     assert moved.text.startswith(FINDING.text)
