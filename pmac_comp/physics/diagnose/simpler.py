@@ -4,6 +4,7 @@ What lives here: the plainest answer where the data asks for what the bench file
 effects. May import ``growth``, ``estimates`` and ``refit``.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +18,8 @@ from pmac_comp.physics.diagnose.result import Finding
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
 
+_INERTIAS = ("chain.motor_inertia_kgm2", "chain.screw_inertia_kgm2")
+_MOVED = (*_INERTIAS, "chain.table_mass_kg")
 _FREE = 1.0  # tolerance of a quantity that is taken for unknown
 _PINNED = 0.9
 _ROUNDS = 8
@@ -63,9 +66,29 @@ def single_cause(
     also = " or ".join(s.file_name or s.name for s in rivals if s.name != spec.name)
     if also:
         found = replace(found, text=f"{found.text} ({also} instead would do nearly as well)")
+    if spec.name in _INERTIAS:
+        found = replace(found, text=f"{found.text}; {_as_torque(grown.base.model, fitted.model)}")
     bare = tuple(replace(done, accepted=None, tied=()) for done in grown.rounds)
     final = evaluate(grown.bench, fitted.model)
     return replace(grown, final=final, rounds=bare, open_SI={}), found
+
+
+def _as_torque(base: DriveModel, found: DriveModel) -> str:
+    """An inertia out of tolerance as the torque constant that no run tells from it."""
+    stated = base.with_parameters({name: base.spec(name).nominal for name in _MOVED})
+    share = _shaft_inertia_kgm2(stated) / _shaft_inertia_kgm2(found)
+    return (
+        f"a drive that gives {share:.3g} times the torque that its stated constant says looks the "
+        "same, as friction and inertia scale alike: check that figure first"
+    )
+
+
+def _shaft_inertia_kgm2(model: DriveModel) -> float:
+    """Inertia of all that moves, at the motor's shaft."""
+    advance_m_per_rad = model.bench.pitch_m / (2.0 * math.pi)
+    values = model.parameters
+    rotary = sum(values[name] for name in _INERTIAS)
+    return float(rotary + advance_m_per_rad**2 * values["chain.table_mass_kg"])
 
 
 def _pinned(model: DriveModel, spec: ParameterSpec) -> bool:

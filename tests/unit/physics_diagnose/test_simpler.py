@@ -46,4 +46,6 @@ def test_the_quantity_that_is_off_is_found_alone_with_its_value() -> None:
     assert abs(found[1].value / stated - 1.2) < 0.02
     # Both turn with the screw; only its wind-up tells them apart.
     assert "screw_inertia_kgm2 instead" in found[1].text
+    # A fifth more of the rotor is a tenth more of all that the motor turns and moves.
+    assert "gives 0.91" in found[1].text
     assert found[0].accepted == ()
