@@ -23,6 +23,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
+from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 from pmac_comp.physics.model.resting import first_under_way, resting_torque_Nm
@@ -224,6 +225,7 @@ def _dated_s(captures: Sequence[Capture]) -> list[float | None]:
 def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool) -> Record:
     name = str(capture.attributes.get("name", name))
     _refuse_useless(capture, name)
+    require_positions(capture, bench, name)
     stretch = max(1, round(capture.sample_period_s / bench.servo_period_s))
     period_s = capture.sample_period_s / stretch
     fine = np.arange(stretch * (capture.n - 1) + 1) / stretch

@@ -18,9 +18,11 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, motion_of
 
+_FEWEST = 100  # valid samples that say anything
 _MOVES_m = 2e-4  # less motion than this says nothing about ratios
 _FOLLOWS = (0.7, 1.4)  # motor over command
 _SCALE = 0.01  # table over motor less one: lead error and growth are below 1e-4
+_LAGS_m = 5e-5  # more than friction and a worn nut hold back
 _REPEATED = 0.02  # share of moving samples
 _FLAT = 0.02  # share of samples at the very top of the torque
 _INERTIA = (0.7, 1.6)  # torque per acceleration over what the bench file says
@@ -53,15 +55,45 @@ def require_plausible(captures: Sequence[Capture], bench: Bench) -> None:
     """
     for i, capture in enumerate(captures):
         name = str(capture.attributes.get("motion") or f"capture {i + 1}")
-        if int(capture.mask.sum()) < 100:
+        if int(capture.mask.sum()) < _FEWEST:
             continue
-        _require_fresh_samples(capture, name)
-        _require_motor_follows(capture, bench, name)
-        _require_live_scale(capture, bench, name)
-        _require_table_follows(capture, name)
+        _require_one_axis(capture, bench, name)
         _require_whole_torque(capture, bench, name)
         _require_signs(capture, bench, name)
         _require_counts(capture, bench, name)
+
+
+def require_positions(capture: Capture, bench: Bench, name: str) -> None:
+    """Raise CaptureError where command, motor and table are not positions of one axis.
+
+    Nothing here depends on masses, torque or friction, which a diagnosis may find to be others.
+
+    Parameters
+    ----------
+    capture : Capture
+        Run, of any length; one with few valid samples passes.
+    bench : Bench
+        Its bench.
+    name : str
+        What to call the run.
+
+    Raises
+    ------
+    CaptureError
+        Channel reversed, in other units or counts, or standing still.
+    SampleGap
+        Samples that repeat the ones before.
+    """
+    if int(capture.mask.sum()) >= _FEWEST:
+        _require_one_axis(capture, bench, name)
+        _require_counts(capture, bench, name)
+
+
+def _require_one_axis(capture: Capture, bench: Bench, name: str) -> None:
+    _require_fresh_samples(capture, name)
+    _require_motor_follows(capture, bench, name)
+    _require_live_scale(capture, bench, name)
+    _require_table_follows(capture, name)
 
 
 def _require_fresh_samples(capture: Capture, name: str) -> None:
@@ -178,6 +210,9 @@ def _require_table_follows(capture: Capture, name: str) -> None:
     ratio = _ratio(capture.table_position_m, capture.motor_position_m, capture)
     if ratio is None or abs(ratio - 1.0) < _SCALE:
         return
+    way_m = float(np.ptp(capture.motor_position_m[capture.mask]))
+    if abs(ratio - 1.0) * way_m < _LAGS_m:
+        return  # on a short way backlash and windup are more than a share of it
     if abs(ratio) < 0.05:
         what, hint = "the table does not move with the motor", "Is the scale connected?"
     elif ratio < 0.0:

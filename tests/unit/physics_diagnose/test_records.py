@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.records import prepare
@@ -42,3 +43,45 @@ def test_a_run_that_begins_in_motion_does_not_tell_it(flickering):
     moving = flickering.commanded_position_m + 0.01 * flickering.time_s
     (record,) = prepare([replace(flickering, commanded_position_m=moving)], BENCH, prefix="run")
     assert record.rest_torque_Nm == 0.0
+
+
+@pytest.fixture
+def axis() -> Capture:
+    """A run of 40 mm and back with a table that lags by 3 um, and no torque."""
+    time = BENCH.servo_period_s * np.arange(4000)
+    command = 0.02 * (1.0 - np.cos(4.0 * time))
+    step_m = BENCH.motor_resolution_m
+    motor = step_m * np.round(command / step_m)
+    table = command - 3e-6 * np.sign(np.sin(4.0 * time))
+    return Capture(
+        time_s=time,
+        commanded_position_m=command,
+        motor_position_m=motor,
+        table_position_m=table,
+    )
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "says"),
+    [
+        ("table_position_m", -1.0, "counts against the motor"),
+        ("table_position_m", 2.0, "the table moved 2"),
+        ("motor_position_m", 0.5, "the motor moved 0.5"),
+        ("motor_position_m", -1.0, "moved against the command"),
+    ],
+)
+def test_channels_that_are_no_positions_of_one_axis_are_refused(axis, column, factor, says):
+    prepare([axis], BENCH, prefix="run")
+    wrong = replace(axis, **{column: factor * getattr(axis, column)})
+    with pytest.raises(CaptureError, match=says):
+        prepare([wrong], BENCH, prefix="run")
+
+
+def test_a_worn_nut_on_a_short_way_is_no_wrong_scale(axis):
+    short = replace(
+        axis,
+        commanded_position_m=axis.commanded_position_m / 100.0,
+        motor_position_m=axis.motor_position_m / 100.0,
+        table_position_m=axis.motor_position_m / 100.0 * 0.97,
+    )
+    prepare([short], BENCH, prefix="run")
