@@ -5,6 +5,7 @@ that every command has. Commands sit in one module per group and load the rest o
 ``--help`` stays quick.
 """
 
+import errno
 import signal
 import sys
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import Any
 import typer
 
 from pmac_comp import __version__
-from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError
+from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError, StorageFull
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 _INTERRUPTED = 130
@@ -75,22 +76,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except PmacCompError as error:
         output.show_error(error, wants_json)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        output.say(_interrupted(words))
+    except KeyboardInterrupt as ended:
+        _say_interrupted(words, ended)
         sys.exit(_INTERRUPTED)
     except SystemExit as left:
         if left.code == _INTERRUPTED:  # typer has taken the Ctrl-C and says nothing
-            output.say(_interrupted(words))
+            _say_interrupted(words, left)
         raise
     except BrokenPipeError:
         sys.exit(1)
-    except (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError) as error:
-        refused = _as_refusal(error)
+    except OSError as error:
+        refused = _as_refusal(error) if _is_of_the_user(error) else _as_bug(error)
         output.show_error(refused, wants_json)
         sys.exit(refused.exit_code)
     except Exception as error:
         output.show_error(_as_bug(error), wants_json)
         sys.exit(InternalError.exit_code)
+
+
+def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:
+    """What an interruption left: what holds for the command, then what this one noted."""
+    output.say(_interrupted(words))
+    cause: BaseException | None = ended
+    while cause is not None:
+        for note in getattr(cause, "__notes__", []):
+            output.say(f"  {note}")
+        cause = cause.__cause__ or cause.__context__
 
 
 def _end_in_order() -> None:
@@ -101,8 +112,24 @@ def _end_in_order() -> None:
             signal.signal(number, signal.default_int_handler)
 
 
-def _as_refusal(error: OSError) -> ConfigError:
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_OF_THE_FOLDER = _FULL | {errno.EROFS, errno.ENAMETOOLONG, errno.EFBIG, errno.ELOOP}
+
+
+def _is_of_the_user(error: OSError) -> bool:
+    """Whether a path, a right or a disk is at fault, and not the program."""
+    by_class = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+    return isinstance(error, by_class) or error.errno in _OF_THE_FOLDER
+
+
+def _as_refusal(error: OSError) -> PmacCompError:
     """A file that cannot be used as asked: the user's to settle, not a bug."""
+    if error.errno in _FULL:
+        return StorageFull(
+            f"{error.filename or 'A file'} could not be written: {error.strerror}.",
+            code="PC-CLI-013",
+            hint="Free space or name another folder, and run the command again.",
+        )
     return ConfigError(
         f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.",
         code="PC-CLI-003",

@@ -391,10 +391,11 @@ def improve(
 ) -> None:
     """Diagnose, grow the model, recompute the compensation, upload it and verify.
 
-    Leaves captures, models, both compensations, both verifications and the diagnosis as a page in
-    the folder. Where the grown model is not better, the first compensation is put back.
+    Leaves captures, both models, compensations and verifications in the folder, with a page of the
+    diagnosis and one of what each model's compensation leaves. Where the grown model is not better,
+    the first compensation is put back.
     """
-    from pmac_comp.workflow.improve import improve_on_controller
+    from pmac_comp.workflow.improve import JOURNAL, improve_on_controller
     from pmac_comp.workflow.previews import preview_improvement
 
     if dry_run:
@@ -409,6 +410,17 @@ def improve(
     progress.close()
 
     from pmac_comp.report.diagnosis import write_diagnosis_report
+    from pmac_comp.report.improvement import write_improvement_report
 
-    page = write_diagnosis_report(result.diagnosis, output.checked_target(out / "diagnosis.html"))
-    output.finish_with_report(result.as_result(), result.lines, json_target, page)
+    write_diagnosis_report(result.diagnosis, out / "diagnosis.html")
+    page = write_improvement_report(result, out / "improvement.html")
+
+    def lines() -> list[str]:
+        return [
+            *result.lines(),
+            f"it is {out / f'compensation_{result.kept}.json'}, of the model "
+            f"{out / f'{result.kept}_model.json'}; `pmac-comp remove {url} --bench {bench} "
+            f"--journal {out / JOURNAL}` takes it off",
+        ]
+
+    output.finish_with_report(result.as_result(), lines, json_target, page)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 
@@ -153,7 +153,10 @@ def finish_with_report(
 
 
 def say(text: str) -> None:
-    """One line for people on standard error."""
+    """One line for people on standard error, below a progress line that stands there."""
+    if ProgressLines.is_open:
+        sys.stderr.write("\n")
+        ProgressLines.is_open = False
     sys.stderr.write(safe(text) + "\n")
     sys.stderr.flush()
 
@@ -228,6 +231,8 @@ class ProgressLines:
     step is always shown.
     """
 
+    is_open: ClassVar[bool] = False  # a line stands on the terminal and waits to be rewritten
+
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
         self._terminal = sys.stderr.isatty()
@@ -250,10 +255,12 @@ class ProgressLines:
         share = f" {100.0 * fraction:3.0f} %" if fraction >= 0.0 else ""
         line = f"[{now_s - self._start_s:6.1f} s] {safe(step)}{share}"
         sys.stderr.write(f"\r\x1b[K{line}" if self._terminal else line + "\n")
+        ProgressLines.is_open = self._terminal
         sys.stderr.flush()
 
     def close(self) -> None:
         """End the line that is being rewritten."""
         if self._terminal and self._step and not self._quiet:
             sys.stderr.write("\n")
+            ProgressLines.is_open = False
         self._step = ""

@@ -42,7 +42,12 @@ def convert(
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="Result of verify, demo or identify (JSON)")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            help="Result of verify, demo, identify, compare, improve or diagnose (JSON)"
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="HTML file to write")] = Path("report.html"),
     json_target: JsonOption = "",
 ) -> None:

@@ -9,6 +9,8 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.report.page import Page, Section, Table, write_page
 
 _MOST_DEPTH = 6
+_MOST_SHOWN = 20  # of a list in one cell
+_HINT = "Give the JSON file that verify, demo, identify, compare, improve or diagnose wrote."
 _MARKS = {"kind", "verdict"}  # each result has one of them
 
 
@@ -26,14 +28,13 @@ def report_from_file(source: Path, out: Path) -> Path:
         raise ConfigError(
             f"{source} is not a stored result: {error}.",
             code="PC-REP-001",
-            hint="Give the JSON file that verify, demo, identify or diagnose wrote.",
+            hint=_HINT,
         ) from error
     if not isinstance(data, dict) or not _MARKS & data.keys():
         raise ConfigError(
             f"{source} is JSON, but not a result of this program.",
             code="PC-REP-002",
-            hint="Give the JSON file that verify, demo, identify, compare, improve or diagnose "
-            "wrote.",
+            hint=_HINT,
         )
     simple = {k: v for k, v in data.items() if not isinstance(v, (dict, list))}
     sections = [Section("Result", tables=[Table(("item", "value"), list(simple.items()))])]
@@ -42,7 +43,7 @@ def report_from_file(source: Path, out: Path) -> Path:
         for name, value in data.items()
         if isinstance(value, (dict, list)) and value
     ]
-    simulated = "Simulated controller and drive." if data.get("simulated") else ""
+    simulated = "Simulated controller and drive." if _is_simulated(data) else ""
     page = Page(
         title=str(data.get("kind", data.get("verdict", "result"))).capitalize(),
         subtitle=source.name,
@@ -53,26 +54,51 @@ def report_from_file(source: Path, out: Path) -> Path:
     return write_page(page, out)
 
 
-def _tables(value: Any, depth: int) -> list[Table]:
+def _is_simulated(value: Any) -> bool:
+    """Whether a result, or a part of it, says that it is simulated."""
+    if isinstance(value, dict):
+        return value.get("simulated") is True or any(_is_simulated(v) for v in value.values())
+    return False
+
+
+def _tables(value: Any, depth: int, caption: str = "") -> list[Table]:
+    """Tables of a part of a result: what is nested gets a table of its own under its name."""
     if depth > _MOST_DEPTH:
         return []
     if isinstance(value, list):
-        if all(isinstance(item, dict) for item in value) and value:
-            columns = list(dict.fromkeys(key for item in value for key in item))
-            rows = [[_flat(item.get(key)) for key in columns] for item in value]
-            return [Table(columns, rows)]
-        return [Table(("value",), [(_flat(item),) for item in value])]
+        if value and all(isinstance(item, dict) for item in value):
+            return [_records([_spread(item) for item in value], caption)]
+        return [Table(("value",), [(_flat(item),) for item in value], caption)]
     rows_of: dict[str, Any] = dict(value)
     if rows_of and all(isinstance(v, dict) for v in rows_of.values()):
-        columns = list(dict.fromkeys(key for item in rows_of.values() for key in item))
-        body = [[name, *(_flat(v.get(key)) for key in columns)] for name, v in rows_of.items()]
-        return [Table(("name", *columns), body)]
-    return [Table(("item", "value"), [(k, _flat(v)) for k, v in rows_of.items()])]
+        return [_records([{"name": k, **_spread(v)} for k, v in rows_of.items()], caption)]
+    nested = {k: v for k, v in rows_of.items() if isinstance(v, (dict, list)) and v}
+    simple = [(k, _flat(v)) for k, v in rows_of.items() if k not in nested]
+    tables = [Table(("item", "value"), simple, caption)] if simple else []
+    for name, inner in nested.items():
+        tables += _tables(inner, depth + 1, f"{caption}: {name}" if caption else name)
+    return tables
+
+
+def _records(records: list[dict[str, Any]], caption: str) -> Table:
+    columns = list(dict.fromkeys(key for record in records for key in record))
+    return Table(columns, [[_flat(r.get(key)) for key in columns] for r in records], caption)
+
+
+def _spread(record: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A record with the entries of its nested mappings as columns of their own."""
+    out: dict[str, Any] = {}
+    for key, value in record.items():
+        name = f"{prefix}{key}"
+        out |= _spread(value, f"{name}: ") if isinstance(value, dict) else {name: value}
+    return out
 
 
 def _flat(value: Any) -> Any:
     if isinstance(value, dict):
         return ", ".join(f"{k} {_flat(v)}" for k, v in value.items())
     if isinstance(value, list):
-        return ", ".join(str(_flat(item)) for item in value[:20])
+        shown = ", ".join(str(_flat(item)) for item in value[:_MOST_SHOWN])
+        more = len(value) - _MOST_SHOWN
+        return f"{shown} and {more} more" if more > 0 else shown
     return f"{value:.4g}" if isinstance(value, float) else value

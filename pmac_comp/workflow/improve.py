@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
-_JOURNAL = "journal"
+JOURNAL = "journal"
 _RESULT = "improvement.json"
 _SAME = 0.02  # of an rms: below this two verifications tell nothing apart
 
@@ -75,15 +75,25 @@ class Improvement:
             + ("" if grown is None else f"   grown {grown:6.3f}")
             for name, none, first, grown in self.rows()
         ]
-        return [*out, *self._verdict()]
+        return [*out, *self.judged()]
 
-    def _verdict(self) -> list[str]:
+    def means(self) -> list[tuple[str, float, float]]:
+        """Error, quadratic mean over motions with the first and the grown model, um."""
+        if self.after_growth is None:
+            return []
+        return [
+            (what, of(self.before_growth), of(self.after_growth))
+            for what, of in (("mechanical", _mechanical_um), ("total", _total_um))
+        ]
+
+    def judged(self) -> list[str]:
+        """Whether the error fell, and what is on the controller now."""
         if self.after_growth is None:
             return ["the diagnosis added nothing: the first compensation stays on the controller"]
-        out = []
-        for what, of in (("mechanical", _mechanical_um), ("total", _total_um)):
-            first, grown = of(self.before_growth), of(self.after_growth)
-            out.append(f"  {what} error, quadratic mean: {first:.3f} -> {grown:.3f} um")
+        out = [
+            f"  {what} error, quadratic mean: {first:.3f} -> {grown:.3f} um"
+            for what, first, grown in self.means()
+        ]
         if self.kept == "grown":
             return [*out, "the compensation of the grown model is on the controller"]
         return [*out, "the grown model was not better: the first compensation was put back"]
@@ -154,7 +164,7 @@ def improve_on_controller(
     require_many_motions(route)
     require_new([*_run_paths(out, load_bench(bench)), out / _RESULT], out)
     with open_axis(url, bench) as axis, _told_what_is_left(out), motor_as_found(axis):
-        axis.setup.store = out / _JOURNAL
+        axis.setup.store = out / JOURNAL
         prepare(axis)
         result = improve_axis(
             axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
@@ -224,11 +234,11 @@ def _told_what_is_left(out: Path) -> Iterator[None]:
         yield
     except (PmacCompError, KeyboardInterrupt) as error:
         error.add_note(f"What was measured so far is in {out}.")
-        if (out / _JOURNAL).exists():
+        if (out / JOURNAL).exists():
             error.add_note(
                 f"`pmac-comp status` shows which compensation stands; `pmac-comp recover` settles "
                 f"an interrupted upload and `pmac-comp rollback` takes the last one back, both "
-                f"with --journal {out / _JOURNAL}."
+                f"with --journal {out / JOURNAL}."
             )
         raise
 

@@ -93,3 +93,15 @@ def test_json_file_is_written_whole_into_a_new_folder(tmp_path: Path) -> None:
 )
 def test_several_files_after_one_option_all_belong_to_it(words: str, spelled: str) -> None:
     assert output.spell_out_lists(words.split()) == spelled.split()
+
+
+def test_an_error_begins_on_a_line_of_its_own_below_the_progress(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    progress = output.ProgressLines()
+    progress("writing", 0.3)
+    output.say("error: link lost")
+    output.say("second")
+    shown = capsys.readouterr().err
+    assert shown.endswith(" 30 %\nerror: link lost\nsecond\n")

@@ -24,3 +24,22 @@ def test_a_result_becomes_a_page_with_its_figures(tmp_path: Path, mark: dict[str
     (tmp_path / "r.json").write_text(json.dumps(result), encoding="utf-8")
     page = report_from_file(tmp_path / "r.json", tmp_path / "report.html")
     assert "0.25" in page.read_text(encoding="utf-8")
+
+
+def test_what_is_nested_is_a_table_of_its_own_and_no_line_of_a_page_width(tmp_path: Path) -> None:
+    motion = {"name": "sine", "e_rms_um": {"value": 0.25, "upper95": 0.31}}
+    part = {"simulated": True, "motions": [motion], "remarks": ["warm"]}
+    result = {"kind": "improvement", "first_model": part}
+    (tmp_path / "r.json").write_text(json.dumps(result), encoding="utf-8")
+    page = report_from_file(tmp_path / "r.json", tmp_path / "report.html")
+    text = page.read_text(encoding="utf-8")
+    assert "e_rms_um: upper95" in text
+    assert "value 0.25, upper95" not in text
+    assert "Simulated controller and drive." in text
+
+
+def test_a_list_that_is_cut_says_how_much_is_left_out(tmp_path: Path) -> None:
+    result = {"kind": "run", "residual": {"um": {"values": list(range(30))}}}
+    (tmp_path / "r.json").write_text(json.dumps(result), encoding="utf-8")
+    page = report_from_file(tmp_path / "r.json", tmp_path / "report.html")
+    assert "19 and 10 more" in page.read_text(encoding="utf-8")

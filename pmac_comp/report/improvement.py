@@ -1,0 +1,58 @@
+"""Page of an improvement: what the first and the grown model's compensation leave, side by side."""
+
+from pathlib import Path
+
+from pmac_comp import __version__
+from pmac_comp.report.page import Page, Section, Table, write_page
+from pmac_comp.report.run import MEASURED, SIMULATED
+from pmac_comp.report.verification import verification_sections
+from pmac_comp.workflow.improve import Improvement
+from pmac_comp.workflow.verification import Verification
+
+
+def write_improvement_report(result: Improvement, path: Path) -> Path:
+    """Page of an improvement, beside that of its diagnosis."""
+    first, grown = result.before_growth, result.after_growth
+    sections = [_outcome(result), Section("What the diagnosis said", text=result.diagnosis.lines())]
+    sections += _details("with the compensation of the first model", first)
+    if grown is not None:
+        sections += _details("with the compensation of the grown model", grown)
+    page = Page(
+        title="Improvement: the model grown, the error measured again",
+        subtitle=f"kept: the compensation of the {result.kept} model",
+        notice=SIMULATED if first.simulated else MEASURED,
+        headline=[
+            (f"{before:.2f} → {after:.2f} um", f"{name} error, measured rms, first → grown model")
+            for name, before, after in result.means()
+        ],
+        sections=sections,
+        facts={"pmac-comp": __version__, "sensor floor um rms": first.floor_um},
+    )
+    return write_page(page, path)
+
+
+def _outcome(result: Improvement) -> Section:
+    """What each compensation leaves of the mechanical and the total error, motion by motion."""
+    first, grown = result.before_growth.motions, result.after_growth
+    after = [None] * len(first) if grown is None else [m.total_after.value for m in grown.motions]
+    totals = [
+        (m.name, m.total_before.value, m.total_after.value, of_grown)
+        for m, of_grown in zip(first, after, strict=True)
+    ]
+    columns = ("um rms", "no compensation", "first model", "grown model")
+    return Section(
+        "What was measured",
+        text=[f"{line.strip()[0].upper()}{line.strip()[1:]}." for line in result.judged()],
+        tables=[
+            Table(columns, result.rows(), "Mechanical error, measured"),
+            Table(columns, totals, "Total error at the table, measured"),
+        ],
+    )
+
+
+def _details(name: str, verification: Verification) -> list[Section]:
+    """Tables and figures of one verification, folded."""
+    return [
+        Section(f"{s.title}, {name}", s.text, s.tables, s.figures, open=False)
+        for s in verification_sections(verification)
+    ]

@@ -1,0 +1,75 @@
+"""How the command line ends: full disks are no bugs, interruptions say what was kept."""
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pmac_comp.cli import app
+
+
+def ended(monkeypatch: pytest.MonkeyPatch, error: BaseException, command: str) -> int:
+    """Exit code of a command that ends so."""
+
+    def run(**_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(app, "app", run)
+    with pytest.raises(SystemExit) as left:
+        app.main([command])
+    return int(left.value.code or 0)
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "exit_code"),
+    [
+        (errno.ENOSPC, "PC-CLI-013", 8),
+        (errno.EDQUOT, "PC-CLI-013", 8),
+        (errno.EROFS, "PC-CLI-003", 2),
+        (errno.ENAMETOOLONG, "PC-CLI-003", 2),
+        (errno.ENOENT, "PC-CLI-003", 2),
+        (errno.EBADF, "PC-BUG-001", 70),
+    ],
+)
+def test_a_full_disk_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: int,
+    code: str,
+    exit_code: int,
+) -> None:
+    error = OSError(number, "said so", "page.html")
+    assert ended(monkeypatch, error, "report") == exit_code
+    assert code in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("taken_by", ["nobody", "typer"])
+def test_an_interruption_tells_what_was_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], taken_by: str
+) -> None:
+    error: BaseException = KeyboardInterrupt()
+    error.add_note("3 runs are kept")
+    if taken_by == "typer":
+        taken = SystemExit(130)
+        taken.__context__ = error
+        error = taken
+    assert ended(monkeypatch, error, "verify") == 130
+    shown = capsys.readouterr().err
+    assert "interrupted; the axis was stopped" in shown
+    assert shown.count("3 runs are kept") == 1
+
+
+def test_typer_keeps_the_interruption_behind_its_exit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        error = KeyboardInterrupt()
+        error.add_note("3 runs are kept")
+        raise error
+
+    monkeypatch.setattr("pmac_comp.report.stored.report_from_file", interrupted)
+    with pytest.raises(SystemExit) as left:
+        app.main(["report", str(tmp_path / "x.json")])
+    assert left.value.code == 130
+    assert "3 runs are kept" in capsys.readouterr().err
