@@ -131,7 +131,7 @@ def compute_compensation(
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
     lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-    backlash = lead is not None and has_backlash(lead)
+    backlash = lead is not None and has_backlash(lead, route)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
         known = _require_motion(route, motion)
@@ -150,7 +150,7 @@ def compute_compensation(
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-        backlash = lead is not None and has_backlash(lead)
+        backlash = lead is not None and has_backlash(lead, route)
         law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
 

@@ -19,7 +19,6 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.clearance import settled
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
@@ -140,7 +139,7 @@ def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadM
         moved = evaluate_law(law.without_torque(), r, period).correction_m
         simulated = simulated - moved + evaluate_law(own.without_torque(), r, period).correction_m
     total, expected = table - static - r, signals.table_position_m - r
-    use = settled(capture) if law.gap_half_m > 0.0 else capture.mask
+    use = capture.mask  # with the flank on which a nut with a gap began, as in runs to come
     return _Rest(
         _std_um((measured - simulated)[use]),
         _std_um((total - expected)[use]),

@@ -36,9 +36,9 @@ COMPENSATION = Compensation("table", CompensationLaw(), LEAD, backlash=True)
 
 
 def test_only_a_difference_above_noise_and_size_is_worth_a_table() -> None:
-    assert has_backlash(LEAD)
-    assert not has_backlash(replace(LEAD, noise_m=3e-6))
-    assert not has_backlash(replace(LEAD, reversal_m=0.01 * LEAD.reversal_m))
+    assert has_backlash(LEAD, "table")
+    assert not has_backlash(replace(LEAD, noise_m=3e-6), "table")
+    assert not has_backlash(replace(LEAD, reversal_m=0.01 * LEAD.reversal_m), "table")
 
 
 def test_the_tables_together_take_both_directions_away() -> None:
@@ -113,7 +113,7 @@ def test_a_law_loaded_with_the_loop_open_waits_for_its_sign(axis: Axis, tmp_path
     axis.kill()
     notes = deploy(axis, Compensation("law", law), context).notes
     assert not any("sign measured" in note for note in notes)
-    assert any("loaded and disarmed" in note for note in notes)
+    assert any("loaded and not armed" in note for note in notes)
     (said,) = measured_sign(axis, context, Compensation("law", law))
     assert "sign measured" in said
 
@@ -165,6 +165,6 @@ def test_slow_runs_of_a_part_of_the_travel_are_refused_or_said() -> None:
 def test_only_the_route_table_leaves_friction_to_the_backlash_table(route: str) -> None:
     law = CompensationLaw(coulomb_m=1.5e-6, breakaway_m=1e-6)
     run = slow_run(0.2995)
-    assert has_backlash(static_map(BENCH, "table", [run], law, Limit.REFUSE))
+    assert has_backlash(static_map(BENCH, "table", [run], law, Limit.REFUSE), "table")
     # The law takes 1.5 um on each side away: the 3 um of the run are all friction.
-    assert not has_backlash(static_map(BENCH, route, [run], law, Limit.REFUSE))
+    assert not has_backlash(static_map(BENCH, route, [run], law, Limit.REFUSE), route)
