@@ -101,7 +101,11 @@ def render_cam(compensation: Compensation, bench: Bench) -> Cam:
     """
     position, correction = compensation.motion_position_m, compensation.motion_correction_m
     if position is None or correction is None:
-        raise ConfigError("The compensation holds no motion.", code="PC-DEP-051")
+        raise ConfigError(
+            "The compensation holds no motion.",
+            code="PC-DEP-051",
+            hint="Run `pmac-comp compensate --route cam --command MOTION` again.",
+        )
     time_s = np.arange(position.size, dtype=np.float64) * bench.servo_period_s
     known = Motion("compensated motion", Trajectory(time_s, position))
     check_motion(known, bench)

@@ -37,7 +37,7 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
@@ -82,11 +82,16 @@ def context_of(axis: Axis, store: Path | None = None, progress: Progress | None 
 
 @dataclass(frozen=True)
 class Deployment:
-    """What an upload of a compensation did, part by part."""
+    """What an upload of a compensation did, part by part.
+
+    ``acts`` is False where a law was loaded for ``motor`` without being armed: its loop is open.
+    """
 
     verdict: ControllerState
     parts: tuple[UploadResult, ...]
     notes: tuple[str, ...] = ()
+    motor: int = 0
+    acts: bool = True
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
@@ -102,8 +107,11 @@ class Deployment:
 def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployment:
     """Upload all parts of a compensation and switch it on.
 
-    The lead table goes first, then the law into the idle bank; the gain ramps up at the end.
+    The lead table goes first, then the law into the idle bank; the gain ramps up at the end. What
+    forbids the route is raised before the first of them.
     """
+    with untouched():
+        raise_all(route_refusals(axis, context, compensation), "The upload")
     with grouped(axis.link, context, compensation.route) as parts_context:
         return _deploy_parts(axis, compensation, parts_context)
 
@@ -111,9 +119,9 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> Deployment:
     parts: list[UploadResult] = []
     notes: list[str] = []
+    acts = True
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
-    raise_all(double_corrections(axis, context, compensation), "The upload")
     if tables:
         notes += law_install.install_guard(axis.link, context)
     _set_take_up(axis, context, tables)
@@ -136,23 +144,41 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         law_install.require_open_servo(axis.link, context, axis.motor)
     if compensation.route in TORQUE_ROUTES:
         parameters = law_parameters(compensation.law, axis.scales)
-        # The same length through two roundings must not pass the limit by a bit.
-        clamp = min(
-            compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct,
-            context.limits.max_correction_ct,
-        )
+        clamp = _clamp_ct(axis, context, compensation)
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
             law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")
         else:
-            notes.append(
-                "the law is loaded and disarmed: the loop is open; enable the motor and upload "
-                "again to arm it"
-            )
+            acts = False
+            notes.append("the law is loaded and not armed: the motor's loop is open")
     if compensation.route == "program":
         parts.append(deploy_motion(axis, compensation, context))
-    return Deployment(ControllerState.NEW, tuple(parts), tuple(notes))
+    return Deployment(ControllerState.NEW, tuple(parts), tuple(notes), axis.motor, acts)
+
+
+def _clamp_ct(axis: Axis, context: Context, compensation: Compensation) -> float:
+    # The same length through two roundings must not pass the limit by a bit.
+    return min(
+        compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct,
+        context.limits.max_correction_ct,
+    )
+
+
+def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> list[SafetyRefusal]:
+    """What forbids a route beside its tables, all of it before anything is changed."""
+    link, route = axis.link, compensation.route
+    refusals = double_corrections(axis, context, compensation)
+    if route == "law":
+        every = compensation.law.every_cycles
+        refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)
+    if route == "servo":
+        refusals += law_install.servo_refusals(link, context, axis.motor)
+    if route in TORQUE_ROUTES:
+        parameters = law_parameters(compensation.law, axis.scales)
+        clamp = _clamp_ct(axis, context, compensation)
+        refusals += law_upload.standing_refusals(link, context, parameters, clamp)
+    return refusals
 
 
 def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
@@ -212,7 +238,8 @@ def double_corrections(
             SafetyRefusal(
                 f"Motor #{number} has a cam on this axis: its motion would be corrected twice.",
                 code="PC-DEP-061",
-                hint="Take the cam back first: `pmac-comp rollback`.",
+                hint="Take the cam back first: `pmac-comp rollback`, or `pmac-comp remove` where "
+                "it was put on before the last upload.",
             )
         )
     return refusals
@@ -285,7 +312,11 @@ def check_law_on_card(
     bank = law_state.read_bank(axis.link, context.block, head.bank)
     wanted = law_parameters(compensation.law, axis.scales)
     if bank is None or bank.digest != wanted.digest:
-        raise VerifyMismatch("The card holds another law.", code="PC-DEP-030")
+        raise VerifyMismatch(
+            "The card holds another law.",
+            code="PC-DEP-030",
+            hint="Upload this compensation first.",
+        )
     clamp = compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct
     there = evaluate(bank, position_m / axis.scales.motor_m_per_ct, clamp_ct=clamp)
     here = evaluate_law(compensation.law, position_m, axis.scales.period_s)

@@ -66,6 +66,8 @@ def check_motion(motion: Motion, bench: Bench) -> None:
                 f"{t.position_m.max() * 1e3:.1f} mm, the travel is {low * 1e3:g} to "
                 f"{high * 1e3:g} mm.",
                 code="PC-MOV-001",
+                hint="Choose another centre or a shorter motion; the travel is [travel] of the "
+                "bench file.",
             )
         )
     for value, limit, what, unit in (
@@ -77,6 +79,7 @@ def check_motion(motion: Motion, bench: Bench) -> None:
                 AmplitudeExceeded(
                     f"{motion.name}: {what} {value:.4g} {unit}, the limit is {limit:g} {unit}.",
                     code="PC-MOV-002",
+                    hint="Choose a slower motion; the limits are [safety] of the bench file.",
                 )
             )
     if refusals:

@@ -84,7 +84,11 @@ def draw_motion(compensation: Compensation, bench: Bench) -> DrawnMotion:
     motion = motion_of(compensation, bench)
     correction = compensation.motion_correction_m
     if correction is None:
-        raise ConfigError("The compensation holds no correction.", code="PC-DEP-051")
+        raise ConfigError(
+            "The compensation holds no correction.",
+            code="PC-DEP-051",
+            hint="Run `pmac-comp compensate --route program --command MOTION` again.",
+        )
     drawn = with_offset(motion, correction)
     check_motion(drawn, bench)
     pvt = pvt_program(drawn, bench)

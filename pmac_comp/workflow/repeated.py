@@ -184,7 +184,11 @@ def refine_motion(
         capture = run_with_offset(axis, motion, offset, progress)
         table = capture.table_position_m
         if table is None:
-            raise ConfigError("Learning needs a scale at the table.", code="PC-REF-001")
+            raise ConfigError(
+                "Learning needs a scale at the table.",
+                code="PC-REF-001",
+                hint="Leave --refine out, or state the scale in [scale] of the bench file.",
+            )
         return on_motion_grid(motion, capture, table - capture.commanded_position_m)
 
     switch(axis, context, compensation, on=False)

@@ -103,7 +103,11 @@ def ringing_of(
 def ringing_signal(capture: Capture, lowest_Hz: float) -> FloatArray:
     """Total error above a frequency in m, shape (n,), without shift in time."""
     if capture.table_position_m is None:
-        raise CaptureError("The capture has no table position.", code="PC-RNG-002")
+        raise CaptureError(
+            "The capture has no table position.",
+            code="PC-RNG-002",
+            hint="Ringing at the table is seen by a scale only; state it in [scale].",
+        )
     total = capture.table_position_m - capture.commanded_position_m
     sos = butter(4, lowest_Hz, btype="highpass", fs=1.0 / capture.sample_period_s, output="sos")
     return np.asarray(sosfiltfilt(sos, total - total[0]))

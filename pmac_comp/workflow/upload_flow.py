@@ -4,6 +4,7 @@ What lives here: which parts are asked in which order, and the words for people.
 transactions (``machine.controller``), what is written (``deploy``).
 """
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,10 +18,8 @@ from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
-from pmac_comp.workflow.compensation_file import (
-    read_compensation,
-)
-from pmac_comp.workflow.deploy import Progress, context_of, deploy, stand_at_zero
+from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy, stand_at_zero
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
 
@@ -60,14 +59,46 @@ def upload_file(
         if persist:
             _save(axis, context, compensation.route)
             said.append(f"motor #{axis.motor} was killed, all of it saved to flash and read again")
-    again = "" if journal == DEFAULT_JOURNAL else f" --journal {journal}"
     return {
         **deployment.as_result(),
         "saved": persist,
         "summary": "; ".join(said),
-        "next": f"Check it: pmac-comp verify {url} --bench {bench} --compensation {new}\n"
-        f"Take it back: pmac-comp rollback {url} --bench {bench}{again}",
+        "next": "\n".join(next_steps(url, bench, new, journal, compensation, deployment)),
     }
+
+
+def next_steps(
+    url: str,
+    bench: str,
+    new: Path,
+    journal: Path,
+    compensation: Compensation,
+    deployment: Deployment,
+) -> Iterator[str]:
+    """Commands that may follow an upload, ready to be run."""
+    where = f"{shlex.quote(url)} --bench {shlex.quote(bench)}"
+    again = "" if journal == DEFAULT_JOURNAL else f" --journal {shlex.quote(str(journal))}"
+    file = shlex.quote(str(new))
+    if not deployment.acts:
+        yield (
+            "Arm it: enable the motor "
+            f"(pmac-comp terminal {shlex.quote(url)} -c '#{deployment.motor}J/'), then "
+            f"pmac-comp upload {where} {file}{again}"
+        )
+    model = _model_of(new, compensation)
+    promise = f" --model {shlex.quote(model)}" if model else ""
+    yield f"Check it: pmac-comp verify {where} --compensation {file}{promise}"
+    yield f"Take it back: pmac-comp rollback {where}{again}"
+
+
+def _model_of(new: Path, compensation: Compensation) -> str:
+    """The model that a compensation was computed from, for the promise; empty if unknown.
+
+    A compensation knows its name only: looked for beside the file first.
+    """
+    name = Path(str(compensation.law.provenance.get("model", ""))).name
+    beside = new.parent / name
+    return str(beside) if name and beside.is_file() else name
 
 
 def _save(

@@ -24,8 +24,8 @@ from pmac_comp.workflow.commissioning import reference_remarks
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,
-    double_corrections,
     program_lines,
+    route_refusals,
     stale_tables,
 )
 from pmac_comp.workflow.difference import Difference, difference_on
@@ -93,9 +93,7 @@ def preview(
     """Preview on a connected axis."""
     lines: list[str] = []
     refusals = waiting_refusals(axis.link, context)
-    refusals += double_corrections(axis, context, compensation)
-    if compensation.route == "law":
-        refusals += law_install.owner_refusals(axis.link, context, axis.motor)
+    refusals += route_refusals(axis, context, compensation)
     change = difference_on(axis, context, compensation)
     text = [f"plan for {url}, route {compensation.route}:"]
     text += [f"  {line}" for line in change.lines()]
@@ -130,6 +128,7 @@ def preview(
     ]
     text += [f"  {remark}" for remark in reference_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
+    refusals = list({refusal.message: refusal for refusal in refusals}.values())
     text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(
         url, compensation.route, tuple(text), tuple(lines), tuple(refusals), change

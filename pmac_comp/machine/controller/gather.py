@@ -119,7 +119,10 @@ def read_ram(link: Link, plan: GatherPlan, n_samples: int) -> GatherResult:
     stored = _stored(link, plan)
     if stored < n_samples:
         raise CaptureError(
-            f"{n_samples} samples were asked for, the card stored {stored}.", code="PC-GAT-011"
+            f"{n_samples} samples were asked for, the card stored {stored}.",
+            code="PC-GAT-011",
+            hint="The buffer is full, or something else ended gathering: shorten the motion, "
+            "gather every second cycle, or close the other program.",
         )
     blocks = []
     wanted = n_samples * plan.layout.long_words
@@ -216,6 +219,7 @@ class RingReader:
             raise CaptureError(
                 f"The gather pointer says {pointer}, the ring has {self.plan.cells} cells.",
                 code="PC-GAT-012",
+                hint="Another program has set gathering up anew; close it and capture again.",
             )
         return pointer % self.plan.cells // self.plan.layout.words
 

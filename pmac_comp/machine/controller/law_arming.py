@@ -14,7 +14,7 @@ from pmac_comp.machine.controller.law_state import (
     read_law_head,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import read_motor
+from pmac_comp.machine.controller.motors import read_motor, require_stationary
 from pmac_comp.machine.controller.numbers import parse_integer, plain
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.variables import write_many
@@ -27,6 +27,8 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
     ------
     TableStateError
         No algorithm runs, or the bank in use is not sealed.
+    MotorNotSafe
+        The loop is open, or the motor moves: a correction grows in beside a motion.
     ReplyTimeout
         The gain did not arrive (loop open, heartbeat lost).
     """
@@ -54,6 +56,8 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
             hint=f"Enable it (`pmac-comp terminal URL -c '#{head.motor}J/'`) and upload again.",
             left=ControllerState.DISABLED,
         )
+    if head.target != gain:
+        require_stationary(link, [head.motor])
     return _ramp(link, context, gain, timeout_s)
 
 

@@ -13,7 +13,6 @@ from pmac_comp.base.errors import (
     ControllerState,
     MotorNotSafe,
     SafetyRefusal,
-    TableStateError,
     VerifyMismatch,
 )
 from pmac_comp.files.resources import firmware_path
@@ -39,6 +38,7 @@ from pmac_comp.machine.controller.law_state import (
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
@@ -119,7 +119,11 @@ def install_law(
         head = read_law_head(link, context.block)
         found = _standing(link, motor)
         goal, done = _missing(link, context, motor, head, found, ramp_s, every_cycles)
-        if goal.is_empty and is_running(link, context.block, context.servo_period_s) is LawForm.PLC:
+        if (
+            goal.is_empty
+            and not _in_open_servo(link, motor)
+            and is_running(link, context.block, context.servo_period_s) is LawForm.PLC
+        ):
             return done
         refusals = _refusals(link, motor, head, goal) + _owners(context, motor, found)
     with SettingsUpload(link, context, goal, route="law", refusals=refusals) as upload:
@@ -262,19 +266,14 @@ def _following(motor: int) -> dict[str, str]:
 
 
 def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
-    found: list[SafetyRefusal] = degree_refusals(link)
-    if int(read_one(link, f"I{motor}59")) & 1:
-        found.append(
-            MotorNotSafe(
-                f"The open servo has the law already (I{motor}59 = 1): PLC 0 would correct twice.",
-                code="PC-LAW-032",
-                hint=f"Use --route servo, or set I{motor}59 = 0 with the motor killed.",
-            )
-        )
+    found = degree_refusals(link) + _in_open_servo(link, motor)
     if head.form is not LawForm.NONE and abs(head.gain) > GAIN_TOLERANCE:
         found.append(
             MotorNotSafe(
-                "A law is armed; disarm it before its program is replaced.", code="PC-LAW-021"
+                "A law is armed, and its program or settings would be replaced under it.",
+                code="PC-LAW-021",
+                hint="Take that law off first: `pmac-comp remove`, or `pmac-comp rollback` where "
+                "the last upload put it on.",
             )
         )
     word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
@@ -289,10 +288,28 @@ def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[Saf
     return found + motion_refusals(link, [motor])
 
 
-def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefusal]:
-    """What belongs to somebody else where the law would go; nothing is changed."""
+def _in_open_servo(link: Link, motor: int) -> list[SafetyRefusal]:
+    if not int(read_one(link, f"I{motor}59")) & 1:
+        return []
+    return [
+        MotorNotSafe(
+            f"The open servo has the law already (I{motor}59 = 1): PLC 0 would correct twice.",
+            code="PC-LAW-032",
+            hint=f"Use --route servo, or set I{motor}59 = 0 with the motor killed.",
+        )
+    ]
+
+
+def law_refusals(
+    link: Link, context: Context, motor: int, *, every_cycles: int = 1
+) -> list[SafetyRefusal]:
+    """All that forbids ``install_law`` now; nothing is changed."""
     with untouched():
-        return _owners(context, motor, _standing(link, motor))
+        head, found = read_law_head(link, context.block), _standing(link, motor)
+        goal, _ = _missing(link, context, motor, head, found, DEFAULT_RAMP_s, every_cycles)
+        if goal.is_empty:  # law and guard stand already: they stay
+            return degree_refusals(link) + _in_open_servo(link, motor)
+        return _refusals(link, motor, head, goal) + _owners(context, motor, found)
 
 
 def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal]:
@@ -363,6 +380,21 @@ def _head_values(link: Link, context: Context, motor: int, ramp_s: float) -> dic
     )
 
 
+def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefusal]:
+    """All that forbids the route ``servo`` and can be read; nothing is changed.
+
+    A servo that never ran for this motor gives no signature before its head is set up: whether it
+    runs then is proved by ``require_open_servo``.
+    """
+    with untouched():
+        mode, head = int(read_one(link, f"I{motor}59")), read_law_head(link, context.block)
+        found = degree_refusals(link) + (_armed(head) if head.form is LawForm.PLC else [])
+        silent = head.motor == motor and head.form is LawForm.NONE
+        if not mode & 1 or silent:
+            found.append(_no_servo(context, motor, mode))
+        return found
+
+
 def require_open_servo(
     link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
 ) -> None:
@@ -373,15 +405,12 @@ def require_open_servo(
 
     Raises
     ------
-    TableStateError
-        No signature: says what to do.
-    MotorNotSafe
-        A law is armed in PLC 0, or the block must be set up while the motor moves.
+    SafetyRefusal
+        No open servo: says what to do. Or a law is armed in PLC 0, or the block must be set up
+        while the motor moves.
     """
+    raise_all(servo_refusals(link, context, motor), "The route servo")
     with untouched():
-        mode = int(read_one(link, f"I{motor}59"))
-        if not mode & 1:
-            raise _no_servo(context, motor, mode)
         head = read_law_head(link, context.block)
     if head.motor != motor or head.slew == 0.0 or head.form is LawForm.PLC:
         values = _head_values(link, context, motor, ramp_s)
@@ -393,17 +422,24 @@ def require_open_servo(
             upload.finish()
     with untouched():
         if is_running(link, context.block, context.servo_period_s) is not LawForm.SERVO:
-            raise _no_servo(context, motor, mode)
+            raise _no_servo(context, motor, int(read_one(link, f"I{motor}59")))
 
 
 def _armed(head: LawHead) -> list[SafetyRefusal]:
     if head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE:
         return []
-    return [MotorNotSafe("A law is armed; disarm it first.", code="PC-LAW-021")]
+    return [
+        MotorNotSafe(
+            "A law is armed in PLC 0; the open servo would correct a second time.",
+            code="PC-LAW-021",
+            hint="Take that law off first: `pmac-comp remove`, or `pmac-comp rollback` where the "
+            "last upload put it on.",
+        )
+    ]
 
 
-def _no_servo(context: Context, motor: int, mode: int) -> TableStateError:
-    return TableStateError(
+def _no_servo(context: Context, motor: int, mode: int) -> SafetyRefusal:
+    return SafetyRefusal(
         f"The open servo does not run for motor #{motor} "
         f"(I{motor}59 = {mode}, no signature {SIGNATURE_SERVO} in P{context.block.p(0)}).",
         code="PC-LAW-024",

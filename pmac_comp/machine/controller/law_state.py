@@ -153,7 +153,7 @@ def degree_refusals(link: Link) -> list[SafetyRefusal]:
     return [
         SafetyRefusal(
             "I15 = 1: sines are taken in radians on this card, the law is in degrees.",
-            code="PC-LAW-036",
+            code="PC-LAW-041",
             hint="Ask who needs radians here; if nobody does, set I15 = 0.",
         )
     ]

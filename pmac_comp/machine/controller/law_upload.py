@@ -132,6 +132,7 @@ def upload_law(
                 "The bank in use holds something else: the controller was reset meanwhile, or "
                 "somebody wrote to it.",
                 code="PC-LAW-036",
+                hint="Find out which, then run `pmac-comp recover` and upload again.",
             )
         context.progress("write", 3, 3)
         change.finish(ControllerState.NEW)
@@ -155,6 +156,28 @@ def _settled(change: Change, old: LawBackup, new: LawParameters) -> ControllerSt
     return state
 
 
+def standing_refusals(
+    link: Link, context: Context, new: LawParameters, clamp_ct: float
+) -> list[SafetyRefusal]:
+    """What forbids a law wherever the axis stands; for a plan, nothing is changed."""
+    head = read_law_head(link, context.block)
+    return check_law(new, clamp_ct, context.limits) + _clamp_refusals(head, clamp_ct)
+
+
+def _clamp_refusals(head: LawHead, clamp_ct: float) -> list[SafetyRefusal]:
+    if same_value(clamp_ct, head.clamp_ct) or not head.is_armed:
+        return []
+    return [
+        MotorNotSafe(
+            f"The clamp of the law ({head.clamp_ct:.6g} counts now, {clamp_ct:.6g} then) can only "
+            "change while the law is disarmed.",
+            code="PC-LAW-025",
+            hint="Take the law off first: `pmac-comp remove`, or `pmac-comp rollback` where the "
+            "last upload put it on.",
+        )
+    ]
+
+
 def _refusals(
     link: Link,
     context: Context,
@@ -167,10 +190,7 @@ def _refusals(
     refusals += [*lease_refusals(link, context), *degree_refusals(link)]
     if head.motor:
         refusals += motion_refusals(link, [head.motor])
-    if not same_value(clamp_ct, head.clamp_ct) and head.is_armed:
-        refusals.append(
-            MotorNotSafe("The clamp can only change while the law is disarmed.", code="PC-LAW-025")
-        )
+    refusals += _clamp_refusals(head, clamp_ct)
     step_ct = predicted_step_ct(head, old, new)
     if abs(step_ct) > context.limits.max_step_ct:
         refusals.append(
@@ -206,7 +226,13 @@ def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParamete
 
 
 def _require_ours(link: Link, context: Context, before: LawHead) -> None:
-    """Nobody took the lease or another bank meanwhile; raises ForeignChange."""
+    """The motor still stands, and nobody took the lease or another bank meanwhile.
+
+    Raises
+    ------
+    MotorNotSafe, ForeignChange
+        It does not; the old law is in use.
+    """
     raise_all(lease_refusals(link, context), "The law")
     first = context.block.p(Index.LEASE)
     owner = int(float(link.query(f"P{first}")[0]))
@@ -217,6 +243,8 @@ def _require_ours(link: Link, context: Context, before: LawHead) -> None:
             code="PC-LAW-034",
             hint="Find out who writes to this controller, then run `pmac-comp recover`.",
         )
+    if before.motor:  # last: nothing lies between this look and the change-over
+        raise_all(motion_refusals(link, [before.motor]), "The law")
 
 
 def _set_clamp(link: Link, block: LawBlock, clamp_ct: float, present_ct: float) -> None:
@@ -245,7 +273,12 @@ def fill_bank(link: Link, block: LawBlock, bank: int, parameters: LawParameters)
     link.command(f"P{first + BankIndex.SEALED}={int(values[BankIndex.SEALED])}")
     found = LawParameters.from_values(read_range(link, "P", first, first + BANK_SIZE - 1))
     if found != parameters:
-        raise VerifyMismatch("The sealed bank holds another law.", code="PC-LAW-026")
+        raise VerifyMismatch(
+            "The sealed bank holds another law than was written.",
+            code="PC-LAW-026",
+            hint="Something else writes the P-variables of p_block; the law in use was not "
+            "touched. Find it, or choose another p_block in the bench file.",
+        )
 
 
 def change_over(link: Link, context: Context, bank: int) -> None:
@@ -263,7 +296,12 @@ def change_over(link: Link, context: Context, bank: int) -> None:
     while True:
         head = read_law_head(link, block)
         if head.bank != bank:
-            raise VerifyMismatch(f"The bank index is {head.bank} after writing {bank}.")
+            raise VerifyMismatch(
+                f"The bank index is {head.bank} after writing {bank}.",
+                code="PC-LAW-042",
+                hint=f"Something else writes P{block.p(Index.BANK)}: find it, then run "
+                "`pmac-comp recover`.",
+            )
         if head.bank_in_use in {None, bank}:
             return
         if deadline.expired():
@@ -369,7 +407,11 @@ def read_law_backup(path: Path) -> LawBackup:
     data = read_sealed_json(path)
     values = data.get("values")
     if data.get("kind") != "law":
-        raise ConfigError(f"{path} is no backup of a law.", code="PC-LAW-035")
+        raise ConfigError(
+            f"{path} is no backup of a law.",
+            code="PC-LAW-035",
+            hint="The folder of journals was changed by hand; name the right one with --journal.",
+        )
     law = None
     if isinstance(values, list):
         law = LawParameters.from_values([float(v) for v in values])

@@ -171,6 +171,7 @@ def take_lease(
         raise ForeignChange(
             "Somebody else took the lease at the same moment.",
             code="PC-TXN-003",
+            hint="`pmac-comp status URL` says who holds it; wait until that is done.",
             left=ControllerState.OLD,
         )
     return lease, last

@@ -4,8 +4,10 @@ What a kind does to the controller lives with it (``table_recovery``, ``law_uplo
 ``settings_upload``); tables alone are settled by their manifest, in ``table_recovery``.
 """
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from pmac_comp.base.errors import ControllerState, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
@@ -34,6 +36,9 @@ from pmac_comp.machine.controller.transaction import (
     is_temporary,
     journals,
 )
+from pmac_comp.machine.controller.upload_checks import motion_refusals
+
+_OF_MOTOR: Final = re.compile(r"I([1-9]|[12]\d|3[0-2])\d\d")  # Ixx00 to Ixx99
 
 
 @dataclass(frozen=True)
@@ -157,9 +162,20 @@ _LAW_REASONS = {
 def settle(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
     """Bring an interrupted law or settings to OLD or NEW and close the journal."""
     with host_lock(context):
+        _require_rest(link, context, part)
         if part.kind is ChangeKind.LAW:
             return _settle_law(link, context, part, resume=resume)
         return _settle_settings(link, context, part, resume=resume)
+
+
+def _require_rest(link: Link, context: Context, part: Part) -> None:
+    """A law or the settings of a motor are not changed while it moves; raises MotorNotSafe."""
+    new = part.new_settings if part.kind is ChangeKind.SETTINGS else Settings()
+    motors = {int(found[1]) for name in new.variables if (found := _OF_MOTOR.fullmatch(name))}
+    if part.kind is ChangeKind.LAW or (ProgramKind.PLC, 0) in new.programs:
+        motors |= {read_law_head(link, context.block).motor} - {0}
+    if motors:
+        raise_all(motion_refusals(link, sorted(motors)), "Writing back what stood before")
 
 
 def _settle_law(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
@@ -210,6 +226,7 @@ def take_back(link: Link, context: Context, part: Part) -> str:
         return "the old tables are back"
     if part.kind is ChangeKind.LAW:
         with host_lock(context):
+            _require_rest(link, context, part)
             restore_law(link, context, read_law_backup(backup))
         return "the old law is back"
     settle(link, context, part, resume=False)

@@ -131,7 +131,9 @@ def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterat
         yield
     except KeyboardInterrupt as stop:
         error = ChangeInterrupted(
-            "Stopped on request between the parts of the upload.", code="PC-REC-002"
+            "Stopped on request between the parts of the upload.",
+            code="PC-REC-002",
+            hint="The parts before were taken back; `pmac-comp status` shows what stands.",
         )
         _take_back_after(link, context, group, error)
         raise error from stop
@@ -240,13 +242,13 @@ def last_change(context: Context) -> str:
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
-    foreign = _is_foreign(link, context)
-    if foreign and waiting(context):
-        raise _changed_elsewhere(foreign)
+    since = _number_since_ours(link, context)
+    if since and waiting(context):
+        raise _changed_elsewhere(since)
     if elsewhere := open_elsewhere(link, context):
         raise begun_elsewhere(elsewhere)
     # What a measurement borrowed is given back if nobody else has written it since.
-    notes = list(take_off(link, context, whatever_stands=not foreign))
+    notes = list(take_off(link, context, whatever_stands=not since))
     torn = _torn_groups(context)
     for group in reversed(torn):
         notes += _take_group_back(link, context, group)
@@ -278,7 +280,7 @@ def waiting(context: Context) -> list[Journal]:
     return [part.journal for part in (*parts, *unsettled(context))]
 
 
-def _is_foreign(link: Link, context: Context) -> int:
+def _number_since_ours(link: Link, context: Context) -> int:
     """Number of a change that another folder or host made since ours, 0 for none.
 
     Otherwise a change of this folder was the last, or, after a reset, the number on the controller
@@ -362,9 +364,9 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take an upload back; an error says of all of it what stands, not of one part."""
     try:
         _refuse_newer(context, group)
-        foreign = _is_foreign(link, context)
-        if foreign:
-            raise _changed_elsewhere(foreign)
+        since = _number_since_ours(link, context)
+        if since:
+            raise _changed_elsewhere(since)
         notes = _take_group_back(link, context, group)
         _end(link, context)
     except PmacCompError as error:

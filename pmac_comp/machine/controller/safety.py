@@ -184,6 +184,8 @@ def check_law(
                 f"A clamp of {limits.text_um(clamp_ct)} is outside 0 .. "
                 f"{limits.text_um(limits.max_correction_ct)}.",
                 code="PC-SAF-005",
+                hint="Compute the compensation again with this bench file: its clamp is [safety] "
+                "max_correction_um.",
             )
         )
     if position_ct is not None:

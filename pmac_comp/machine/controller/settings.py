@@ -99,7 +99,11 @@ class Settings:
                 frozenset(int(n) for n in item["running"]),
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(f"Stored settings are not understood: {error}.") from error
+            raise ConfigError(
+                f"Stored settings are not understood: {error}.",
+                code="PC-SET-003",
+                hint="The file is damaged or of another version; use another backup.",
+            ) from error
 
 
 def read_settings(link: Link, like: Settings, *, between: Between = quiet) -> Settings:

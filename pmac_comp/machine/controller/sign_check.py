@@ -89,9 +89,19 @@ def check_master_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> Sig
     names = [f"I{motor}{k:02d}" for k in (5, 6, 7, 8)]
     source, mode, ixx07, ixx08 = read_many(link, names).values()
     if int(source) != MASTER_WORD_ADDRESS or int(mode) != 3:
-        raise MotorNotSafe("The motor does not follow the master word.", code="PC-SGN-002")
+        raise MotorNotSafe(
+            f"Motor #{motor} does not follow the master word "
+            f"(I{motor}05 = {int(source)}, I{motor}06 = {int(mode)}).",
+            code="PC-SGN-002",
+            hint="Somebody changed the following that the law set up; upload again.",
+        )
     if parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0]) != 0:
-        raise MotorNotSafe("The master word is not zero.", code="PC-SGN-003")
+        raise MotorNotSafe(
+            "The master word is not zero.",
+            code="PC-SGN-003",
+            hint="Something else writes it, or a correction was left there: clear it with the "
+            f"motor killed (WX${MASTER_WORD_ADDRESS:X},0).",
+        )
     unit = 32.0 * ixx08 / ixx07
 
     def put(value_ct: float) -> None:
@@ -104,7 +114,11 @@ def _measure(
     link: Link, motor: int, offset_ct: float, put: Callable[[float], None], door: str
 ) -> SignResult:
     if not read_motor(link, motor).status.is_closed_loop:
-        raise MotorNotSafe(f"Motor #{motor} is not in closed loop.", code="PC-SGN-004")
+        raise MotorNotSafe(
+            f"Motor #{motor} is not in closed loop.",
+            code="PC-SGN-004",
+            hint=f"Enable it (`pmac-comp terminal URL -c '#{motor}J/'`) and run the command again.",
+        )
     require_stationary(link, [motor])
     before = _positions(link, motor)
     try:

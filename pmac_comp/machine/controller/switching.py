@@ -47,7 +47,12 @@ def switch_tables(link: Link, value: int, motors: Sequence[int]) -> Standstill |
             f"I51={value} was answered with {len(lines)} lines.", code="PC-UPL-003"
         )
     if int(read_number(lines[n])) != value:
-        raise VerifyMismatch(f"I51 is {lines[n]} after I51={value}.", code="PC-UPL-003")
+        raise VerifyMismatch(
+            f"I51 is {lines[n]} after I51={value}.",
+            code="PC-UPL-003",
+            hint="Something on the controller writes I51: a PLC or another client. Find it, then "
+            "run `pmac-comp recover`.",
+        )
     readings = parse_readings(motors, lines[n + 1 :]) if few else {}
     after = [r.status for r in readings.values()] if few else map(MotorStatus.parse, lines[n + 1 :])
     words = [*map(MotorStatus.parse, lines[:n]), *after]

@@ -62,7 +62,11 @@ def table_from_json(data: object) -> Table:
                 by_desired=bool(item["by_desired"]),
             )
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"A stored table is not understood: {error}.") from error
+        raise ConfigError(
+            f"A stored table is not understood: {error}.",
+            code="PC-UPL-017",
+            hint="The file is damaged or of another version; use another backup.",
+        ) from error
     return BacklashTable(*common) if kind is TableKind.BLCOMP else TorqueTable(*common)
 
 
@@ -71,5 +75,9 @@ def read_table_backup(path: Path) -> tuple[TableSet, bool]:
     data = read_sealed_json(path)
     stored = data.get("tables")
     if data.get("kind") != "tables" or not isinstance(stored, list):
-        raise ConfigError(f"{path} is no backup of tables.", code="PC-UPL-014")
+        raise ConfigError(
+            f"{path} is no backup of tables.",
+            code="PC-UPL-014",
+            hint="The folder of journals was changed by hand; name the right one with --journal.",
+        )
     return TableSet(tuple(table_from_json(t) for t in stored)), bool(data["enabled"])

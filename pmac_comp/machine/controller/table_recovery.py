@@ -76,14 +76,23 @@ def last_upload(context: Context) -> Unfinished | None:
     return _unfinished(context, journal)
 
 
+def _damaged(journal: Journal, what: str) -> ConfigError:
+    return ConfigError(
+        f"{journal.path} holds no {what}.",
+        code="PC-UPL-011",
+        hint="The journal was changed or damaged. `pmac-comp status` shows what stands; restore a "
+        "backup, or take what stands with `pmac-comp recover --keep`.",
+    )
+
+
 def _unfinished(context: Context, journal: Journal) -> Unfinished:
     entry = journal.last("intent")
     if entry is None:
-        raise ConfigError(f"{journal.path} holds no intent.", code="PC-UPL-011")
+        raise _damaged(journal, "intent")
     values = entry.data["manifest"]
     manifest = Manifest.from_values([float(v) for v in values])  # type: ignore[attr-defined]
     if manifest is None:
-        raise ConfigError(f"{journal.path} holds no manifest.", code="PC-UPL-011")
+        raise _damaged(journal, "manifest")
     backup = context.store / Path(str(entry.data["backup"])).name
     tables = [table_from_json(t) for t in entry.data["new"]]  # type: ignore[attr-defined]
     old, _ = read_table_backup(backup)

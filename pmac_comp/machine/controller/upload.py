@@ -396,7 +396,12 @@ class TableUpload:
         )
         self._require_ours(found.head, manifest, 0)
         if found.head.manifest is None or found.head.manifest.state is not ManifestState.VALID:
-            raise VerifyMismatch("The manifest could not be sealed.", code="PC-UPL-007")
+            raise VerifyMismatch(
+                "The manifest could not be sealed.",
+                code="PC-UPL-007",
+                hint="Something else writes the P-variables of p_block: find it, or choose another "
+                "p_block in the bench file; `pmac-comp recover` settles this upload.",
+            )
         refusals = not_at_rest(found.reasons)
         readings = {} if found.rest is None else found.rest.readings
         if acting:
@@ -406,6 +411,7 @@ class TableUpload:
             raise ForeignChange(
                 "Another client defined or deleted a table after the read-back.",
                 code="PC-UPL-002",
+                hint="Find out who writes to this controller, then run `pmac-comp recover`.",
                 context={"was_live": False},
             )
 

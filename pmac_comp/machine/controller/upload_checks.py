@@ -110,5 +110,10 @@ def motion_refusals(
 def not_at_rest(reasons: Iterable[str]) -> list[SafetyRefusal]:
     """Refusals of what ``moving_motors`` says."""
     return [
-        MotorNotSafe(f"{reason[0].upper()}{reason[1:]}.", code="PC-UPL-023") for reason in reasons
+        MotorNotSafe(
+            f"{reason[0].upper()}{reason[1:]}.",
+            code="PC-UPL-023",
+            hint="Stop the motion and wait until the motor stands, then run the command again.",
+        )
+        for reason in reasons
     ]

@@ -103,7 +103,10 @@ class ReplayTransport:
     def __init__(self, lines: Iterable[str], clock: Clock) -> None:
         entries = [json.loads(line) for line in lines]
         if not entries or "framing" not in entries[0]:
-            raise ConfigError("this is no recorded session")
+            raise ConfigError(
+                "This is no recorded session.",
+                hint="Sessions are kept by `?record=FILE` behind a URL.",
+            )
         self._name = f"replay of {entries[0]['name']}"
         self._framing = Framing(entries[0]["framing"])
         self._clock = clock

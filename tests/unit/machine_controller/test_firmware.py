@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import MotorNotSafe, TableStateError
+from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import data_folder, firmware_path
 from pmac_comp.machine.controller import (
@@ -174,7 +174,7 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
 
 def test_two_algorithms_are_refused(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    with pytest.raises(TableStateError, match="open servo does not run"):
+    with pytest.raises(SafetyRefusal, match="open servo does not run"):
         law_install.require_open_servo(bench.link, bench.context, 1)
     bench.link.command("I159=1")
     with pytest.raises(MotorNotSafe, match="correct twice"):

@@ -1,0 +1,92 @@
+"""Everything that forbids an upload is told at once, before anything on the card is changed."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmac_comp.base.errors import ControllerState, SafetyRefusal
+from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import Deployment, context_of, deploy
+from pmac_comp.workflow.upload_flow import next_steps
+from pmac_comp.workflow.upload_plan import preview
+
+BENCH = load_bench("paper")
+X = np.arange(-0.3, 0.3005, 1e-3)
+LEAD = LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0)
+LAW = CompensationLaw(
+    inertia_s2=2e-6,
+    coulomb_m=1e-6,
+    breakaway_m=2e-6,
+    torque_limit_Nm=1.0,
+    provenance={"model": "model.json"},
+)
+URL = "tcp://127.0.0.1:1"
+
+
+def standing(axis: Axis) -> tuple[TableSet, dict[str, float]]:
+    return read_tables(axis.link), read_many(axis.link, ["I51", "I106", "P7001", "P7007"])
+
+
+def refused(axis: Axis, folder: Path, compensation: Compensation) -> set[str]:
+    """Codes that the plan and the upload itself name; nothing may have changed."""
+    context = context_of(axis, folder)
+    before = standing(axis)
+    planned = {r.code for r in preview(axis, context, compensation, URL).refusals}
+    with pytest.raises(SafetyRefusal) as stopped:
+        deploy(axis, compensation, context)
+    assert stopped.value.left is ControllerState.OLD
+    assert standing(axis) == before
+    told = {r.code for r in stopped.value.refusals} or {stopped.value.code}
+    assert told == planned
+    return told
+
+
+def test_a_missing_open_servo_is_told_before_tables_are_touched(axis: Axis, tmp_path: Path) -> None:
+    deploy(axis, Compensation("table", CompensationLaw(), LEAD), context_of(axis, tmp_path))
+    steeper = replace(LEAD, error_m=1.1 * LEAD.error_m)
+    servo = Compensation("servo", LAW, steeper)
+    assert refused(axis, tmp_path, servo) == {"PC-LAW-024"}
+    # The switch alone, without an algorithm behind it, proves nothing either.
+    axis.link.write_buffer(["I159=1", "P7007=1"])
+    assert refused(axis, tmp_path, servo) == {"PC-LAW-024"}
+
+
+def test_all_that_forbids_a_law_is_told_at_once(axis: Axis, tmp_path: Path) -> None:
+    axis.link.write_buffer(["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE", "I15=1", "I159=1"])
+    found = refused(axis, tmp_path, Compensation("law", LAW, LEAD))
+    assert found == {"PC-LAW-032", "PC-LAW-037", "PC-LAW-041"}
+
+
+def test_an_armed_law_forbids_another_clamp_and_the_open_servo(axis: Axis, tmp_path: Path) -> None:
+    deploy(axis, Compensation("law", LAW), context_of(axis, tmp_path))
+    lower = replace(LAW, amplitude_limit_m=30e-6)
+    assert refused(axis, tmp_path, Compensation("law", lower, LEAD)) == {"PC-LAW-025"}
+    found = refused(axis, tmp_path, Compensation("servo", LAW, LEAD))
+    assert found == {"PC-LAW-021", "PC-LAW-024"}
+
+
+@pytest.mark.parametrize("acts", [True, False])
+def test_what_to_do_next_can_be_run_as_it_stands(*, tmp_path: Path, acts: bool) -> None:
+    folder = tmp_path / "two words"
+    folder.mkdir()
+    (folder / "model.json").write_text("{}")
+    new = folder / "compensation.json"
+    done = Deployment(ControllerState.NEW, (), motor=4, acts=acts)
+    steps = list(next_steps(URL, "my.toml", new, Path("kept"), Compensation("law", LAW), done))
+    assert len(steps) == 2 + (not acts)
+    words = {line.split(":", 1)[0]: shlex.split(line.split(": ", 1)[1]) for line in steps}
+    check = words["Check it"]
+    assert check[check.index("--model") + 1] == str(folder / "model.json")
+    assert check[check.index("--compensation") + 1] == str(new)
+    assert words["Take it back"][-2:] == ["--journal", "kept"]
+    if not acts:
+        assert "#4J/" in " ".join(words["Arm it"])
