@@ -142,6 +142,9 @@ PLC_BUDGET = 20000
 SERVO_BUDGET = 5000
 _RTI_TIME = 0x00000B  # X last, Y longest real-time interrupt task time
 _WORD = 0xFFFFFF
+# A part of the servo task that allocates nothing: inlined, and without counts of references to its
+# arrays, which are atomic.
+_part = njit(cache=True, _nrt=False, forceinline=True)
 _DYNAMIC1 = (
     reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
 )
@@ -529,344 +532,6 @@ def _open_loop(
 
 
 @njit(cache=True)
-def servo_cycles(
-    x: Space,
-    y: Space,
-    dirty: IntArray,
-    head: IntArray,
-    decoded: FloatArray,
-    addresses: IntArray,
-    active: IntArray,
-    mmem: FloatArray,
-    queue: FloatArray,
-    cursor: FloatArray,
-    index: IntArray,
-    entries: IntArray,
-    ectmem: FloatArray,
-    tables: IntArray,
-    plan: IntArray,
-    history: IntArray,
-    world: FloatArray,
-    pstate: FloatArray,
-    ppar: FloatArray,
-    plog: FloatArray,
-    events: IntArray,
-    imap: IntArray,
-    iscale: FloatArray,
-    plc_code: IntArray,
-    plc_consts: FloatArray,
-    plc_stack: FloatArray,
-    plc_state: IntArray,
-    plc_events: FloatArray,
-    srv_code: IntArray,
-    srv_consts: FloatArray,
-    srv_stack: FloatArray,
-    srv_state: IntArray,
-    srv_events: FloatArray,
-    regs: FloatArray,
-    n_cycles: int,
-) -> int:
-    """Run servo cycles until ``n_cycles`` are done or an event wants attention; cycles done."""
-    compensation = np.zeros(33)
-    torque_table = np.zeros(33)
-    backlash_table = np.zeros(33)
-    steps = np.zeros(16)
-    compiled = world[W_KIND] == 1.0
-    cycle_ms = world[W_CYCLE_MS]
-    for done in range(n_cycles):
-        # 1. Latch what the plant shows.
-        if compiled:
-            world[W_ANGLE] = pstate[plant.S_ANGLE_READ]
-            world[W_TABLE] = pstate[plant.S_TABLE_READ]
-        sensors.latch(x, y, world)
-        # 2. Changed words.
-        if dirty[0] != head[H_DIRTY]:
-            head[H_DIRTY] = dirty[0]
-            # The table is decoded and run first, so that a new motor starts on its result.
-            head[H_ENTRIES], _ = conversion.decode_table(x, y, entries)
-            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
-            decode_all(x, y, head, decoded, addresses, active, entries, tables, plan, world, mmem)
-        else:
-            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
-        n_active = head[H_ACTIVE]
-        # 3. Time base.
-        used = 1
-        for i in range(n_active):
-            used |= 1 << addresses[active[0, i], A_CS]
-        _time_bases(x, y, used, steps)
-        # 4. Positions and trajectories of all motors.
-        tables_on = (x[reg.GLOBAL_STATUS] >> 14) & 1  # I51
-        for i in range(n_active):
-            m = active[0, i]
-            base = 0x80 * m
-            a = addresses[m]
-            now = int(x[a[A_POSITION]])
-            change = _signed24(now - int(y[base + reg.M_IXX05]))
-            y[base + reg.M_IXX05] = now
-            position = read_long(x, y, base + reg.M_ACTUAL) + change * a[A_IXX08]
-            write_long(x, y, base + reg.M_ACTUAL, position)
-            now = int(x[a[A_MASTER]])
-            change = _signed24(now - int(y[base + reg.M_IXX07]))
-            y[base + reg.M_IXX07] = now
-            status = int(x[base + reg.M_STATUS1])
-            if status & reg.S1_FOLLOWING and change != 0:
-                master = read_long(x, y, base + reg.M_MASTER) + change * a[A_IXX07]
-                write_long(x, y, base + reg.M_MASTER, master)
-            flags = 0
-            if not status & reg.S1_OPEN_LOOP:
-                flags = traj.advance(queue, cursor, index, m, steps[a[A_CS]])
-                if flags >= 65536:
-                    if flags & 65536:
-                        _event(head, events, EV_SEGMENT, m, index[m, traj.I_TAG])
-                    if flags & 131072:
-                        _event(head, events, EV_LOW_QUEUE, m, index[m, traj.I_COUNT])
-                    flags &= 65535
-                c = cursor[m]
-                command = math.floor(c[traj.C_POSITION] + 0.5)
-                if a[A_IXX24] & _DESIRED_LIMIT:
-                    command = _desired_limit(y, m, a, decoded[m], mmem[m], command, head, events)
-                write_long(x, y, base + reg.M_COMMANDED, command)
-                speed = c[traj.C_VELOCITY] / cycle_ms
-                write_long(x, y, base + reg.M_DESIRED_VELOCITY, int(speed * (16777216.0 / 3.0)))
-                rate = c[traj.C_ACCELERATION] / (cycle_ms * cycle_ms)
-                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, int(rate * (16777216.0 / 6.0)))
-            else:
-                write_long(x, y, base + reg.M_DESIRED_VELOCITY, 0)
-                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, 0)
-            status &= ~_DYNAMIC1
-            if flags & traj.TIMED:
-                status |= reg.S1_MOVE_TIMER
-            if flags & traj.DWELL:
-                status |= reg.S1_DWELL
-            if flags & traj.ABORTING:
-                status |= reg.S1_ABORT_DECELERATION
-            # A real killed motor shows this bit as 0 (850000000000), a holding one as 1.
-            if cursor[m, traj.C_VELOCITY] == 0.0 and not status & reg.S1_OPEN_LOOP:
-                status |= reg.S1_DESIRED_VELOCITY_ZERO
-            x[base + reg.M_STATUS1] = status
-            compensation[m] = 0.0
-            torque_table[m] = 0.0
-            backlash_table[m] = 0.0
-        # 5. Tables.
-        if tables_on:
-            for i in range(head[H_TABLES]):
-                t = tables[i]
-                source = t[comp.T_SOURCE]
-                first = _source_position(x, y, source, t[comp.T_DESIRED], addresses)
-                second = 0.0
-                if t[comp.T_ROWS] > 0:
-                    second = _source_position(
-                        x, y, t[comp.T_SOURCE2], t[comp.T_DESIRED2], addresses
-                    )
-                value = comp.look_up(y, t, first, second)
-                if t[comp.T_KIND] == 0:
-                    compensation[t[comp.T_TARGET]] += value
-                elif t[comp.T_KIND] == 1:
-                    torque_table[t[comp.T_TARGET]] += value
-                else:
-                    backlash_table[t[comp.T_TARGET]] += value
-        # 6. Servo laws.
-        servo_time = _INTERRUPT_TIME + _MOTOR_TIME * n_active
-        for i in range(n_active):
-            m = active[0, i]
-            base = 0x80 * m
-            a = addresses[m]
-            d = decoded[m]
-            k = mmem[m]
-            if tables_on:
-                correction = compensation[m] * d[D_UNIT] / 16.0
-                write_long(
-                    x,
-                    y,
-                    base + reg.M_COMPENSATION,
-                    math.floor(COMPENSATION_REGISTER_SIGN * correction + 0.5),
-                )
-            register = read_long(x, y, base + reg.M_COMPENSATION)
-            master = read_long(x, y, base + reg.M_MASTER)
-            offset = master + int(COMPENSATION_REGISTER_SIGN) * register
-            position = read_long(x, y, base + reg.M_ACTUAL)
-            status = int(x[base + reg.M_STATUS1])
-            extension = int(y[base + reg.M_TIMEBASE_POINTER])
-            close = extension == 0
-            y[base + reg.M_TIMEBASE_POINTER] = a[A_EXTENSION] if close else extension - 1
-            if close:
-                now = int(x[a[A_VELOCITY]])
-                feedback = _signed24(now - int(y[base + reg.M_VELOCITY])) * a[A_IXX09]
-                y[base + reg.M_VELOCITY] = now
-                x[base + reg.M_VELOCITY] = feedback & _WORD
-            else:
-                feedback = _signed24(int(x[base + reg.M_VELOCITY]))
-            if status & reg.S1_OPEN_LOOP:
-                out = _open_loop(x, y, base, position, offset, k, cursor[m])
-                if status & reg.S1_AMPLIFIER_ENABLED:
-                    _limits(x, y, m, a, d, k, float(feedback), world, position, head, events)
-            elif not close:
-                out = float(read_word_signed(x, base + reg.M_FILTER_RESULT))
-            else:
-                command = read_long(x, y, base + reg.M_COMMANDED)
-                net = float(command + offset)
-                if d[D_BACKLASH_RATE] > 0.0:
-                    net -= _backlash(x, y, m, d, k, net, backlash_table[m])
-                if d[D_FILTER] > 0.0:
-                    k[K_FILTERED] += (1.0 - d[D_FILTER]) * (net - k[K_FILTERED])
-                    net = math.floor(k[K_FILTERED] + 0.5)
-                else:
-                    k[K_FILTERED] = net
-                previous = read_long(x, y, base + reg.M_PREVIOUS_NET)
-                velocity = net - previous
-                acceleration = velocity - k[K_VELOCITY]
-                k[K_VELOCITY] = velocity
-                write_long(x, y, base + reg.M_PREVIOUS_NET, int(net))
-                error = net - position
-                if a[A_IXX24] & _ERROR_TO_MASTER:
-                    # What exceeds Ixx67 leaves the error for good.
-                    most = d[law.G_FELIMIT] * d[D_UNIT] / 16.0
-                    excess = math.floor(error - min(max(error, -most), most))
-                    if excess != 0:
-                        write_long(x, y, base + reg.M_MASTER, master - excess)
-                        write_long(x, y, base + reg.M_PREVIOUS_NET, int(net) - excess)
-                        error -= excess
-                moving = cursor[m, traj.C_VELOCITY] != 0.0
-                if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
-                    # The algorithm may put the error it really acts on in place of this one.
-                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
-                    out = _user_servo(
-                        x,
-                        y,
-                        dirty,
-                        imap,
-                        iscale,
-                        srv_code,
-                        srv_consts,
-                        srv_stack,
-                        srv_state,
-                        srv_events,
-                        regs,
-                        m,
-                        feedback,
-                        velocity,
-                        error,
-                        position,
-                        net,
-                    )
-                    if math.isnan(out):
-                        out = 0.0
-                        _event(head, events, EV_SERVO_FAULT, m, 0)
-                    servo_time += SERVO_INSTRUCTION_TIME * srv_state[vm.S_STEPS]
-                    k[: law.N_LAW] = 0.0
-                else:
-                    # Ixx68 may be rewritten every cycle by a law.
-                    d[law.G_FRICTION] = int(y[base + reg.M_IXX68])
-                    out = law.pid_output(
-                        d, k, error, velocity, acceleration, float(feedback), moving
-                    )
-                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(k[law.L_FE]))
-                    write_long(x, y, base + reg.M_INTEGRATOR, int(k[law.L_INTEGRAL]))
-                x[base + reg.M_FILTER_RESULT] = int(out) & _WORD
-                status2 = int(y[base + reg.M_STATUS2]) & ~reg.S2_WARNING_ERROR
-                size = abs(error)
-                if d[D_WARNING] > 0.0 and size > d[D_WARNING]:
-                    status2 |= reg.S2_WARNING_ERROR
-                if d[D_FATAL] > 0.0 and size > d[D_FATAL]:
-                    status2 |= reg.S2_FATAL_ERROR
-                    _kill(x, y, m, cursor, index, mmem)
-                    _event(head, events, EV_FATAL, m, int(error))
-                    out = 0.0
-                elif (
-                    d[law.G_ILIMIT] < 0.0
-                    and abs(k[law.L_INTEGRAL]) >= -d[law.G_ILIMIT] * d[D_UNIT] / 16.0
-                ):
-                    status2 |= reg.S2_INTEGRATED_ERROR | reg.S2_FATAL_ERROR
-                    _kill(x, y, m, cursor, index, mmem)
-                    _event(head, events, EV_INTEGRATED, m, 0)
-                    out = 0.0
-                y[base + reg.M_STATUS2] = status2
-                if x[reg.INTERNAL_GLOBAL + 13] & 1:
-                    near = not moving and size < d[D_IN_POSITION]
-                    near = near and not status & (reg.S1_MOVE_TIMER | reg.S1_DWELL)
-                    bit = reg.S2_FOREGROUND_IN_POSITION
-                    y[base + reg.M_STATUS2] = status2 | bit if near else status2 & ~bit
-                _limits(x, y, m, a, d, k, cursor[m, traj.C_VELOCITY], world, position, head, events)
-                if k[K_ARMED] != 0.0:
-                    hit, captured = _trigger(x, y, m, a, d, k, world, position)
-                    if hit:
-                        k[K_ARMED] = 0.0
-                        _event(head, events, EV_TRIGGER, m, captured)
-                    elif index[m, traj.I_COUNT] == 0:
-                        k[K_ARMED] = 0.0
-                        _event(head, events, EV_TRIGGER_MISSED, m, position)
-            bias = 256.0 * _signed16(int(y[base + reg.M_IXX79_IXX29]))
-            if tables_on:
-                y[base + reg.M_COMMAND] = math.floor(torque_table[m] + 0.5) & _WORD
-                bias += torque_table[m]
-            word = int(min(max(out + bias, -8388608.0), 8388607.0))
-            x[base + reg.M_COMMAND] = word & _WORD
-            if a[A_OUTPUT] != 0:
-                y[a[A_OUTPUT]] = word & _WORD
-            watched = d[D_I2T_LIMIT] > 0.0 and not status & reg.S1_OPEN_LOOP
-            if watched and _overcurrent(x, y, m, d, k, word):
-                y[base + reg.M_STATUS2] |= reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
-                _kill(x, y, m, cursor, index, mmem)
-                _event(head, events, EV_OVERCURRENT, m, word)
-        # 7. Gathering sees this cycle's latch, command and output.
-        gather.gather_cycle(x, y, plan, world[W_INPUT] != 0.0)
-        # 8. Counters.
-        y[reg.TASK_TIME] = min(servo_time, _WORD)
-        head[H_CYCLES] += 1
-        _timers(x, y)
-        if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
-            _velocity_filters(x, y, active, n_active, addresses, history, head[H_SLOT])
-            head[H_SLOT] = (head[H_SLOT] + 1) & 15
-            x[1] = head[H_SLOT]
-        if head[H_CYCLES] % BACKGROUND_CYCLES == 0:
-            _background(x, y, active, n_active, decoded, addresses)
-            ticks = int(head[H_CYCLES] * cycle_ms * 1.024)
-            write_long(x, y, reg.CLOCK_1024, ticks)
-        count = (int(x[reg.SERVO_COUNTER]) + 1) & _WORD
-        x[reg.SERVO_COUNTER] = count
-        # 9. Real-time interrupt.
-        if count == y[reg.SERVO_COUNTER] or ((count - y[reg.SERVO_COUNTER]) & _WORD) < 0x800000:
-            y[reg.SERVO_COUNTER] = (count + int(y[reg.RTI_PERIOD]) + 1) & _WORD
-            enabled = head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
-            if enabled and int(vm.read_i(x, y, imap, iscale, 5)) & 1:
-                result = vm.run(
-                    x,
-                    y,
-                    dirty,
-                    imap,
-                    iscale,
-                    plc_code,
-                    plc_consts,
-                    plc_stack,
-                    plc_state,
-                    regs,
-                    plc_events,
-                    PLC_BUDGET,
-                )
-                spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * plc_state[vm.S_STEPS]
-                x[_RTI_TIME] = min(spent, _WORD)
-                y[_RTI_TIME] = max(int(y[_RTI_TIME]), int(x[_RTI_TIME]))
-                if result == vm.FAULT:
-                    x[reg.PLC_TABLE] |= 0x800000
-                    y[reg.PLC_TABLE] |= 0x400000
-                if plc_state[vm.S_EVENTS] > 0 or result == vm.FAULT:
-                    _event(head, events, EV_PLC, 0, result)
-        # 10. The plant moves on under the torque that is now at the output.
-        m = int(world[W_ENCODER_MOTOR])
-        torque = 0.0
-        if x[0x80 * m + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
-            output = addresses[m, A_OUTPUT]
-            torque = (read_word_signed(y, output) >> 8) * world[W_TORQUE_PER_DAC]
-        world[W_TORQUE] = torque
-        if not compiled:
-            return done + 1
-        plant.ballscrew_step(pstate, ppar, plog, torque)
-        if head[H_EVENTS] > 0:
-            return done + 1
-    return n_cycles
-
-
-@njit(cache=True)
 def _source_position(x: Space, y: Space, m: int, desired: int, addresses: IntArray) -> float:
     """Uncorrected position of a table's source motor in counts."""
     base = 0x80 * m
@@ -974,6 +639,479 @@ def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word:
     k[K_CURRENT] = max(k[K_CURRENT], 0.0)
     write_long(x, y, 0x80 * m + reg.M_INTEGRATED_CURRENT, int(k[K_CURRENT]))
     return bool(k[K_CURRENT] > d[D_I2T_LIMIT])
+
+
+@_part
+def _measure(x: Space, y: Space, base: int, a: IntArray) -> None:
+    """Actual and master position of a motor, from what their registers moved by."""
+    now = int(x[a[A_POSITION]])
+    change = _signed24(now - int(y[base + reg.M_IXX05]))
+    y[base + reg.M_IXX05] = now
+    position = read_long(x, y, base + reg.M_ACTUAL) + change * a[A_IXX08]
+    write_long(x, y, base + reg.M_ACTUAL, position)
+    now = int(x[a[A_MASTER]])
+    change = _signed24(now - int(y[base + reg.M_IXX07]))
+    y[base + reg.M_IXX07] = now
+    if x[base + reg.M_STATUS1] & reg.S1_FOLLOWING and change != 0:
+        master = read_long(x, y, base + reg.M_MASTER) + change * a[A_IXX07]
+        write_long(x, y, base + reg.M_MASTER, master)
+
+
+@_part
+def _command(
+    x: Space,
+    y: Space,
+    m: int,
+    a: IntArray,
+    d: FloatArray,
+    k: FloatArray,
+    queue: FloatArray,
+    cursor: FloatArray,
+    index: IntArray,
+    step: float,
+    cycle_ms: float,
+    head: IntArray,
+    events: IntArray,
+) -> int:
+    """Commanded position of a motor in closed loop, one step on; flags of its trajectory."""
+    base = 0x80 * m
+    flags = traj.advance(queue, cursor, index, m, step)
+    if flags >= 65536:
+        if flags & 65536:
+            _event(head, events, EV_SEGMENT, m, index[m, traj.I_TAG])
+        if flags & 131072:
+            _event(head, events, EV_LOW_QUEUE, m, index[m, traj.I_COUNT])
+        flags &= 65535
+    c = cursor[m]
+    command = math.floor(c[traj.C_POSITION] + 0.5)
+    if a[A_IXX24] & _DESIRED_LIMIT:
+        command = _desired_limit(y, m, a, d, k, command, head, events)
+    write_long(x, y, base + reg.M_COMMANDED, command)
+    speed = c[traj.C_VELOCITY] / cycle_ms
+    write_long(x, y, base + reg.M_DESIRED_VELOCITY, int(speed * (16777216.0 / 3.0)))
+    rate = c[traj.C_ACCELERATION] / (cycle_ms * cycle_ms)
+    write_long(x, y, base + reg.M_DESIRED_ACCELERATION, int(rate * (16777216.0 / 6.0)))
+    return int(flags)
+
+
+@_part
+def _motion_status(x: Space, base: int, flags: int, velocity: float) -> None:
+    """Bits of the first status word that follow the trajectory."""
+    status = int(x[base + reg.M_STATUS1])
+    status &= ~_DYNAMIC1
+    if flags & traj.TIMED:
+        status |= reg.S1_MOVE_TIMER
+    if flags & traj.DWELL:
+        status |= reg.S1_DWELL
+    if flags & traj.ABORTING:
+        status |= reg.S1_ABORT_DECELERATION
+    # A real killed motor shows this bit as 0 (850000000000), a holding one as 1.
+    if velocity == 0.0 and not status & reg.S1_OPEN_LOOP:
+        status |= reg.S1_DESIRED_VELOCITY_ZERO
+    x[base + reg.M_STATUS1] = status
+
+
+@_part
+def _apply_tables(
+    x: Space,
+    y: Space,
+    tables: IntArray,
+    n_tables: int,
+    addresses: IntArray,
+    compensation: FloatArray,
+    torque_table: FloatArray,
+    backlash_table: FloatArray,
+) -> None:
+    """Add what the tables say to the corrections of their target motors."""
+    for i in range(n_tables):
+        t = tables[i]
+        source = t[comp.T_SOURCE]
+        first = _source_position(x, y, source, t[comp.T_DESIRED], addresses)
+        second = 0.0
+        if t[comp.T_ROWS] > 0:
+            second = _source_position(x, y, t[comp.T_SOURCE2], t[comp.T_DESIRED2], addresses)
+        value = comp.look_up(y, t, first, second)
+        if t[comp.T_KIND] == 0:
+            compensation[t[comp.T_TARGET]] += value
+        elif t[comp.T_KIND] == 1:
+            torque_table[t[comp.T_TARGET]] += value
+        else:
+            backlash_table[t[comp.T_TARGET]] += value
+
+
+@_part
+def _net_command(
+    x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, wanted: float, backlash: float
+) -> float:
+    """Command with backlash taken out and filtered (Ixx40)."""
+    net = wanted
+    if d[D_BACKLASH_RATE] > 0.0:
+        net -= _backlash(x, y, m, d, k, net, backlash)
+    if d[D_FILTER] > 0.0:
+        k[K_FILTERED] += (1.0 - d[D_FILTER]) * (net - k[K_FILTERED])
+        net = math.floor(k[K_FILTERED] + 0.5)
+    else:
+        k[K_FILTERED] = net
+    return float(net)
+
+
+@_part
+def _shed_error(
+    x: Space, y: Space, base: int, d: FloatArray, error: float, master: int, net: float
+) -> float:
+    """Move what exceeds Ixx67 from the following error to the master position, for good."""
+    most = d[law.G_FELIMIT] * d[D_UNIT] / 16.0
+    excess = math.floor(error - min(max(error, -most), most))
+    if excess != 0:
+        write_long(x, y, base + reg.M_MASTER, master - excess)
+        write_long(x, y, base + reg.M_PREVIOUS_NET, int(net) - excess)
+        error -= excess
+    return error
+
+
+@_part
+def _watch_error(
+    x: Space,
+    y: Space,
+    m: int,
+    d: FloatArray,
+    k: FloatArray,
+    error: float,
+    out: float,
+    cursor: FloatArray,
+    index: IntArray,
+    mmem: FloatArray,
+    head: IntArray,
+    events: IntArray,
+) -> float:
+    """Following-error and integrator limits; what goes out after them."""
+    base = 0x80 * m
+    status2 = int(y[base + reg.M_STATUS2]) & ~reg.S2_WARNING_ERROR
+    size = abs(error)
+    if d[D_WARNING] > 0.0 and size > d[D_WARNING]:
+        status2 |= reg.S2_WARNING_ERROR
+    if d[D_FATAL] > 0.0 and size > d[D_FATAL]:
+        status2 |= reg.S2_FATAL_ERROR
+        _kill(x, y, m, cursor, index, mmem)
+        _event(head, events, EV_FATAL, m, int(error))
+        out = 0.0
+    elif d[law.G_ILIMIT] < 0.0 and abs(k[law.L_INTEGRAL]) >= -d[law.G_ILIMIT] * d[D_UNIT] / 16.0:
+        status2 |= reg.S2_INTEGRATED_ERROR | reg.S2_FATAL_ERROR
+        _kill(x, y, m, cursor, index, mmem)
+        _event(head, events, EV_INTEGRATED, m, 0)
+        out = 0.0
+    y[base + reg.M_STATUS2] = status2
+    return out
+
+
+@_part
+def _foreground_in_position(y: Space, base: int, near: bool, status: int) -> None:  # noqa: FBT001
+    """In-position bit that the servo task sets itself (I13)."""
+    near = near and not status & (reg.S1_MOVE_TIMER | reg.S1_DWELL)
+    bit = reg.S2_FOREGROUND_IN_POSITION
+    status2 = int(y[base + reg.M_STATUS2])
+    y[base + reg.M_STATUS2] = status2 | bit if near else status2 & ~bit
+
+
+@njit(cache=True)
+def _await_trigger(
+    x: Space,
+    y: Space,
+    m: int,
+    a: IntArray,
+    d: FloatArray,
+    k: FloatArray,
+    world: FloatArray,
+    position: int,
+    index: IntArray,
+    head: IntArray,
+    events: IntArray,
+) -> None:
+    """Tell of a trigger that came, or of a move that ended without one."""
+    hit, captured = _trigger(x, y, m, a, d, k, world, position)
+    if hit:
+        k[K_ARMED] = 0.0
+        _event(head, events, EV_TRIGGER, m, captured)
+    elif index[m, traj.I_COUNT] == 0:
+        k[K_ARMED] = 0.0
+        _event(head, events, EV_TRIGGER_MISSED, m, position)
+
+
+@njit(cache=True)
+def _real_time_interrupt(
+    x: Space,
+    y: Space,
+    dirty: IntArray,
+    imap: IntArray,
+    iscale: FloatArray,
+    code: IntArray,
+    consts: FloatArray,
+    stack: FloatArray,
+    state: IntArray,
+    plc_events: FloatArray,
+    regs: FloatArray,
+    head: IntArray,
+    events: IntArray,
+) -> None:
+    """PLC 0, where it is there and enabled, and the time that it took."""
+    enabled = head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
+    if enabled and int(vm.read_i(x, y, imap, iscale, 5)) & 1:
+        result = vm.run(
+            x,
+            y,
+            dirty,
+            imap,
+            iscale,
+            code,
+            consts,
+            stack,
+            state,
+            regs,
+            plc_events,
+            PLC_BUDGET,
+        )
+        spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * state[vm.S_STEPS]
+        x[_RTI_TIME] = min(spent, _WORD)
+        y[_RTI_TIME] = max(int(y[_RTI_TIME]), int(x[_RTI_TIME]))
+        if result == vm.FAULT:
+            x[reg.PLC_TABLE] |= 0x800000
+            y[reg.PLC_TABLE] |= 0x400000
+        if state[vm.S_EVENTS] > 0 or result == vm.FAULT:
+            _event(head, events, EV_PLC, 0, result)
+
+
+@njit(cache=True)
+def servo_cycles(
+    x: Space,
+    y: Space,
+    dirty: IntArray,
+    head: IntArray,
+    decoded: FloatArray,
+    addresses: IntArray,
+    active: IntArray,
+    mmem: FloatArray,
+    queue: FloatArray,
+    cursor: FloatArray,
+    index: IntArray,
+    entries: IntArray,
+    ectmem: FloatArray,
+    tables: IntArray,
+    plan: IntArray,
+    history: IntArray,
+    world: FloatArray,
+    pstate: FloatArray,
+    ppar: FloatArray,
+    plog: FloatArray,
+    events: IntArray,
+    imap: IntArray,
+    iscale: FloatArray,
+    plc_code: IntArray,
+    plc_consts: FloatArray,
+    plc_stack: FloatArray,
+    plc_state: IntArray,
+    plc_events: FloatArray,
+    srv_code: IntArray,
+    srv_consts: FloatArray,
+    srv_stack: FloatArray,
+    srv_state: IntArray,
+    srv_events: FloatArray,
+    regs: FloatArray,
+    n_cycles: int,
+) -> int:
+    """Run servo cycles until ``n_cycles`` are done or an event wants attention; cycles done."""
+    compensation = np.zeros(33)
+    torque_table = np.zeros(33)
+    backlash_table = np.zeros(33)
+    steps = np.zeros(16)
+    compiled = world[W_KIND] == 1.0
+    cycle_ms = world[W_CYCLE_MS]
+    for done in range(n_cycles):
+        # 1. Latch what the plant shows.
+        if compiled:
+            world[W_ANGLE] = pstate[plant.S_ANGLE_READ]
+            world[W_TABLE] = pstate[plant.S_TABLE_READ]
+        sensors.latch(x, y, world)
+        # 2. Changed words.
+        if dirty[0] != head[H_DIRTY]:
+            head[H_DIRTY] = dirty[0]
+            # The table is decoded and run first, so that a new motor starts on its result.
+            head[H_ENTRIES], _ = conversion.decode_table(x, y, entries)
+            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
+            decode_all(x, y, head, decoded, addresses, active, entries, tables, plan, world, mmem)
+        else:
+            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
+        n_active = head[H_ACTIVE]
+        # 3. Time base.
+        used = 1
+        for i in range(n_active):
+            used |= 1 << addresses[active[0, i], A_CS]
+        _time_bases(x, y, used, steps)
+        # 4. Positions and trajectories of all motors.
+        tables_on = (x[reg.GLOBAL_STATUS] >> 14) & 1  # I51
+        for i in range(n_active):
+            m = active[0, i]
+            base = 0x80 * m
+            a = addresses[m]
+            _measure(x, y, base, a)
+            flags = 0
+            if not x[base + reg.M_STATUS1] & reg.S1_OPEN_LOOP:
+                flags = _command(
+                    x, y, m, a, decoded[m], mmem[m], queue, cursor, index, steps[a[A_CS]],
+                    cycle_ms, head, events,
+                )  # fmt: skip
+            else:
+                write_long(x, y, base + reg.M_DESIRED_VELOCITY, 0)
+                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, 0)
+            _motion_status(x, base, flags, cursor[m, traj.C_VELOCITY])
+            compensation[m] = 0.0
+            torque_table[m] = 0.0
+            backlash_table[m] = 0.0
+        # 5. Tables.
+        if tables_on:
+            _apply_tables(
+                x, y, tables, head[H_TABLES], addresses, compensation, torque_table, backlash_table
+            )
+        # 6. Servo laws.
+        servo_time = _INTERRUPT_TIME + _MOTOR_TIME * n_active
+        for i in range(n_active):
+            m = active[0, i]
+            base = 0x80 * m
+            a = addresses[m]
+            d = decoded[m]
+            k = mmem[m]
+            if tables_on:
+                correction = compensation[m] * d[D_UNIT] / 16.0
+                write_long(
+                    x,
+                    y,
+                    base + reg.M_COMPENSATION,
+                    math.floor(COMPENSATION_REGISTER_SIGN * correction + 0.5),
+                )
+            register = read_long(x, y, base + reg.M_COMPENSATION)
+            master = read_long(x, y, base + reg.M_MASTER)
+            offset = master + int(COMPENSATION_REGISTER_SIGN) * register
+            position = read_long(x, y, base + reg.M_ACTUAL)
+            status = int(x[base + reg.M_STATUS1])
+            extension = int(y[base + reg.M_TIMEBASE_POINTER])
+            close = extension == 0
+            y[base + reg.M_TIMEBASE_POINTER] = a[A_EXTENSION] if close else extension - 1
+            if close:
+                now = int(x[a[A_VELOCITY]])
+                feedback = _signed24(now - int(y[base + reg.M_VELOCITY])) * a[A_IXX09]
+                y[base + reg.M_VELOCITY] = now
+                x[base + reg.M_VELOCITY] = feedback & _WORD
+            else:
+                feedback = _signed24(int(x[base + reg.M_VELOCITY]))
+            if status & reg.S1_OPEN_LOOP:
+                out = _open_loop(x, y, base, position, offset, k, cursor[m])
+                if status & reg.S1_AMPLIFIER_ENABLED:
+                    _limits(x, y, m, a, d, k, float(feedback), world, position, head, events)
+            elif not close:
+                out = float(read_word_signed(x, base + reg.M_FILTER_RESULT))
+            else:
+                command = read_long(x, y, base + reg.M_COMMANDED)
+                net = _net_command(x, y, m, d, k, float(command + offset), backlash_table[m])
+                previous = read_long(x, y, base + reg.M_PREVIOUS_NET)
+                velocity = net - previous
+                acceleration = velocity - k[K_VELOCITY]
+                k[K_VELOCITY] = velocity
+                write_long(x, y, base + reg.M_PREVIOUS_NET, int(net))
+                error = net - position
+                if a[A_IXX24] & _ERROR_TO_MASTER:
+                    error = _shed_error(x, y, base, d, error, master, net)
+                moving = cursor[m, traj.C_VELOCITY] != 0.0
+                if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
+                    # The algorithm may put the error it really acts on in place of this one.
+                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
+                    out = _user_servo(
+                        x,
+                        y,
+                        dirty,
+                        imap,
+                        iscale,
+                        srv_code,
+                        srv_consts,
+                        srv_stack,
+                        srv_state,
+                        srv_events,
+                        regs,
+                        m,
+                        feedback,
+                        velocity,
+                        error,
+                        position,
+                        net,
+                    )
+                    if math.isnan(out):
+                        out = 0.0
+                        _event(head, events, EV_SERVO_FAULT, m, 0)
+                    servo_time += SERVO_INSTRUCTION_TIME * srv_state[vm.S_STEPS]
+                    k[: law.N_LAW] = 0.0
+                else:
+                    # Ixx68 may be rewritten every cycle by a law.
+                    d[law.G_FRICTION] = int(y[base + reg.M_IXX68])
+                    out = law.pid_output(
+                        d, k, error, velocity, acceleration, float(feedback), moving
+                    )
+                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(k[law.L_FE]))
+                    write_long(x, y, base + reg.M_INTEGRATOR, int(k[law.L_INTEGRAL]))
+                x[base + reg.M_FILTER_RESULT] = int(out) & _WORD
+                out = _watch_error(x, y, m, d, k, error, out, cursor, index, mmem, head, events)
+                if x[reg.INTERNAL_GLOBAL + 13] & 1:
+                    near = not moving and abs(error) < d[D_IN_POSITION]
+                    _foreground_in_position(y, base, near, status)
+                _limits(x, y, m, a, d, k, cursor[m, traj.C_VELOCITY], world, position, head, events)
+                if k[K_ARMED] != 0.0:
+                    _await_trigger(x, y, m, a, d, k, world, position, index, head, events)
+            bias = 256.0 * _signed16(int(y[base + reg.M_IXX79_IXX29]))
+            if tables_on:
+                y[base + reg.M_COMMAND] = math.floor(torque_table[m] + 0.5) & _WORD
+                bias += torque_table[m]
+            word = int(min(max(out + bias, -8388608.0), 8388607.0))
+            x[base + reg.M_COMMAND] = word & _WORD
+            if a[A_OUTPUT] != 0:
+                y[a[A_OUTPUT]] = word & _WORD
+            watched = d[D_I2T_LIMIT] > 0.0 and not status & reg.S1_OPEN_LOOP
+            if watched and _overcurrent(x, y, m, d, k, word):
+                y[base + reg.M_STATUS2] |= reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
+                _kill(x, y, m, cursor, index, mmem)
+                _event(head, events, EV_OVERCURRENT, m, word)
+        # 7. Gathering sees this cycle's latch, command and output.
+        gather.gather_cycle(x, y, plan, world[W_INPUT] != 0.0)
+        # 8. Counters.
+        y[reg.TASK_TIME] = min(servo_time, _WORD)
+        head[H_CYCLES] += 1
+        _timers(x, y)
+        if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
+            _velocity_filters(x, y, active, n_active, addresses, history, head[H_SLOT])
+            head[H_SLOT] = (head[H_SLOT] + 1) & 15
+            x[1] = head[H_SLOT]
+        if head[H_CYCLES] % BACKGROUND_CYCLES == 0:
+            _background(x, y, active, n_active, decoded, addresses)
+            ticks = int(head[H_CYCLES] * cycle_ms * 1.024)
+            write_long(x, y, reg.CLOCK_1024, ticks)
+        count = (int(x[reg.SERVO_COUNTER]) + 1) & _WORD
+        x[reg.SERVO_COUNTER] = count
+        # 9. Real-time interrupt.
+        if count == y[reg.SERVO_COUNTER] or ((count - y[reg.SERVO_COUNTER]) & _WORD) < 0x800000:
+            y[reg.SERVO_COUNTER] = (count + int(y[reg.RTI_PERIOD]) + 1) & _WORD
+            _real_time_interrupt(
+                x, y, dirty, imap, iscale, plc_code, plc_consts, plc_stack, plc_state, plc_events,
+                regs, head, events,
+            )  # fmt: skip
+        # 10. The plant moves on under the torque that is now at the output.
+        m = int(world[W_ENCODER_MOTOR])
+        torque = 0.0
+        if x[0x80 * m + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
+            output = addresses[m, A_OUTPUT]
+            torque = (read_word_signed(y, output) >> 8) * world[W_TORQUE_PER_DAC]
+        world[W_TORQUE] = torque
+        if not compiled:
+            return done + 1
+        plant.ballscrew_step(pstate, ppar, plog, torque)
+        if head[H_EVENTS] > 0:
+            return done + 1
+    return n_cycles
 
 
 keep_fresh(servo_cycles, comp, conversion, encoder, gather, sensors, vm, reg, law, traj)
