@@ -124,10 +124,11 @@ def predict(
     ] = RoundingChoice.expected,
     json_target: JsonOption = "",
 ) -> None:
-    """Predict motor and table position and torque for a command from rest.
+    """Predict motor and table position and torque for a command that begins at rest.
 
     The command is a CSV file with time_s,commanded_position_mm or any capture, whose corrected
-    command and load are used where it holds them. The answer has the columns of a capture at the
+    command and load are used where it holds them, and the torque it held at rest before the first
+    motion. The answer has the columns of a capture at the
     times of the command; a command on another grid than the servo's is interpolated. Positions are
     those of motor and table before encoder and scale round them; zero is the middle of a count.
     """

@@ -198,13 +198,14 @@ def predict_files(
     effects: Path | None = None,
     rounding: Rounding = "expected",
 ) -> dict[str, Any]:
-    """Predict a command from rest and write the capture; the contract's ``predict``.
+    """Predict a command and write the capture; the contract's ``predict``.
 
     ``command`` is a command file or a capture; of a capture the corrected command and the load are
-    used too where it holds them. A command on another grid than the servo's is brought onto that,
-    and the answer is given at the times of the command. Positions are those before the sensors
-    round them; with ``rounding`` "expected" the loop runs on rounded readings and the mean of what
-    can be foreseen of it is given, with "none" the loop runs on exact ones.
+    used too where it holds them, and the torque that it held at rest: a run that follows a move
+    begins with friction strained and the chain wound up. A command on another grid than the
+    servo's is brought onto that, and the answer is given at the times of the command. Positions
+    are those before the sensors round them; with ``rounding`` "expected" the loop runs on rounded
+    readings and the mean of what can be foreseen of it is given, with "none" on exact ones.
     """
     from pmac_comp.physics.model.drive import simulate
     from pmac_comp.physics.model.expected import expected_response
@@ -220,6 +221,7 @@ def predict_files(
         desired_position_m=grid.onto_optional(given.desired_m),
         torque_feedforward_Nm=grid.onto_optional(given.feedforward_Nm),
         external_force_N=grid.onto_optional(given.force_N),
+        resting_torque_Nm=_held_Nm(loaded, given),
     )
     motor, table = grid.back(response.motor_position_m), grid.back(response.table_position_m)
     desired = given.commanded_m if given.desired_m is None else given.desired_m
@@ -256,6 +258,19 @@ class _Inputs:
     desired_m: FloatArray | None = None
     feedforward_Nm: FloatArray | None = None
     force_N: FloatArray | None = None
+    motor_m: FloatArray | None = None
+    torque_Nm: FloatArray | None = None
+
+
+def _held_Nm(bench: Bench, given: _Inputs) -> float:
+    """Torque that friction held as a captured run began; 0 of a command alone."""
+    from pmac_comp.physics.model.resting import resting_torque_Nm
+
+    if given.motor_m is None:
+        return 0.0
+    desired_m = given.commanded_m if given.desired_m is None else given.desired_m
+    period_s = float(np.median(np.diff(given.time_s)))
+    return resting_torque_Nm(bench, desired_m, given.motor_m, given.torque_Nm, period_s)
 
 
 def _inputs(command: Path) -> _Inputs:
@@ -278,6 +293,8 @@ def _inputs(command: Path) -> _Inputs:
         capture.desired_position_m,
         extra.get(TORQUE_FEEDFORWARD),
         extra.get(EXTERNAL_FORCE),
+        capture.motor_position_m,
+        capture.torque_command_Nm,
     )
 
 

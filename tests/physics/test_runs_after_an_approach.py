@@ -1,12 +1,14 @@
 """Runs that begin where an earlier move ended: friction strained, the integrator holding it."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.identify import identify
 from pmac_comp.physics.identify import records as rec
@@ -14,6 +16,7 @@ from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow.identification import predict_files
 
 BENCH = load_bench("paper_x4")
 TS = BENCH.servo_period_s
@@ -95,3 +98,21 @@ def test_diagnosis_and_identification_see_the_same_start(runs: list[Capture]) ->
         # Where in its friction a run begins is no evidence until it is left behind.
         first = int(np.flatnonzero(record.valid)[0])
         assert abs(run.commanded_position_m[first] - run.commanded_position_m[0]) > 0.19e-3
+
+
+def test_a_prediction_begins_as_its_capture_did(runs: list[Capture], tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    effects = ["coulomb", "viscous", "presliding"]
+    stored = {"model_version": 1, "parameters": {}, "effects": effects}
+    model.write_text(json.dumps({**stored, "bench_digest": BENCH.digest}))
+
+    def early_m(run: Capture) -> float:
+        """Rms by which the motor is missed until well after the first motion."""
+        given, out = tmp_path / "run.h5", tmp_path / "predicted.h5"
+        write_capture(given, run)
+        predict_files("paper_x4", model, given, out, rounding="none")
+        missed = read_capture(out).motor_position_m - run.motor_position_m
+        return float(np.std(missed[: round((0.5 * REST_s + 0.2) / TS)]))
+
+    for run in runs:
+        assert early_m(run) < 0.5 * early_m(replace(run, torque_command_Nm=None))

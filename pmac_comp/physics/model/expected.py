@@ -30,6 +30,7 @@ def expected_response(
     desired_position_m: FloatArray | None = None,
     torque_feedforward_Nm: FloatArray | None = None,
     external_force_N: FloatArray | None = None,
+    resting_torque_Nm: float = 0.0,
     executor: Executor | None = None,
 ) -> Response:
     """Mean unrounded response of the closed loop whose sensors and output round.
@@ -38,6 +39,8 @@ def expected_response(
     ----------
     model, commanded_position_m, desired_position_m, torque_feedforward_Nm, external_force_N
         As in ``simulate``, shape (n,) each. Position zero lies in the middle of a count.
+    resting_torque_Nm : float
+        As in ``simulate``.
     executor : Executor or None
         Where simulations run; None uses threads.
 
@@ -52,7 +55,11 @@ def expected_response(
         As ``simulate``.
     """
     shifts = _KNOWN_TO * model.bench.motor_resolution_m * np.array(_PLACES)
-    given = {"torque_feedforward_Nm": torque_feedforward_Nm, "external_force_N": external_force_N}
+    given = {
+        "torque_feedforward_Nm": torque_feedforward_Nm,
+        "external_force_N": external_force_N,
+        "resting_torque_Nm": resting_torque_Nm,
+    }
     options: list[dict[str, Any]] = [
         {
             **given,
