@@ -13,6 +13,7 @@ import numpy as np
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.by_run import told_by_run
 from pmac_comp.physics.diagnose.claims import Claims, claims_of, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
@@ -205,6 +206,7 @@ def _assembled(
                     restated=findings[0].text if found.alone else "",
                 )
             ),
+            *told_by_run(grown, left),
             *told(grown.final.model, claims.effects),
             *_undated(grown, left, claims),
         ),
