@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.claims import Claims, claims_of, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
+from pmac_comp.physics.diagnose.control_law import told_of_law
 from pmac_comp.physics.diagnose.estimates import Told, estimates_of, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
@@ -190,6 +191,7 @@ def _assembled(
         separating_experiment=experiment,
         findings=findings,
         statements=(
+            *told_of_law(grown.bench.records, bench),
             *statements_of(
                 Story(
                     verdict,

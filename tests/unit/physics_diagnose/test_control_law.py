@@ -1,0 +1,64 @@
+"""A wrong gain in the bench file is seen without any plant, and a right one is not doubted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose.control_law import told_of_law
+from pmac_comp.physics.diagnose.records import prepare
+from pmac_comp.physics.signals import trajectory as tr
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+
+BENCH = load_bench("paper_x4")
+TS = BENCH.servo_period_s
+MOVE = tr.trapezoid(
+    period_s=TS, distance_m=0.03, speed_m_per_s=0.1, acceleration_m_per_s2=3.0, s_curve_s=0.02
+)
+
+
+def _said(bench: Bench, *runs: Capture) -> tuple[str, ...]:
+    return told_of_law(prepare(runs, bench, prefix="run"), bench)
+
+
+@pytest.fixture(scope="module")
+def run() -> Capture:
+    return closed_loop_capture(BENCH, make_plant(BENCH, effects={}, seed=2), MOVE.position_m)
+
+
+def _with(variable: str, factor: float) -> Bench:
+    law = BENCH.controller
+    changed = {**law.ivariables, variable: factor * law.ivariables[variable]}
+    ivariables = law.model_copy(update={"ivariables": changed})
+    return BENCH.model_copy(update={"controller": ivariables})
+
+
+def test_the_law_of_the_bench_file_is_not_doubted(run: Capture) -> None:
+    assert _said(BENCH, run) == ()
+
+
+def test_nothing_is_told_of_what_a_capture_does_not_hold(run: Capture) -> None:
+    wrong = _with("I130", 1.2)
+    assert _said(wrong, replace(run, torque_command_Nm=None)) == ()
+    lost = np.ones(run.n, dtype=np.bool_)
+    lost[run.n // 2] = False
+    assert _said(wrong, replace(run, valid=lost)) == ()
+
+
+def test_a_gain_that_the_capture_was_not_made_with_is_named(run: Capture) -> None:
+    (line,) = _said(_with("I131", 1.0 / 1.15), run)
+    assert "that of derivative gain 1.15 times the stated one." in line
+
+
+def test_a_factor_of_all_gains_is_told_once(run: Capture) -> None:
+    (line,) = _said(_with("I130", 1.0 / 1.15), run)
+    assert "all gains 1.15 times the stated ones" in line
+
+
+def test_a_torque_that_no_gains_give_is_not_put_down_to_them(run: Capture) -> None:
+    assert run.torque_command_Nm is not None
+    push = 0.5 * np.sin(2.0 * np.pi * 7.0 * run.time_s)
+    assert _said(BENCH, replace(run, torque_command_Nm=run.torque_command_Nm + push)) == ()
