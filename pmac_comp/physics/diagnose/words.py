@@ -102,7 +102,8 @@ def statements_of(story: Story) -> tuple[str, ...]:
     if torque is not None and not _in_torque(story):
         said.append(f"The torque gap goes from {torque[0]:.3g} to {torque[1]:.3g} N m rms.")
     if story.left.visible:
-        said += [f"Left: {region.describe()}." for region in story.left.regions[:3]]
+        word = "Left" if story.verdict != "none" else "Not proved beyond noise"
+        said += [f"{word}: {region.describe()}." for region in story.left.regions[:3]]
     return tuple(said)
 
 
@@ -130,7 +131,7 @@ def _headline(story: Story) -> str:
 def _nothing(story: Story) -> str:
     """What is left where nothing is missing: noise, or more than repeats would leave."""
     times = story.after.position_um / max(story.left.noise_floor_um, 1e-12)
-    if times < _CLEARLY:
+    if times < _CLEARLY and not story.left.visible:
         return "what is left is noise"
     return (
         f"what is left is {times:.2g} times the noise floor, and no effect or smooth function of "

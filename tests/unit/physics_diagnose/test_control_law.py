@@ -58,7 +58,12 @@ def test_a_factor_of_all_gains_is_told_once(run: Capture) -> None:
     assert "all gains 1.15 times the stated ones" in line
 
 
-def test_a_torque_that_no_gains_give_is_not_put_down_to_them(run: Capture) -> None:
+@pytest.mark.parametrize(("push_Nm", "told"), [(0.05, 0), (0.5, 1)])
+def test_a_torque_that_no_gains_give_is_told_as_something_else(
+    run: Capture, push_Nm: float, told: int
+) -> None:
     assert run.torque_command_Nm is not None
-    push = 0.5 * np.sin(2.0 * np.pi * 7.0 * run.time_s)
-    assert _said(BENCH, replace(run, torque_command_Nm=run.torque_command_Nm + push)) == ()
+    push = push_Nm * np.sin(2.0 * np.pi * 7.0 * run.time_s)
+    said = _said(BENCH, replace(run, torque_command_Nm=run.torque_command_Nm + push))
+    assert len(said) == told
+    assert all("something else acts" in line for line in said)

@@ -72,9 +72,20 @@ def test_the_partner_is_not_tried_where_neither_of_the_pair_leads():
     assert [item.start.effect for item in chosen] == ["stribeck"]
 
 
-def _told(before: tuple[float, float], after: tuple[float, float], named: tuple[str, ...]) -> str:
-    calm = SimpleNamespace(left_out=0.0)
-    left = SimpleNamespace(noise_floor_um=0.1, visible=False, excess_um=0.0, calm=calm)
+def _told(
+    before: tuple[float, float],
+    after: tuple[float, float],
+    named: tuple[str, ...],
+    *,
+    regions: tuple[SimpleNamespace, ...] = (),
+) -> str:
+    left = SimpleNamespace(
+        noise_floor_um=0.1,
+        visible=bool(regions),
+        excess_um=0.0,
+        calm=SimpleNamespace(left_out=0.0),
+        regions=regions,
+    )
     verdict = "named" if named else "none"
     story = Story(
         verdict,
@@ -102,3 +113,13 @@ def test_what_lives_in_the_torque_is_told_there():
 def test_twice_the_noise_floor_is_not_called_noise():
     assert "what is left is noise" in _told((0.12, 0.1), (0.12, 0.1), ())
     assert "2.1 times the noise floor" in _told((0.21, 0.1), (0.21, 0.1), ())
+
+
+def test_what_is_seen_beside_nothing_missing_is_told_as_not_proved():
+    ringing = SimpleNamespace(describe=lambda: "table residual rings")
+    told = _told((0.13, 0.1), (0.13, 0.1), (), regions=(ringing,))
+    assert "what is left is noise" not in told
+    assert "Not proved beyond noise: table residual rings." in told
+    assert "Left: table residual rings." in _told(
+        (0.9, 0.1), (0.13, 0.1), ("backlash",), regions=(ringing,)
+    )
