@@ -286,13 +286,19 @@ class Axis:
         free = int(self.link.query("SIZE")[0])
         if words <= free:
             return
-        held_s = (free - gather.HEADER_LONG_WORDS) / plan.layout.long_words * self.scales.period_s
+        sample_s = self.scales.period_s * plan.period_cycles
+        margin_s = _START_TIME_s + _TAIL_s
+        needs_s, held_s = (
+            (n - gather.HEADER_LONG_WORDS) / plan.layout.long_words * sample_s
+            for n in (words, free)
+        )
         raise CaptureError(
-            f"The run needs {words} long words of the controller's memory, {free} are free: it "
-            f"holds {max(0.0, held_s - _START_TIME_s - _TAIL_s):.1f} s of motion.",
+            f"The run lasts {needs_s - margin_s:.1f} s with the rests around its motion, and the "
+            f"controller's own memory, into which it is gathered on this line, holds "
+            f"{max(0.0, held_s - margin_s):.1f} s ({words} long words needed, {free} free).",
             code="PC-AXI-005",
             hint="Name shorter motions with --motion, or connect by Ethernet to a card with "
-            "dual-ported RAM.",
+            "dual-ported RAM, which gathers runs of any length.",
         )
 
     def _watch_positions(self, duration_s: float) -> None:

@@ -58,6 +58,7 @@ from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
+_LESS = " --aim mechanical leaves the lag of the loop alone and needs less."
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
@@ -254,7 +255,8 @@ def compensate_files(
         raise AmplitudeExceeded(
             "The correction passes the limits: " + "; ".join(cuts) + ".",
             code="PC-DEP-010",
-            hint="Check the model, raise [safety] max_correction_um, or use --limit to clip.",
+            hint="Check the model, raise [safety] max_correction_um, or use --limit to clip."
+            + _LESS * (route in MOTION_ROUTES and aim is Aim.TOTAL),
         )
     tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
     write_compensation(out, compensation)

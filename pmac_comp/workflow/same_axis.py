@@ -169,7 +169,7 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
         raise ConfigError(
             f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "
             f"the bench file states ({_named(bench)}): {'; '.join(differences)}.",
-            code="PC-DIA-013",
+            code="PC-DIA-015",
             hint="Give the bench file that the model was identified with, or identify again with "
             "this one.",
         )

@@ -85,20 +85,22 @@ def next_steps(
             f"(pmac-comp terminal {shlex.quote(url)} -c '#{deployment.motor}J/'), then "
             f"pmac-comp upload {where} {file}{again}"
         )
-    model = _model_of(new, compensation)
-    promise = f" --model {shlex.quote(model)}" if model else ""
-    yield f"Check it: pmac-comp verify {where} --compensation {file}{promise}"
+    yield f"Check it: pmac-comp verify {where} --compensation {file}{_promise(new, compensation)}"
     yield f"Take it back: pmac-comp rollback {where}{again}"
 
 
-def _model_of(new: Path, compensation: Compensation) -> str:
-    """The model that a compensation was computed from, for the promise; empty if unknown.
+def _promise(new: Path, compensation: Compensation) -> str:
+    """Option that names the model, for the promise; in words where its file is not found.
 
-    A compensation knows its name only: looked for beside the file first.
+    A compensation knows the name of its model only: looked for beside its file, then here.
     """
     name = Path(str(compensation.law.provenance.get("model", ""))).name
-    beside = new.parent / name
-    return str(beside) if name and beside.is_file() else name
+    if not name:
+        return ""
+    found = [path for path in (new.parent / name, Path(name)) if path.is_file()]
+    if found:
+        return f" --model {shlex.quote(str(found[0]))}"
+    return f" (and, for the promise, --model with the path of {name})"
 
 
 def _save(

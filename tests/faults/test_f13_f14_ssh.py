@@ -150,6 +150,10 @@ def test_f46_agent_and_home_keys_are_offered_only_on_request(gateway, tmp_path, 
 def test_logins_that_fail_say_what_to_do(gateway, tmp_path, monkeypatch):
     front = gateway()
     known = trusting(tmp_path, front.known_hosts_line)
+    bare = tunnel_url(front, 1, known).replace("&password_env=BENCH_SECRET", "")
+    with pytest.raises(ConnectFailed, match="no way to log in") as nameless:
+        Commander.open(bare)
+    assert "?identity=FILE" in nameless.value.hint
     with pytest.raises(ConfigError, match="BENCH_SECRET is not set"):
         Commander.open(tunnel_url(front, 1, known))
     monkeypatch.setenv("BENCH_SECRET", "canary-wrong")

@@ -155,6 +155,12 @@ def _connect(
         ) from error
     except (paramiko.SSHException, OSError, EOFError) as error:
         reason = getattr(error, "strerror", None) or error
+        # paramiko's word for an address that names no way to log in (it tried none).
+        if str(error).startswith("No authentication methods"):
+            raise ConnectFailed(
+                f"no way to log in to {endpoint.host} as '{endpoint.user}' is named",
+                hint="Give one: ?identity=FILE, ?agent=yes or ?password_env=NAME.",
+            ) from error
         raise ConnectFailed(
             f"no SSH connection to {endpoint.host}:{endpoint.port}: {reason}",
             hint="Check the gateway's address and that its SSH server runs.",

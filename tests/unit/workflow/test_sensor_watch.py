@@ -89,7 +89,7 @@ def test_a_motion_that_the_card_cannot_hold_says_how_long_it_may_be() -> None:
     with embedded(Card(bench)) as link:
         axis = Axis(link, bench)
         axis.enable()
-        with pytest.raises(CaptureError, match=r"holds .* s") as refused:
+        with pytest.raises(CaptureError, match=r"lasts [\d.]+ s .* holds [\d.]+ s") as refused:
             axis.run(motion)
         assert refused.value.code == "PC-AXI-005"
         assert motors.read_motor(link, axis.motor).status.is_commanded_still

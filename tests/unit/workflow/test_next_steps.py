@@ -1,0 +1,35 @@
+"""Advice after an upload names the model by a path that exists, or says that one is to be given."""
+
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import ControllerState
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import Deployment
+from pmac_comp.workflow.upload_flow import next_steps
+
+
+def check_line(folder: Path) -> str:
+    law = CompensationLaw(provenance={"model": "model.json"})
+    done = Deployment(ControllerState.NEW, (), motor=1, acts=True)
+    steps = next_steps(
+        "sim://", "paper", folder / "c.json", Path("kept"), Compensation("law", law), done
+    )
+    return next(line for line in steps if line.startswith("Check it"))
+
+
+def test_a_model_in_the_working_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.json").write_text("{}")
+    assert check_line(tmp_path / "elsewhere").endswith("--model model.json")
+
+
+def test_a_model_that_lies_elsewhere_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "--model with the path of model.json" in check_line(tmp_path)
