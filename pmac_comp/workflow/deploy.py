@@ -21,6 +21,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
+    guard_install,
     law_arming,
     law_install,
     law_state,
@@ -123,7 +124,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
     if tables:
-        notes += law_install.install_guard(axis.link, context)
+        notes += guard_install.install_guard(axis.link, context)
     _set_take_up(axis, context, tables)
     if compensation.route == "cam":
         parts.append(_deploy_cam(axis, compensation, context, tables))
@@ -186,10 +187,10 @@ def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
     if route == "law":
         wanted = (
             law_install.law_program(context.block, axis.motor),
-            law_install.guard_program(context.block),
+            guard_install.guard_program(context.block),
         )
         return _download_lines([p for p in wanted if not programs.is_present(axis.link, p)])
-    _, guard = law_install.guard_settings(axis.link, context)
+    _, guard = guard_install.guard_settings(axis.link, context)
     return _download_lines([programs.Program(*key, body) for key, body in guard.programs.items()])
 
 

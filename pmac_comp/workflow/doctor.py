@@ -165,9 +165,12 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 
 def _compensation(axis: "Axis") -> Iterator[Finding]:
+    from pmac_comp.machine.controller.law_install import owner_refusals
     from pmac_comp.machine.controller.table_status import table_status
     from pmac_comp.workflow.deploy import context_of
 
+    for taken in owner_refusals(axis.link, context_of(axis), axis.motor):
+        yield Finding("note", "route law", f"{taken.message} {taken.advice}")
     try:
         state = table_status(axis.link, context_of(axis))
     except PmacCompError as error:

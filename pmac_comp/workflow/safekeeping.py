@@ -1,8 +1,9 @@
 """Backup and restore of a whole controller, and the download of program files."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
@@ -12,7 +13,7 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.restore import restore
-from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
@@ -20,6 +21,8 @@ from pmac_comp.workflow.session import open_axis
 Progress = Callable[[str, float], None]
 _SHOWN = 40
 _LINE_SHOWN = 60
+_DEFINITION: Final = re.compile(r"M(\d+)\s*->\s*(\S.*)", re.I)
+_VALUE: Final = re.compile(r"([IP]\d+)\s*=\s*(\$[0-9A-F]+|[-+]?[\d.]+)", re.I)
 
 
 def backup_to_file(
@@ -58,9 +61,11 @@ def backup_to_file(
 def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
     """What a restore would change, or the lines a program file would send."""
     if source.suffix != ".json":
-        text = _program_text(bench, source)
-        parsed = programs.parse_source(text)
-        lines = [*parsed.commands, *(x for p in parsed.programs for x in p.lines)]
+        goal, others = _settings_of(programs.parse_source(_program_text(bench, source)))
+        with open_axis(url, bench) as axis:
+            stands = read_settings(axis.link, goal)
+        lines = [*others, *(f"would change: {text}" for text in differences(goal, stands))]
+        lines += [line for body in goal.programs.values() for line in body]
         return {"summary": f"{len(lines)} lines of {source.name}", "lines": lines}
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
@@ -83,17 +88,17 @@ def restore_from_file(
 ) -> dict[str, Any]:
     """Bring a backup back, or download a program file and compare what the card lists."""
     if source.suffix != ".json":
-        parsed = programs.parse_source(_program_text(bench, source))
+        goal, others = _settings_of(programs.parse_source(_program_text(bench, source)))
         with open_axis(url, bench) as axis:
             context = context_of(axis, journal, progress)
             with grouped(axis.link, context, source.name) as inner:
-                axis.link.write_buffer(["CLOSE", *parsed.commands])
-                if parsed.programs:
-                    bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
-                    change_settings(axis.link, inner, Settings(programs=bodies), route="program")
+                axis.link.write_buffer(["CLOSE", *others])
+                if not goal.is_empty:
+                    change_settings(axis.link, inner, goal, route="program")
         return {
-            "summary": f"{source.name}: {len(parsed.commands)} commands sent, "
-            f"{len(parsed.programs)} programs listed back token by token"
+            "summary": f"{source.name}: {len(goal.variables)} variables, {len(goal.definitions)} "
+            f"definitions and {len(goal.programs)} programs written and read back"
+            + (f", {len(others)} commands sent that no rollback undoes" if others else "")
         }
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
@@ -106,6 +111,22 @@ def restore_from_file(
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],
         "summary": f"restored; {len(left)} item(s) cannot be set or live on the card",
     }
+
+
+def _settings_of(parsed: programs.Source) -> tuple[Settings, list[str]]:
+    """What a program file sets and can be taken back, and its other commands."""
+    definitions: dict[int, str] = {}
+    variables: dict[str, str] = {}
+    others: list[str] = []
+    for line in parsed.commands:
+        if found := _DEFINITION.fullmatch(line):
+            definitions[int(found[1])] = found[2]
+        elif found := _VALUE.fullmatch(line):
+            variables[found[1].upper()] = found[2]
+        elif line.upper() != "CLOSE":
+            others.append(line)
+    bodies = {(p.kind, p.number): p.lines for p in parsed.programs}
+    return Settings(variables, definitions, bodies), others
 
 
 def _program_text(bench: str, source: Path) -> str:

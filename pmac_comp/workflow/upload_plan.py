@@ -11,7 +11,7 @@ from typing import Any
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import law_install, motors
+from pmac_comp.machine.controller import guard_install, motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
@@ -154,7 +154,7 @@ def _table_lines(plan: UploadPlan, url: str) -> list[str]:
 
 
 def _guard_lines(axis: Axis, context: Context) -> list[str]:
-    refusal, goal = law_install.guard_settings(axis.link, context)
+    refusal, goal = guard_install.guard_settings(axis.link, context)
     if refusal:
         return [f"  {refusal}"]
     if goal.is_empty:

@@ -13,6 +13,7 @@ from pmac_comp.base.errors import ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import (
+    guard_install,
     law_arming,
     law_install,
     law_upload,
@@ -121,13 +122,13 @@ def time_motor(link: Link, context: Context) -> None:
 def guarded_table(link: Link, context: Context) -> None:
     """The route ``table``: the guard PLC, then the tables."""
     with grouped(link, context, "table") as parts:
-        law_install.install_guard(link, parts)
+        guard_install.install_guard(link, parts)
         upload_tables(link, parts, [new_table(24)])
 
 
 def under_guard(link: Link, context: Context) -> None:
     with_table(link, context)
-    law_install.install_guard(link, context)
+    guard_install.install_guard(link, context)
 
 
 def with_axes(link: Link, context: Context) -> None:

@@ -21,6 +21,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.reads import is_read
 from pmac_comp.machine.controller import (
     backup,
+    guard_install,
     law_arming,
     law_install,
     persist,
@@ -174,7 +175,7 @@ def test_f18_another_client_enables_during_the_upload(
     link = rig.bench.link
     if guarded:
         link.write_buffer([f"M{n}->{d}" for n, d in law_install.definitions(1).items()])
-        programs.download(link, law_install.guard_program(rig.bench.context.block))
+        programs.download(link, guard_install.guard_program(rig.bench.context.block))
         link.write_buffer(["I5=3", "ENABLE PLC 1"])
         rig.bench.clock.sleep_s(0.05)
         assert rig.bench.p(7082) > 0

@@ -6,7 +6,13 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller import law_arming, law_install, law_upload, recovery
+from pmac_comp.machine.controller import (
+    guard_install,
+    law_arming,
+    law_install,
+    law_upload,
+    recovery,
+)
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.upload_bench import UploadBench
@@ -47,7 +53,7 @@ def worst_error_ct(bench: CardBench, cycles: int) -> float:
 def test_f18_half_written_tables_stay_off_a_moving_axis(tmp_path: Path, count_runs: Count) -> None:
     """Somebody jogs the axis and switches on what the dead host left: the guard is faster."""
     rig = UploadBench(tmp_path, n=40)
-    law_install.install_guard(rig.bench.link, rig.bench.context)
+    guard_install.install_guard(rig.bench.link, rig.bench.context)
     rig.bench.clock.sleep_s(0.05)
     rig.save()
     at = half_written(rig)

@@ -15,8 +15,8 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller import (
     gather,
+    guard_install,
     identity,
-    law_install,
     motors,
     programs,
     recovery,
@@ -73,13 +73,13 @@ def test_f23_enabling_never_jumps_by_more_than_the_bound(tmp_path: Path, count_r
 def test_f18_guard_comes_with_tables_and_goes_with_them(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
     with recovery.grouped(bench.link, bench.context, "table") as parts:
-        assert "guard" in law_install.install_guard(bench.link, parts)[0]
+        assert "guard" in guard_install.install_guard(bench.link, parts)[0]
         upload.upload_tables(bench.link, parts, [offset_table(3.0)])
     bench.clock.sleep_s(0.1)
     scans = bench.p(7082)
     bench.clock.sleep_s(0.1)
     assert bench.p(7082) > scans, "the guard runs"
-    assert law_install.install_guard(bench.link, bench.context) == ()
+    assert guard_install.install_guard(bench.link, bench.context) == ()
     recovery.rollback_last(bench.link, bench.context)
     assert bench.link.query("M7007->") == ["*"]
     assert not bench.card.plcs.enabled(1)
@@ -91,7 +91,7 @@ def test_f18_guard_leaves_alone_what_is_not_ours(tmp_path: Path, taken: str) -> 
     bench = make_plc_bench(tmp_path)
     bench.link.write_buffer(taken.split("\r"))
     before = bench.link.query("M7007->"), programs.listing(bench.link, programs.ProgramKind.PLC, 1)
-    (said,) = law_install.install_guard(bench.link, bench.context)
+    (said,) = guard_install.install_guard(bench.link, bench.context)
     assert "the guard was not installed" in said
     after = bench.link.query("M7007->"), programs.listing(bench.link, programs.ProgramKind.PLC, 1)
     assert after == before

@@ -1,15 +1,13 @@
-"""The law and its guard on the controller: programs, definitions, following, sign of life.
+"""The law on the controller: program, definitions, following, sign of life.
 
 What lives here: what has to stand on the card before a law can be uploaded, as one transaction
 that leaves everything as it was if it does not end. What may not: coefficients (``law_upload``),
 the gain (``law_arming``).
 """
 
-from dataclasses import replace
 from typing import Final
 
 from pmac_comp.base.errors import (
-    CommandRefused,
     ControllerState,
     MotorNotSafe,
     SafetyRefusal,
@@ -18,6 +16,14 @@ from pmac_comp.base.errors import (
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.guard_install import (
+    CLOCK,
+    FOREIGN_GUARD,
+    GUARD,
+    GUARD_DEFINITION,
+    guard_program,
+    is_foreign,
+)
 from pmac_comp.machine.controller.law_arming import disarm
 from pmac_comp.machine.controller.law_bank import (
     MASTER_SCALE_IXX07,
@@ -40,14 +46,13 @@ from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, read_settings
-from pmac_comp.machine.controller.settings_upload import SettingsUpload, change_settings, texts
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_one, same_value
 
 DEFAULT_RAMP_s: Final = 0.5
 LAW: Final = (ProgramKind.PLC, 0)
-GUARD: Final = (ProgramKind.PLC, 1)
 
 
 def law_program(context_block: LawBlock, motor: int) -> Program:
@@ -56,12 +61,6 @@ def law_program(context_block: LawBlock, motor: int) -> Program:
     return programs.parse_source(
         programs.render(text, motor=motor, first_p=context_block.first)
     ).program
-
-
-def guard_program(context_block: LawBlock) -> Program:
-    """Guard PLC 1 of ``firmware_plc`` for a block."""
-    text = firmware_path("comp_guard.plc").read_text(encoding="utf-8")
-    return programs.parse_source(programs.render(text, first_p=context_block.first)).program
 
 
 def definitions(motor: int) -> dict[int, str]:
@@ -73,7 +72,7 @@ def definitions(motor: int) -> dict[int, str]:
         7002: f"X:${MASTER_WORD_ADDRESS:X},0,24,S",
         7003: f"X:${base + 0x30:X},18",
         7004: f"X:${base + 0x30:X},19",
-        7007: "D:$17",
+        GUARD_DEFINITION: CLOCK,
         7013: f"X:${base + 0x3F:X},8,16,S",
     }
 
@@ -133,82 +132,6 @@ def install_law(
     return done
 
 
-GUARD_DEFINITION: Final = 7007  # the card's clock, in 1/1024 s
-
-
-_LOCKED: Final = (
-    "a password protects PLC 1 on the controller, so the guard was not installed: tables that "
-    "another client enables during an upload are found at its next step only"
-)
-
-
-_FOREIGN_GUARD: Final = (
-    "PLC 1 holds another program, so the guard was not installed: tables that another client "
-    "enables during an upload are found at its next step only"
-)
-
-
-def _is_foreign(found: Settings, place: tuple[ProgramKind, int], ours: Program) -> bool:
-    """Whether a program stands there that does not begin as ours of any version does."""
-    stands = programs.canonical(found.programs[place])
-    return bool(stands) and stands[0] != ours.tokens[0]
-
-
-def install_guard(link: Link, context: Context) -> tuple[str, ...]:
-    """Put the guard PLC beside tables, so that the card itself keeps half-written ones off.
-
-    A PLC 1 of somebody else stays; without the guard tables that another client enables during an
-    upload act until the upload's next step finds them.
-
-    Returns
-    -------
-    tuple of str
-        What was done, or why not, for a person.
-
-    Raises
-    ------
-    VerifyMismatch
-        It does not list back as sent; what stood before was put back.
-    """
-    with untouched():
-        refusal, goal = guard_settings(link, context)
-    if refusal or goal.is_empty:
-        return (refusal,) if refusal else ()
-    try:
-        change_settings(link, context, goal, route="guard")
-    except CommandRefused as error:
-        if programs.explain_protection(error) and error.left is ControllerState.OLD:
-            return (_LOCKED,)
-        raise
-    i5 = parse_integer(link.query("I5")[0])
-    held = "" if i5 & 2 else f", but I5 = {i5} holds background PLCs: it does not run"
-    return (f"the guard (PLC 1) was written and listed back{held}",)
-
-
-def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
-    """Why the guard does not go onto the card, and what is missing of it; nothing is changed."""
-    guard, definition = guard_program(context.block), f"M{GUARD_DEFINITION}"
-    asked = Settings({}, {GUARD_DEFINITION: definitions(1)[GUARD_DEFINITION]}, {GUARD: ()})
-    try:
-        found = read_settings(link, asked)
-    except CommandRefused as error:
-        if programs.explain_protection(error):
-            return _LOCKED, Settings()
-        raise
-    stands = programs.canonical(found.programs[GUARD])
-    if stands == guard.tokens and 1 in found.running:
-        return "", Settings()
-    if _is_foreign(found, GUARD, guard):
-        return _FOREIGN_GUARD, Settings()
-    defined = found.definitions[GUARD_DEFINITION].upper().replace(" ", "")
-    if defined not in {"*", asked.definitions[GUARD_DEFINITION]}:
-        return (
-            f"{definition} is defined as {defined}, so the guard was not installed: it needs "
-            f"{asked.definitions[GUARD_DEFINITION]} there"
-        ), Settings()
-    return "", replace(asked, programs={GUARD: guard.lines}, running=frozenset({1}))
-
-
 def _standing(link: Link, motor: int) -> Settings:
     """What stands in the places of law and guard."""
     asked = Settings({**_following(motor), "I8": ""}, definitions(motor), {LAW: (), GUARD: ()})
@@ -233,7 +156,7 @@ def _missing(
     follows = all(same_value(float(parse_integer(found.variables[k])), float(parse_integer(v)))
                   for k, v in following.items())  # fmt: skip
     guarded = programs.canonical(found.programs[GUARD]) == guard.tokens and 1 in found.running
-    foreign_guard = _is_foreign(found, GUARD, guard)
+    foreign_guard = is_foreign(found, GUARD, guard)
     wanted = {
         LAW: None if whole and 0 in found.running else law.lines,
         GUARD: None if guarded or foreign_guard else guard.lines,
@@ -250,7 +173,7 @@ def _missing(
         "PLC 0 is on the card already" if whole else "PLC 0 was written and listed back",
         "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
         "" if paced else f"PLC 0 runs every {every_cycles} servo cycles (I8 = {every_cycles - 1})",
-        _FOREIGN_GUARD if foreign_guard else "",
+        FOREIGN_GUARD if foreign_guard else "",
         "" if guarded or foreign_guard else "the guard (PLC 1) was written and listed back",
     )
     return goal, tuple(note for note in notes if note)
@@ -312,10 +235,16 @@ def law_refusals(
         return _refusals(link, motor, head, goal) + _owners(context, motor, found)
 
 
+def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefusal]:
+    """What belongs to somebody else where a law would go; nothing is changed."""
+    with untouched():
+        return _owners(context, motor, _standing(link, motor))
+
+
 def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal]:
     """What belongs to somebody else where the law would go: a machine's logic must not vanish."""
     out: list[SafetyRefusal] = []
-    if _is_foreign(found, LAW, law_program(context.block, motor)):
+    if is_foreign(found, LAW, law_program(context.block, motor)):
         out.append(
             SafetyRefusal(
                 "PLC 0 holds a program that is not ours; the law would replace it.",

@@ -8,6 +8,7 @@ from pmac_comp.base.errors import CommandRefused, ControllerState, MotorNotSafe
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import (
     backup,
+    guard_install,
     identity,
     law_install,
     law_upload,
@@ -38,7 +39,7 @@ def locked(folder: Path) -> CardBench:
 def test_password_does_not_hinder_tables_and_motion_programs(tmp_path: Path) -> None:
     bench = locked(tmp_path)
     with recovery.grouped(bench.link, bench.context, "table") as parts:
-        (said,) = law_install.install_guard(bench.link, parts)
+        (said,) = guard_install.install_guard(bench.link, parts)
         result = upload.upload_tables(bench.link, parts, [new_table(40)])
     assert "password" in said
     assert result.verdict is ControllerState.NEW

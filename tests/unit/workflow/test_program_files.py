@@ -1,0 +1,51 @@
+"""A program file that `restore` loads: told before, read back, and taken back with all it set."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.workflow import safekeeping, upload_flow
+from pmac_comp.workflow.axis import Axis
+
+ASKED = "M7003->M7011->M7012->M7015->"
+
+
+def test_homing_comes_whole_and_goes_with_its_definitions(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (safekeeping, upload_flow):
+        monkeypatch.setattr(module, "open_axis", lambda _url, _bench: nullcontext(axis))
+    axis.link.write_buffer(["M7011->X:$10,3"])
+    before = axis.link.query(ASKED)
+    source = firmware_path("homing.plc")
+    told = safekeeping.plan_restore("sim://", "paper", source)["lines"]
+    assert any("M7011 is X:$10,3 instead of Y:$C0,0" in line for line in told)
+    assert axis.link.query(ASKED) == before
+    done = safekeeping.restore_from_file("sim://", "paper", source, journal=tmp_path)
+    assert "4 definitions and 1 programs" in done["summary"]
+    assert axis.link.query(ASKED) == ["X:$B0,18", "Y:$C0,0", "Y:$C0,10", "X:$B0,10"]
+    axis.kill()
+    axis.link.write_buffer(["I5=2", "P7191=300", "I123=0", "ENABLE PLC 2"])
+    axis.link.clock.sleep_s(2.0)
+    assert axis.link.query("P7190") == ["3"]  # it runs to its end: no trigger came
+    axis.link.write_buffer(["#1J/"])
+    axis.link.clock.sleep_s(0.5)
+    upload_flow.rollback_upload("sim://", "paper", tmp_path)
+    assert axis.link.query(ASKED) == before
+    assert not programs.listing(axis.link, ProgramKind.PLC, 2)
+
+
+def test_other_commands_are_sent_and_said_to_stay(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(safekeeping, "open_axis", lambda _url, _bench: nullcontext(axis))
+    source = tmp_path / "mixed.pmc"
+    source.write_text("I8=3\nP7190=$10\n&1#1->10000X\n", encoding="ascii")
+    done = safekeeping.restore_from_file("sim://", "paper", source, journal=tmp_path / "kept")
+    assert "2 variables" in done["summary"]
+    assert "1 commands sent that no rollback undoes" in done["summary"]
+    assert axis.link.query("I8P7190&1#1->") == ["3", "16", "10000X"]
