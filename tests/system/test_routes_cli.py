@@ -7,23 +7,15 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from tests.compensations import TRAVEL_m, friction_law, lead_map
 from tests.system.command import run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 BENCH = load_bench("paper")
-LAW = CompensationLaw(
-    inertia_s2=2.2e-6,
-    coulomb_m=0.9e-6,
-    breakaway_m=2e-6,
-    torque_coulomb_Nm=0.4,
-    torque_breakaway_m=5e-6,
-    torque_limit_Nm=10.0,
-)
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 35e-6 * X, np.full(X.size, -4e-6), 0.0)
+LAW = friction_law()
+LEAD = lead_map(reversal_um=-4.0)
 T = np.arange(2000) * BENCH.servo_period_s
 MOVE = 0.02 * (T / T[-1]) ** 3 * (10.0 - 15.0 * (T / T[-1]) + 6.0 * (T / T[-1]) ** 2)
 BUMP = 8e-6 * np.sin(np.pi * T / T[-1]) ** 2
@@ -80,7 +72,8 @@ def test_old_against_new_of_a_law_is_numbers_in_um_and_a_plot(tmp_path: Path) ->
 
 
 def test_a_forbidden_upload_names_every_reason_before_it_asks(tmp_path: Path) -> None:
-    steep = LeadMap(X, 90e-6 * np.sin(2 * np.pi * X / 4e-3), np.zeros(X.size), 0.0)
+    x = TRAVEL_m
+    steep = LeadMap(x, 90e-6 * np.sin(2 * np.pi * x / 4e-3), 0.0 * x, 0.0)
     write_compensation(tmp_path / "c.json", Compensation("table", LAW, steep))
     done = run("upload", "sim://", "c.json", cwd=tmp_path)
     assert done.returncode == 6

@@ -31,14 +31,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
-from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from tests.compensations import friction_law, lead_map
 from tests.faults.openssh import trusting
 from tests.faults.ssh_gateway import SECRET, USER, Gateway
 
 LINKS = ("tcp", "pty", "ssh")
-X = np.arange(-0.3, 0.3005, 1e-3)
 MOTION = ("--motion", "sine:amplitude_mm=2,frequency_Hz=2,cycles=10")
 FIRST = ("upload law", "rollback", "upload table", "restore", "verify", "capture")
 ALIVE = {"I129"}  # the torque that an armed law writes in every cycle
@@ -54,18 +52,11 @@ FLAGS = {
 
 
 def write_compensations(folder: Path) -> None:
-    law = CompensationLaw(
-        inertia_s2=2.2e-6,
-        coulomb_m=0.9e-6,
-        breakaway_m=2e-6,
-        torque_coulomb_Nm=0.4,
-        torque_breakaway_m=5e-6,
-        torque_limit_Nm=10.0,
-    )
-    for route, slope in (("law", 20e-6), ("table", 35e-6)):
-        lead = LeadMap(X, slope * X, np.full(X.size, -4e-6), 0.0)
+    for route, slope in (("law", 20.0), ("table", 35.0)):
+        lead = lead_map(slope, reversal_um=-4.0)
         write_compensation(
-            folder / f"{route}.json", Compensation(route, law, lead, backlash=route == "law")
+            folder / f"{route}.json",
+            Compensation(route, friction_law(), lead, backlash=route == "law"),
         )
 
 

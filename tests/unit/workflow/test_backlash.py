@@ -14,7 +14,6 @@ from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow import upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import backlash_table, forward_part, has_backlash
@@ -28,10 +27,10 @@ from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.verify import measured_sign
+from tests.compensations import TRAVEL_m, friction_law, lead_map
 
 BENCH = load_bench("paper")
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 35e-6 * X, -6e-6 - 10e-6 * X, 0.05e-6)
+LEAD = lead_map(reversal_um=-6.0, reversal_um_per_m=-10.0, noise_um=0.05)
 COMPENSATION = Compensation("table", CompensationLaw(), LEAD, backlash=True)
 
 
@@ -47,7 +46,7 @@ def test_the_tables_together_take_both_directions_away() -> None:
     assert table is not None
     assert back is not None
     assert back.quantisation_um <= 0.5 / 16 + 1e-9
-    counts = X[10:-10] / BENCH.motor_resolution_m
+    counts = TRAVEL_m[10:-10] / BENCH.motor_resolution_m
     up = table.table.correction_ct(counts)
     down = up - back.table.backlash_ct(counts)
     to_um = BENCH.motor_resolution_m * 1e6
@@ -61,7 +60,7 @@ def test_the_tables_together_take_both_directions_away() -> None:
     assert np.max(np.abs(left_up - left_down)) < 0.15
     mean = COMPENSATION.table_correction(BENCH)
     assert mean is not None
-    assert np.ptp(LEAD.error_m[inside] + mean(X[inside])) < 0.15e-6
+    assert np.ptp(LEAD.error_m[inside] + mean(TRAVEL_m[inside])) < 0.15e-6
 
 
 def test_forward_part_and_file_keep_what_was_measured(tmp_path: Path) -> None:
@@ -109,7 +108,7 @@ def test_tables_that_act_the_wrong_way_are_switched_off(axis: Axis, tmp_path: Pa
 
 def test_a_law_loaded_with_the_loop_open_waits_for_its_sign(axis: Axis, tmp_path: Path) -> None:
     context = context_of(axis, tmp_path)
-    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0)
+    law = friction_law()
     axis.kill()
     notes = deploy(axis, Compensation("law", law), context).notes
     assert not any("sign measured" in note for note in notes)
@@ -122,7 +121,7 @@ def test_a_law_that_acts_forbids_what_would_correct_friction_twice(
     axis: Axis, tmp_path: Path
 ) -> None:
     context = context_of(axis, tmp_path)
-    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0)
+    law = friction_law()
     deploy(axis, Compensation("law", law), context)
     (refusal,) = double_corrections(axis, context, COMPENSATION)
     assert refusal.code == "PC-DEP-060"

@@ -9,8 +9,7 @@ from pmac_comp.base.errors import ConfigError, ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
-from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -22,23 +21,18 @@ from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.repeated import run_with_offset
 from pmac_comp.workflow.simulated import TruthRecorder
+from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
-LAW = CompensationLaw(
-    inertia_s2=2.2e-6,
+LAW = friction_law(
     inertia_per_m_s2_per_m=1.8e-6,
     viscous_s=3.7e-6,
-    coulomb_m=0.9e-6,
     coulomb_per_m=0.8e-6,
-    breakaway_m=2e-6,
     lookahead_s=1.8e-3,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_coulomb_Nm=0.45,
-    torque_breakaway_m=5e-6,
-    torque_limit_Nm=10.0,
 )
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0)
+LEAD = lead_map()
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
 
 

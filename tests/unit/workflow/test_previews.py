@@ -10,7 +10,6 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
@@ -21,10 +20,10 @@ from pmac_comp.workflow.previews import (
     what_is_open,
     what_was_uploaded,
 )
+from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
-X = np.arange(-0.3, 0.3005, 1e-3)
-TABLE = Compensation("table", CompensationLaw(), LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0))
+TABLE = Compensation("table", CompensationLaw(), lead_map())
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

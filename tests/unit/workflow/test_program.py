@@ -19,6 +19,7 @@ from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.runs import left_as_found, runs_of
 from pmac_comp.workflow.verify import verify_axis
+from tests.compensations import friction_law
 
 BENCH = load_bench("paper")
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
@@ -86,7 +87,7 @@ def test_another_program_on_the_card_is_not_run(axis: Axis, tmp_path: Path) -> N
 def test_a_comparison_leaves_motor_and_compensation_as_found(axis: Axis, tmp_path: Path) -> None:
     law = Compensation(
         "law",
-        CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=2e-6, torque_limit_Nm=1.0),
+        friction_law(),
     )
     context = context_of(axis, tmp_path)
     deploy(axis, law, context)

@@ -22,11 +22,11 @@ from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.outcome import ROUNDING
 from pmac_comp.workflow.promises import Promiser, static_of, worse_remarks
 from pmac_comp.workflow.simulated import TruthRecorder, embedded
+from tests.compensations import TRAVEL_m, lead_map
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper")
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 35e-6 * X, -6e-6 - 10e-6 * X, 0.05e-6)
+LEAD = lead_map(reversal_um=-6.0, reversal_um_per_m=-10.0, noise_um=0.05)
 SLIDES_m = 12e-6
 
 
@@ -111,7 +111,9 @@ def test_tables_turn_side_with_the_motion_after_the_hysteresis() -> None:
 
 
 def test_promise_of_a_table_holds_the_lead_error_that_it_takes_away() -> None:
-    table = Compensation("table", CompensationLaw(), replace(LEAD, reversal_m=0.0 * X))
+    table = Compensation(
+        "table", CompensationLaw(), replace(LEAD, reversal_m=0.0 * LEAD.reversal_m)
+    )
     promiser = Promiser.of(BENCH, table, DriveModel.base(BENCH))
     assert promiser is not None
     far = Trajectory(move().trajectory.time_s, 5.0 * (move().position_m - 0.05))
@@ -156,7 +158,8 @@ def test_rounding_of_a_coarse_encoder_is_told_and_a_fine_one_has_none() -> None:
 
 def test_motion_that_a_table_makes_worse_is_said_with_its_figures() -> None:
     # A lead error that falls towards the far end stands against the lag of the way back.
-    worse = LeadMap(X, -0.6e-3 * (X - 0.065), 0.0 * X, 0.05e-6)
+    x = TRAVEL_m
+    worse = LeadMap(x, -0.6e-3 * (x - 0.065), 0.0 * x, 0.05e-6)
     motions = [move()]
     texts: list[str] = []
     for lead in (worse, replace(worse, error_m=-worse.error_m)):

@@ -3,20 +3,16 @@
 from contextlib import nullcontext
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow import upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.simulated import embedded
-
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 20e-6 * X, np.zeros(X.size), 0.0)
+from tests.compensations import lead_map
 
 
 def after_reset(axis: Axis, card: Card) -> int:
@@ -33,7 +29,7 @@ def test_rollback_reaches_the_flash_on_demand_only(
 ) -> None:
     monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
     new, store = tmp_path / "c.json", tmp_path / "journal"
-    write_compensation(new, Compensation("table", CompensationLaw(), LEAD))
+    write_compensation(new, Compensation("table", CompensationLaw(), lead_map(20.0)))
 
     upload_flow.upload_file("sim://", "paper", new, store, persist=True)
     told = upload_flow.rollback_upload("sim://", "paper", store)

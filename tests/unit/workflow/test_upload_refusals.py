@@ -4,7 +4,6 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
@@ -12,23 +11,16 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import Deployment, context_of, deploy
 from pmac_comp.workflow.upload_flow import next_steps
 from pmac_comp.workflow.upload_plan import preview
+from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
-X = np.arange(-0.3, 0.3005, 1e-3)
-LEAD = LeadMap(X, 35e-6 * X, np.zeros(X.size), 0.0)
-LAW = CompensationLaw(
-    inertia_s2=2e-6,
-    coulomb_m=1e-6,
-    breakaway_m=2e-6,
-    torque_limit_Nm=1.0,
-    provenance={"model": "model.json"},
-)
+LEAD = lead_map()
+LAW = friction_law(provenance={"model": "model.json"})
 URL = "tcp://127.0.0.1:1"
 
 
