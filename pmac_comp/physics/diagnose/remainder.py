@@ -36,6 +36,8 @@ _TRIM = 0.1
 _LARGEST_SHAPE, _FITTED_SHAPE = 3.0, 1.0
 _TRIM_BLOCK = 50  # coarse samples, a ninth of a second
 _MOST = 0.25  # of the base model's excess, in squares: half of it in um
+# Where nothing has a name: of the noise floor, and times what idealisation leaves at stops.
+_PLAIN, _IDEAL = 1.5, 3.0
 _FAR = 2.0  # of the noise floor: no name closes a gap that leaves so much
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 _CHANCE = 1e-4  # that white noise shows the wave that is told
@@ -115,7 +117,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
     floor_um = noise_floor_um(grown.bench, grown.final.model, calm=True)
     gap_um = _rms_um(grown, grown.final.model)
-    excess_um, quiet_um = _excess_um(grown, gap_um, floor_um)
+    excess_um, quiet_um, plain_um = _excess_um(grown, gap_um, floor_um)
     p_value = corrected_p(sign_flip_p(rivals.rival_drop, seed=1), 1)
     removed = float((grown.base.blocks - grown.final.blocks).sum()) / float(
         last.rows_fit + last.rows_judge
@@ -129,6 +131,9 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     explained = excess_um**2 < _MOST * base_um**2
     far = excess_um > max(worth, _FAR * floor_um)
     beyond = quiet_um > worth or far or (excess_um > worth and not explained)
+    # Where nothing has a name, what the onset of friction might excuse is not nothing either.
+    if not grown.accepted and plain_um > max(_PLAIN * floor_um, _IDEAL * _MODEL_um, open_um):
+        beyond, excess_um = True, max(excess_um, plain_um)
     fine = _material_wave(grown, max(floor_um, _MODEL_um, 0.25 * base_um))
     regions = _regions(grown, bench)
     if fine is not None:
@@ -164,37 +169,36 @@ def _material_wave(grown: Grown, worth_um: float) -> FinePattern | None:
     return fine
 
 
-def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float]:
+def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float, float]:
     """Gap beyond the noise floor that no choice of the grown model's parameters closes.
 
-    All of it, and without the worst tenth of the time: where an axis sticks for a moment, not even
-    the true model repeats itself.
+    All of it; without the worst tenth of the time, as where an axis sticks for a moment not even
+    the true model repeats itself; and all of it with nothing taken for the onset of friction.
 
     Fitting runs may leave parameters open that the judging runs need; that is no missing effect.
     """
     excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
     if excess_um < max(0.3 * floor_um, _MODEL_um):
-        return excess_um, excess_um
+        return excess_um, excess_um, excess_um
     bench = grown.bench
     every = replace(bench, fitting=tuple(np.ones_like(mask) for mask in bench.fitting))
     settled = refit(every, evaluate(every, grown.final.model), rounds=2)
     both = [_doubted_um2(bench, model) for model in (grown.final.model, settled.model)]
-    whole, quiet = (min(b[i] for b in both) for i in (0, 1))
-    return (
-        float(np.sqrt(max(0.0, whole - floor_um**2))),
-        float(np.sqrt(max(0.0, quiet - floor_um**2))),
+    whole, quiet, plain = (
+        float(np.sqrt(max(0.0, min(b[i] for b in both) - floor_um**2))) for i in (0, 1, 2)
     )
+    return whole, quiet, plain
 
 
-def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
+def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float, float]:
     """Mean square of the gap less the shapes that the onset of friction leaves open.
 
-    Of all the time, and without the worst tenth.
+    Of all the time, without the worst tenth, and of all the time with those shapes.
     """
     simulated = bench.simulate([model])[0]
     doubtful = None if bench.noise is None else bench.noise.doubtful
     largest = _FITTED_SHAPE if holds_onset(model) else _LARGEST_SHAPE
-    powers = []
+    powers, plain = [], []
     counted = bench.counted
     for i, (record, mask) in enumerate(zip(bench.records, bench.fitting, strict=True)):
         judged = np.flatnonzero(~mask & counted[i])
@@ -203,12 +207,14 @@ def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float]:
             continue
         if bench.channels > 1:
             left = left - np.median(left)
+        plain.append(block_means(left**2, _TRIM_BLOCK))
         if doubtful is not None:
             left = left - _shaped(left, doubtful[i][judged, -1], largest)
         powers.append(block_means(left**2, _TRIM_BLOCK))
     ranked = np.sort(np.concatenate(powers)) if powers else np.zeros(1)
     kept = ranked[: max(1, round((1.0 - _TRIM) * ranked.size))]
-    return float(1e12 * ranked.mean()), float(1e12 * kept.mean())
+    every = np.concatenate(plain) if plain else np.zeros(1)
+    return float(1e12 * ranked.mean()), float(1e12 * kept.mean()), float(1e12 * every.mean())
 
 
 def _shaped(left_m: FloatArray, shapes_m: FloatArray, largest: float) -> FloatArray:

@@ -1,0 +1,50 @@
+"""What no name explains is not called nothing because friction might excuse it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmac_comp.physics.diagnose import remainder
+from pmac_comp.physics.diagnose.remainder import _shaped, remainder_of
+
+
+def test_shapes_of_an_onset_explain_no_more_than_they_may():
+    shape = np.sin(np.linspace(0.0, 20.0, 400))[:, None] * 1e-7
+    small, large = 2.0 * shape[:, 0], 9.0 * shape[:, 0]
+    assert np.allclose(_shaped(small, shape, 3.0), small, atol=1e-12)
+    assert np.allclose(_shaped(large, shape, 3.0), large / 3.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("excused_um", "plain_um", "accepted", "unexplained"),
+    [
+        (0.1, 1.0, (), True),
+        (0.1, 0.5, (), False),  # a little more than the floor
+        (0.1, 1.0, ("backlash",), False),  # beside a name it is told, and no doubt of it
+    ],
+)
+def test_twice_the_floor_without_a_name_is_unknown(
+    monkeypatch, excused_um, plain_um, accepted, unexplained
+):
+    rivals = SimpleNamespace(rival_gain=0.0, rival_drop=np.zeros(30))
+    done = SimpleNamespace(screening=rivals, rows_fit=1e4, rows_judge=5e3)
+    point = SimpleNamespace(blocks=np.zeros(30), model=None)
+    grown: Any = SimpleNamespace(
+        rounds=(done,), bench=None, base=point, final=point, accepted=accepted
+    )
+    monkeypatch.setattr(remainder, "noise_floor_um", lambda *a, **k: 0.4)
+    monkeypatch.setattr(remainder, "ambient_m2", lambda *a: 0.0)
+    monkeypatch.setattr(remainder, "_rms_um", lambda *a: 1.0)
+    monkeypatch.setattr(remainder, "_onset_um", lambda *a: 0.3)
+    monkeypatch.setattr(remainder, "_left_out", lambda *a: 0.0)
+    monkeypatch.setattr(remainder, "_regions", lambda *a: ())
+    monkeypatch.setattr(remainder, "_material_wave", lambda *a: None)
+    monkeypatch.setattr(
+        remainder, "_excess_um", lambda *a: (excused_um, 0.5 * excused_um, plain_um)
+    )
+    bench: Any = None
+    left = remainder_of(grown, bench)
+    assert left.unexplained == unexplained
+    assert left.excess_um == (plain_um if unexplained else excused_um)
