@@ -225,6 +225,11 @@ _TRACES = {
 }
 
 
+# Of the usual orders and frequencies of an effect, those tried whatever peaks: once and twice per
+# turn are what couplings, leads and encoders do.
+_USUAL = {"order_per_rev": 2, "frequency_Hz": 1}
+
+
 def _start_values(
     effect: Effect, specs: Sequence[ParameterSpec], peaks: Peaks, model: DriveModel
 ) -> Iterable[dict[str, float]]:
@@ -251,9 +256,8 @@ def _start_values(
         if name not in names or not grid or effect.name == "base_mode":
             continue
         spec = names[name]
-        wanted = dict.fromkeys(
-            [listed[0][name], *(g for g in grid if spec.lower <= g <= spec.upper)]
-        )
+        usual = [values[name] for values in listed[: _USUAL[name]]]
+        wanted = dict.fromkeys([*usual, *(g for g in grid if spec.lower <= g <= spec.upper)])
         listed = [{**listed[0], name: value} for value in wanted]
     return listed
 

@@ -155,8 +155,8 @@ def frequency_peaks(records: Sequence[Record], torque_Nm: Sequence[FloatArray]) 
 def _torque_residual(record: Record, response: Response, law: FloatArray) -> FloatArray:
     """Measured less simulated torque command, or what the law makes of the motor's residual."""
     if record.torque_Nm is not None:
-        return np.where(record.valid, record.torque_Nm - response.torque_command_Nm, 0.0)
-    ahead = np.where(record.valid, record.measured_m[:, 0] - response.motor_position_m, 0.0)
+        return _about_zero(record, record.torque_Nm - response.torque_command_Nm)
+    ahead = _about_zero(record, record.measured_m[:, 0] - response.motor_position_m)
     rate = np.gradient(ahead, record.period_s)
     if law[slots.LAW] > 0.5:
         return np.asarray(-law[slots.CASCADE_GAIN] * (law[slots.CASCADE_KP] * ahead + rate))
@@ -168,7 +168,18 @@ def _mechanical_residual(record: Record, response: Response) -> FloatArray | Non
     if record.channels == 1:
         return None
     measured = record.measured_m[:, 1] - record.measured_m[:, 0]
-    return np.where(record.valid, measured - response.mechanical_error_m, 0.0)
+    return _about_zero(record, measured - response.mechanical_error_m)
+
+
+def _about_zero(record: Record, residual: FloatArray) -> FloatArray:
+    """A residual about its median, zero where it is no evidence.
+
+    A scale's zero is tens of micrometres from the encoder's and a bias shifts all torques: zeros
+    beside such an offset are a step, and a step has power at every order.
+    """
+    if not record.valid.any():
+        return np.zeros(residual.size)
+    return np.where(record.valid, residual - np.median(residual[record.valid]), 0.0)
 
 
 def _blocks(record: Record, values: FloatArray) -> tuple[FloatArray, FloatArray]:
