@@ -8,6 +8,7 @@ import numpy as np
 from pmac_comp import __version__
 from pmac_comp.physics.diagnose import Diagnosis
 from pmac_comp.physics.diagnose.result import Evidence
+from pmac_comp.physics.diagnose.words import names_in_words
 from pmac_comp.report import diagnosis_figures as figures
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome
@@ -18,6 +19,7 @@ _TITLES = {
     "unknown": "Something is missing that has no name here",
     "tie": "Look-alikes that these runs cannot separate",
 }
+_PARTLY = "A part of what is missing has a name, a part has none"
 _MOST_COORDINATES = 4
 _MOST_TRACES = 6
 _LEAST_SHARE = 0.02
@@ -35,8 +37,8 @@ def write_diagnosis_report(outcome: DiagnosisOutcome, path: Path) -> Path:
         _traces(d),
     ]
     page = Page(
-        title=_TITLES[d.verdict],
-        subtitle=", ".join(d.named) or "no effect named",
+        title=_PARTLY if d.verdict == "unknown" and d.named else _TITLES[d.verdict],
+        subtitle=names_in_words(d.named, d.tied) or "no effect named",
         notice=f"{outcome.provenance} Gaps are measured minus simulated on captures that were not "
         "used for fitting; the simulation runs closed loop from the commanded trajectory alone.",
         headline=_headline(d),
@@ -94,7 +96,7 @@ def _where(d: Diagnosis) -> Section:
     if spectrum is not None:
         shapes.append((spectrum, "Residual over frequency, captures not used for fitting."))
     left = [f"Left after growth: {r.describe()}." for r in d.residual] or [
-        "What is left after growth is noise."
+        "What is left after growth follows no coordinate of the motion."
     ]
     return Section("Where simulation and measurement disagree", text=left, figures=shapes)
 

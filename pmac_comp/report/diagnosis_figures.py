@@ -15,6 +15,7 @@ _BINS = 40
 _LEAST_PER_BIN = 8
 _VOID = 0.2  # of the range: a line across would show what nobody measured
 _SHOWN = (0.5, 99.5)  # percentiles: a start transient must not set the scale of the rest
+_LONGEST = 5.0  # times the middle one, or the longest upwards
 _COLOURS = {"chosen": AFTER, "tied": PROMISE, "lost": "#b9b9b2"}
 
 
@@ -172,8 +173,12 @@ def _candidate_bars(axis: Axes, group: Sequence[Evidence], title: str) -> None:
     place = np.arange(len(group))
     gains = [e.heldout_gain if np.isfinite(e.heldout_gain) else 0.0 for e in group]
     colours = [_COLOURS[e.status] for e in group]
-    bars = axis.barh(place, gains, 0.62, color=colours)
-    words = [f"{e.status}, p {_p_text(e.p_value)}" for e in group]
+    lowest = _lowest_shown(gains)
+    bars = axis.barh(place, [max(gain, lowest) for gain in gains], 0.62, color=colours)
+    words = [
+        f"{e.status}, p {_p_text(e.p_value)}" + f", gain {gain:.2g}" * (gain < lowest)
+        for e, gain in zip(group, gains, strict=True)
+    ]
     axis.bar_label(bars, words, padding=4, fontsize=7.5)
     axis.axvline(0.0, color="#77776f", lw=0.6)
     axis.set_yticks(place, [e.name for e in group])
@@ -182,6 +187,12 @@ def _candidate_bars(axis: Axes, group: Sequence[Evidence], title: str) -> None:
     axis.set_title(title, fontsize=8.5, loc="left")
     axis.grid(visible=False, axis="y")
     axis.set_axisbelow(True)
+
+
+def _lowest_shown(gains: Sequence[float]) -> float:
+    """Where bars end downwards: a refit that ran away would leave nothing of the others."""
+    sizes = sorted(abs(gain) for gain in gains)
+    return -_LONGEST * max(sizes[(len(sizes) - 1) // 2], *gains, 0.0)
 
 
 def _p_text(p_value: float) -> str:

@@ -18,6 +18,7 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.calibrate import require_new
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -48,6 +49,7 @@ from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approach
 from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks
 
 Progress = Callable[[str, float], None]
+_RESULT = "verification.json"
 Pair = tuple[list[Capture], list[Capture]]
 
 
@@ -147,7 +149,7 @@ def store(verification: Verification, folder: Path) -> dict[str, list[str]]:
     for capture in (*runs, *(c for found in special if found is not None for c in found.captures)):
         kept.keep(capture)
     result = {**verification.as_result(), "files": kept.names}
-    atomic_write_text(folder / "verification.json", json.dumps(result, indent=2) + "\n")
+    atomic_write_text(folder / _RESULT, json.dumps(result, indent=2) + "\n")
     return kept.names
 
 
@@ -217,9 +219,12 @@ def verify_on_controller(
     Raises
     ------
     ConfigError
-        No compensation file is named, so nobody knows what to switch.
+        No compensation file is named, so nobody knows what to switch; or the folder holds runs of
+        an earlier verification.
     """
     compensation = named_compensation(law)
+    if out is not None:
+        require_new(_earlier_runs(out), out)
     kept = KeptRuns(out)
     with open_axis(url, bench) as axis, _told_what_is_left(kept, axis.motor):
         chosen = [parse_motion(text, axis.bench) for text in motions] or verification_motions(
@@ -251,6 +256,12 @@ def verify_on_controller(
     if out is not None:
         store(verification, out)
     return verification
+
+
+def _earlier_runs(folder: Path) -> list[Path]:
+    """What an earlier verification left in a folder: runs of two sessions are never mixed."""
+    found = (folder.glob(pattern) for pattern in ("*before_*.h5", "*after_*.h5", _RESULT))
+    return sorted(path for paths in found for path in paths)
 
 
 @contextmanager

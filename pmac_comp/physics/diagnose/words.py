@@ -112,20 +112,25 @@ def _headline(story: Story) -> str:
         return f"Nothing is missing that these runs can show: {_nothing(story)}."
     found = "No effect of the library explains it."
     if story.named:
-        found = f"Found: {', '.join(story.named)}."
+        found = f"Found: {names_in_words(story.named, story.tied)}."
     if story.restated:
         found = f"One quantity of the bench file does as well as any effects: {story.restated}."
-    if story.verdict == "unknown" and not story.left.unexplained:
-        return found
-    if story.verdict == "unknown":
+    if story.tied:
+        groups = "; ".join(" or ".join(group) for group in story.tied)
+        found = f"{found} These runs cannot separate {groups}."
+    if story.verdict == "unknown" and story.left.unexplained:
         return (
             f"{found} Something without a name is left, {story.left.excess_um:.3g} um rms beyond "
             "the noise."
         )
-    if story.tied:
-        groups = "; ".join(" or ".join(group) for group in story.tied)
-        return f"{found} These runs cannot separate {groups}."
     return found
+
+
+def names_in_words(named: Sequence[str], tied: Sequence[Sequence[str]]) -> str:
+    """Names found, look-alikes of one group joined by ``or``: one of them is there, not each."""
+    group_of = {name: tuple(group) for group in tied for name in group}
+    groups = dict.fromkeys(group_of.get(name, (name,)) for name in named)
+    return ", ".join(" or ".join(group) for group in groups)
 
 
 def _nothing(story: Story) -> str:

@@ -19,6 +19,7 @@ from pmac_comp.physics.diagnose.result import (
     SeparatingExperiment,
     Trace,
 )
+from pmac_comp.physics.diagnose.words import names_in_words
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.report import diagnosis_figures as figures
 from pmac_comp.report.diagnosis import write_diagnosis_report
@@ -131,3 +132,24 @@ def test_no_capture_with_the_coordinate_gives_no_figure() -> None:
     assert figures.coordinate_figure([], "position") is None
     assert figures.candidates_figure([]) is None
     assert figures.spectrum_figure([]) is None
+
+
+def test_look_alikes_beside_something_unknown_are_one_name_and_not_two(tmp_path: Path) -> None:
+    html = page(tmp_path, diagnosis(verdict="unknown"))
+    assert "lead_linear or scale_slope" in html
+    assert "A part of what is missing has a name, a part has none" in html
+    assert "left after growth is noise" not in html
+
+
+def test_names_are_joined_by_or_within_a_group_only() -> None:
+    tied = (("lead_linear", "scale_slope"),)
+    named = ("lead_linear", "scale_slope", "cogging")
+    assert names_in_words(named, tied) == "lead_linear or scale_slope, cogging"
+    assert names_in_words(("cogging", "backlash"), ()) == "cogging, backlash"
+    assert names_in_words((), ()) == ""
+
+
+def test_a_refit_that_ran_away_does_not_hide_the_other_bars() -> None:
+    assert figures._lowest_shown([-9.7, -8.8, 0.67, -2.85e8]) == pytest.approx(-44.0)
+    assert figures._lowest_shown([80.0, -30.0]) == pytest.approx(-400.0)
+    assert figures._lowest_shown([-3.0]) == pytest.approx(-15.0)
