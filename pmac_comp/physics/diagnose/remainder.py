@@ -71,6 +71,8 @@ class Remainder:
         Whether something material is left.
     explained : bool
         Whether the accepted effects closed most of the base model's excess: more than half in um.
+    missed : bool
+        Whether runs not used for fitting stay far from the grown model, with effects and all.
     open_share : float
         Share of the base model's gap beyond the noise floor that is left, in squares.
     fit_share, judged_share : float
@@ -91,6 +93,7 @@ class Remainder:
 
     unexplained: bool
     explained: bool
+    missed: bool
     open_share: float
     fit_share: float
     judged_share: float
@@ -131,6 +134,12 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     explained = excess_um**2 < _MOST * base_um**2
     far = excess_um > max(worth, _FAR * floor_um)
     beyond = quiet_um > worth or far or (excess_um > worth and not explained)
+    # Effects that miss runs not used for fitting by so much have not been shown, whatever a fit to
+    # those runs would make of them.
+    raw_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
+    missed = bool(grown.accepted) and raw_um > max(_FAR * floor_um, _IDEAL * _MODEL_um)
+    if missed:
+        beyond, excess_um = True, max(excess_um, raw_um)
     # Where nothing has a name, what the onset of friction might excuse is not nothing either.
     if not grown.accepted and plain_um > max(_PLAIN * floor_um, _IDEAL * _MODEL_um, open_um):
         beyond, excess_um = True, max(excess_um, plain_um)
@@ -141,6 +150,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
         regions = (fine.region, *regions)
     return Remainder(
         explained=explained,
+        missed=missed,
         open_share=max(0.0, gap_um**2 - floor_um**2) / max(base_um**2, 1e-12),
         unexplained=bool((by_rivals and rivals_apply) or beyond or fine is not None),
         fit_share=fit_share,

@@ -67,9 +67,11 @@ def test_a_name_that_needs_the_bench_file_to_be_wrong_must_explain_all(visible, 
     accepted = SimpleNamespace(effect="payload", fit_gain=1e5, gap_um=0.2)
     done: Any = SimpleNamespace(accepted=accepted, rows_fit=1e4, gap_um=5.0, floor_um=0.1)
     grown: Any = SimpleNamespace(
-        rounds=(done,), final=SimpleNamespace(model=DriveModel.base(BENCH).with_effect("payload"))
+        rounds=(done,),
+        accepted=(accepted,),
+        final=SimpleNamespace(model=DriveModel.base(BENCH).with_effect("payload")),
     )
-    left: Any = SimpleNamespace(unexplained=False, visible=visible, open_share=0.0)
+    left: Any = SimpleNamespace(unexplained=False, visible=visible, open_share=0.0, missed=False)
     found = claims_of(grown, left, (), Rules(), findings)
     assert found.effects == claimed
     assert all("motor_inertia" in why for why in found.withheld.values())
@@ -80,12 +82,34 @@ def test_an_effect_of_another_size_in_every_run_is_claimed_by_nobody(apart):
     accepted = SimpleNamespace(effect="payload", fit_gain=1e5, gap_um=0.2)
     done: Any = SimpleNamespace(accepted=accepted, rows_fit=1e4, gap_um=5.0, floor_um=0.1)
     model = DriveModel.base(BENCH).with_effect("payload")
-    grown: Any = SimpleNamespace(rounds=(done,), final=SimpleNamespace(model=model))
-    left: Any = SimpleNamespace(unexplained=False, visible=False, open_share=0.0)
+    grown: Any = SimpleNamespace(
+        rounds=(done,), accepted=(accepted,), final=SimpleNamespace(model=model)
+    )
+    left: Any = SimpleNamespace(unexplained=False, visible=False, open_share=0.0, missed=False)
     found = claims_of(grown, left, (), Rules(), apart=apart)
     assert found.effects == (() if apart else ("payload",))
     assert found.imitated == bool(apart)
     assert all("from run to run" in why for why in found.withheld.values())
+
+
+@pytest.mark.parametrize(
+    ("missed", "count", "claimed"), [(True, 3, 0), (True, 2, 2), (False, 3, 3)]
+)
+def test_three_effects_that_foretell_no_run_are_stand_ins(missed, count, claimed):
+    names = ("payload", "backlash", "base_mode")[:count]
+    accepted = tuple(SimpleNamespace(effect=n, fit_gain=1e5, gap_um=0.2) for n in names)
+    rounds: Any = tuple(
+        SimpleNamespace(accepted=a, rows_fit=1e4, gap_um=5.0, floor_um=0.1) for a in accepted
+    )
+    model = DriveModel.base(BENCH)
+    for name in names:
+        model = model.with_effect(name)
+    final = SimpleNamespace(model=model)
+    grown: Any = SimpleNamespace(rounds=rounds, accepted=accepted, final=final)
+    left: Any = SimpleNamespace(
+        unexplained=missed, visible=missed, explained=True, open_share=0.0, missed=missed
+    )
+    assert len(claims_of(grown, left, (), Rules()).effects) == claimed
 
 
 def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():

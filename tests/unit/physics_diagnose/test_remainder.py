@@ -9,6 +9,8 @@ import pytest
 from pmac_comp.physics.diagnose import remainder
 from pmac_comp.physics.diagnose.remainder import _shaped, remainder_of
 
+EXCUSED_um = 0.1
+
 
 def test_shapes_of_an_onset_explain_no_more_than_they_may():
     shape = np.sin(np.linspace(0.0, 20.0, 400))[:, None] * 1e-7
@@ -18,15 +20,16 @@ def test_shapes_of_an_onset_explain_no_more_than_they_may():
 
 
 @pytest.mark.parametrize(
-    ("excused_um", "plain_um", "accepted", "unexplained"),
+    ("gap_um", "plain_um", "accepted", "told_um"),
     [
-        (0.1, 1.0, (), True),
-        (0.1, 0.5, (), False),  # a little more than the floor
-        (0.1, 1.0, ("backlash",), False),  # beside a name it is told, and no doubt of it
+        (1.0, 0.7, (), 0.7),
+        (0.7, 0.5, (), None),  # a little more than the floor
+        (0.8, 0.7, ("backlash",), None),  # beside a name that is told, and no doubt of it
+        (1.0, 0.7, ("backlash",), 0.9165),  # held-out runs refute the name
     ],
 )
-def test_twice_the_floor_without_a_name_is_unknown(
-    monkeypatch, excused_um, plain_um, accepted, unexplained
+def test_twice_the_floor_is_unknown_whatever_might_excuse_it(
+    monkeypatch, gap_um, plain_um, accepted, told_um
 ):
     rivals = SimpleNamespace(rival_gain=0.0, rival_drop=np.zeros(30))
     done = SimpleNamespace(screening=rivals, rows_fit=1e4, rows_judge=5e3)
@@ -36,15 +39,16 @@ def test_twice_the_floor_without_a_name_is_unknown(
     )
     monkeypatch.setattr(remainder, "noise_floor_um", lambda *a, **k: 0.4)
     monkeypatch.setattr(remainder, "ambient_m2", lambda *a: 0.0)
-    monkeypatch.setattr(remainder, "_rms_um", lambda *a: 1.0)
+    monkeypatch.setattr(remainder, "_rms_um", lambda *a: gap_um)
     monkeypatch.setattr(remainder, "_onset_um", lambda *a: 0.3)
     monkeypatch.setattr(remainder, "_left_out", lambda *a: 0.0)
     monkeypatch.setattr(remainder, "_regions", lambda *a: ())
     monkeypatch.setattr(remainder, "_material_wave", lambda *a: None)
     monkeypatch.setattr(
-        remainder, "_excess_um", lambda *a: (excused_um, 0.5 * excused_um, plain_um)
+        remainder, "_excess_um", lambda *a: (EXCUSED_um, 0.5 * EXCUSED_um, plain_um)
     )
     bench: Any = None
     left = remainder_of(grown, bench)
-    assert left.unexplained == unexplained
-    assert left.excess_um == (plain_um if unexplained else excused_um)
+    assert left.unexplained == (told_um is not None)
+    assert left.excess_um == pytest.approx(told_um or EXCUSED_um, abs=1e-4)
+    assert left.missed == (bool(accepted) and gap_um > 0.9)
