@@ -40,6 +40,7 @@ from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
+from pmac_comp.machine.controller.upload_checks import not_at_rest
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.axis import Axis
@@ -265,8 +266,15 @@ def _deploy_cam(
 
 
 def stand_at_zero(axis: Axis) -> None:
-    """Move a closed loop to the motor's zero, where every table corrects nothing: no step."""
+    """Move a closed loop to the motor's zero, where every table corrects nothing: no step.
+
+    Raises
+    ------
+    MotorNotSafe
+        The motor executes a move that somebody else began.
+    """
     reading = motors.read_motor(axis.link, axis.motor)
+    raise_all(not_at_rest(motors.executing_moves({axis.motor: reading})), "Going to zero")
     if reading.status.is_closed_loop and abs(reading.position_ct) > 1.0:
         motors.move_to(axis.link, axis.motor, 0.0)
         axis.link.clock.sleep_s(0.3)

@@ -1,4 +1,4 @@
-"""F17, F19, F22: other clients, other writers and motion in the middle of every kind of change."""
+"""F17, F19, F22, F30: other clients, writers, motion and Ctrl-C amid every kind of change."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -6,12 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, LeaseHeld, PmacCompError, SafetyRefusal
+from pmac_comp.base.errors import (
+    ChangeInterrupted,
+    ControllerState,
+    LeaseHeld,
+    PmacCompError,
+    SafetyRefusal,
+)
 from pmac_comp.machine.controller import recovery, transaction
 from pmac_comp.machine.controller.law_bank import Index, LawBlock
 from pmac_comp.machine.controller.lease import host_lock
 from tests.faults.change_bench import WATCHED_I, ChangeBench, Standing, standing
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
+from tests.faults.test_f29_f30_killed import plain_signals, signalled  # noqa: F401 - a fixture
 from tests.faults.upload_bench import SameIds
 
 pytestmark = pytest.mark.faults
@@ -179,3 +186,29 @@ def test_f22_motion_that_starts_in_any_change(
         if error is not None:
             rig.recover(resume=False)
         count_runs(1)
+
+
+@pytest.mark.usefixtures("plain_signals")
+@pytest.mark.parametrize("rig", SCENARIOS, ids=lambda s: s.name, indirect=True)
+def test_f30_ctrl_c_in_any_change(*, rig: ChangeBench, exhaustive: bool, count_runs: Count) -> None:
+    """The first ends with a verdict that is true, the second at once and open for `recover`."""
+    every = requests_of(rig)
+    for k in thinned(every, 3, exhaustive=exhaustive):
+        rig.restart()
+        signalled(k)(rig.bench)
+        try:
+            error = rig.attempt()
+        except KeyboardInterrupt:  # before the change was begun
+            assert standing(rig.fresh()) == rig.before, k
+        else:
+            assert isinstance(error, ChangeInterrupted), k
+            rig.fresh()
+            if error.context.get("confirmed") and error.left is not ControllerState.DISABLED:
+                rig.judge(error.left)
+        rig.recover(resume=bool(k % 2))
+        rig.restart()
+        signalled(k, times=2)(rig.bench)
+        with pytest.raises((KeyboardInterrupt, ChangeInterrupted)):
+            rig.scenario.change(rig.bench.link, rig.bench.context)
+        rig.recover(resume=bool(k % 2))
+        count_runs(2)

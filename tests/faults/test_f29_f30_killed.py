@@ -115,7 +115,7 @@ def test_f30_first_request_to_stop_ends_after_the_packet(tmp_path: Path, count_r
 
 
 @pytest.fixture
-def _plain_signals() -> Iterator[None]:
+def plain_signals() -> Iterator[None]:
     """As a program starts: Ctrl-C raises KeyboardInterrupt."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -136,7 +136,7 @@ def signalled(k: int, times: int = 1) -> Callable[[CardBench], None]:
     return install
 
 
-@pytest.mark.usefixtures("_plain_signals")
+@pytest.mark.usefixtures("plain_signals")
 def test_f30_first_ctrl_c_ends_with_a_verdict(tmp_path: Path, count_runs: Count) -> None:
     rig = UploadBench(tmp_path, n=40)
     total: list[int] = []
@@ -155,7 +155,7 @@ def test_f30_first_ctrl_c_ends_with_a_verdict(tmp_path: Path, count_runs: Count)
     count_runs(total[-1] + 1)
 
 
-@pytest.mark.usefixtures("_plain_signals")
+@pytest.mark.usefixtures("plain_signals")
 def test_f30_second_ctrl_c_ends_at_once(tmp_path: Path, count_runs: Count) -> None:
     rig = UploadBench(tmp_path, n=40)
     total: list[int] = []
@@ -168,7 +168,7 @@ def test_f30_second_ctrl_c_ends_at_once(tmp_path: Path, count_runs: Count) -> No
     count_runs(total[-1] + 1)
 
 
-@pytest.mark.usefixtures("_plain_signals")
+@pytest.mark.usefixtures("plain_signals")
 def test_f30_ctrl_c_in_an_upload_of_several_parts(tmp_path: Path, count_runs: Count) -> None:
     """The parts before are taken back at once, also from between the parts."""
     for scenario in (s for s in SCENARIOS if s.name in {"law route", "cam route"}):
@@ -188,7 +188,7 @@ def test_f30_ctrl_c_in_an_upload_of_several_parts(tmp_path: Path, count_runs: Co
             count_runs(1)
 
 
-@pytest.mark.usefixtures("_plain_signals")
+@pytest.mark.usefixtures("plain_signals")
 def test_f30_signals_of_others_are_left_alone() -> None:
     seen: list[int] = []
     signal.signal(signal.SIGINT, lambda number, _frame: seen.append(number))

@@ -369,12 +369,30 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
             raise _changed_elsewhere(since)
         notes = _take_group_back(link, context, group)
         _end(link, context)
+    except KeyboardInterrupt as stop:
+        left, certain = _left_by_rollback(group)
+        raise ChangeInterrupted(
+            "The rollback was stopped on request.",
+            code="PC-REC-009",
+            hint="`pmac-comp recover` ends it."
+            if not certain or left is ControllerState.OLD
+            else "The upload stands as it was.",
+            left=left,
+            context={"confirmed": certain},
+        ) from stop
     except PmacCompError as error:
-        begun = group.is_open
-        left = ControllerState.DISABLED if begun else ControllerState.NEW
-        mark_left(error, left, confirmed=not begun)
+        left, certain = _left_by_rollback(group)
+        mark_left(error, left, confirmed=certain)
         raise
     return notes
+
+
+def _left_by_rollback(group: Journal) -> tuple[ControllerState, bool]:
+    """What a rollback that stopped has left of an upload, and whether that is certain."""
+    if group.is_open:
+        return ControllerState.DISABLED, False
+    taken = group.entries()[-1].step == ROLLED_BACK  # only its end is not noted on the controller
+    return (ControllerState.OLD if taken else ControllerState.NEW), True
 
 
 def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:

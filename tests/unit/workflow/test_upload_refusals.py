@@ -13,7 +13,7 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import Deployment, context_of, deploy
+from pmac_comp.workflow.deploy import Deployment, context_of, deploy, switch
 from pmac_comp.workflow.upload_flow import next_steps
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import friction_law, lead_map
@@ -82,3 +82,21 @@ def test_what_to_do_next_can_be_run_as_it_stands(*, tmp_path: Path, acts: bool) 
     assert words["Take it back"][-2:] == ["--journal", "kept"]
     if not acts:
         assert "#4J/" in " ".join(words["Arm it"])
+
+
+def test_an_axis_that_somebody_moves_is_not_sent_to_its_zero(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, Compensation("table", CompensationLaw(), LEAD), context)
+    axis.link.command("#1J+")
+    axis.link.clock.sleep_s(0.1)
+    before = standing(axis)
+    for act in (
+        lambda: switch(axis, context, Compensation("table", CompensationLaw(), LEAD), on=False),
+        lambda: deploy(axis, Compensation("law", LAW, LEAD), context),
+        lambda: deploy(axis, Compensation("table", CompensationLaw(), lead_map(30.0)), context),
+    ):
+        with pytest.raises(SafetyRefusal, match="executing a move"):
+            act()
+        assert standing(axis) == before
+    axis.link.clock.sleep_s(0.2)
+    assert abs(float(axis.link.query("#1V")[0])) > 0.0
