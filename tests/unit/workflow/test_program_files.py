@@ -49,3 +49,20 @@ def test_other_commands_are_sent_and_said_to_stay(
     assert "2 variables" in done["summary"]
     assert "1 commands sent that no rollback undoes" in done["summary"]
     assert axis.link.query("I8P7190&1#1->") == ["3", "16", "10000X"]
+
+
+def test_names_and_gather_sources_come_and_go(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (safekeeping, upload_flow):
+        monkeypatch.setattr(module, "open_axis", lambda _url, _bench: nullcontext(axis))
+    asked = "M7002->M7010->M7013->I5000I5001I5003I5049I5050I5051"
+    axis.link.write_buffer(["M7013->Y:$78003,8,16,S", "I5003=$800090", "I5049=4"])
+    before = axis.link.query(asked)
+    done = safekeeping.restore_from_file(
+        "sim://", "paper", firmware_path("bench_setup.pmc"), journal=tmp_path
+    )
+    assert "10 variables, 16 definitions and 0 programs written and read back" in done["summary"]
+    assert axis.link.query(asked)[:4] == ["X:$10F8,24,S", "D:$10B", "X:$BF,8,16,S", "0"]
+    upload_flow.rollback_upload("sim://", "paper", tmp_path)
+    assert axis.link.query(asked) == before
