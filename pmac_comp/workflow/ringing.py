@@ -53,7 +53,7 @@ class RingingOutcome:
             return "compensation lowers it"
         if self.after.lower95 > self.before.upper95:
             return "compensation raises it: use a motion with S-curve time"
-        return "compensation neither lowers nor raises it: only S-curve time does"
+        return "no difference beyond the intervals; S-curve time lowers it"
 
     def lines(self) -> list[str]:
         """Text for people."""
