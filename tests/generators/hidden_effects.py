@@ -2,8 +2,8 @@
 
 Nothing of ``pmac_comp.physics`` may be imported here: the code that makes the data shares nothing
 with the model that is fitted to it. Each case draws its bench within the tolerances of the bench
-file, its motions, the jitter of its scale and a random force on its table; the effect is scaled
-until it is a given multiple of the noise after a refit of the base (``sizing``).
+file, its motions, the zero and jitter of its scale and a random force on its table; the effect is
+scaled until it is a given multiple of the noise after a refit of the base (``sizing``).
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,6 +29,7 @@ from tests.generators.sizing import (
 
 _MOST_JITTER_um = 0.15
 _MOST_FORCE_N = 1.0
+_MOST_ZERO_um = 100.0  # an index pulse of the scale and one of the encoder do not know each other
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ def make_case(
         hidden = {name: EFFECTS[name](rng, strength, bench) for name in effects}
     plant = drive(bench, around, hidden)
     base = drive(bench, around, {})
-    captures = _captures(bench, plant, around, [*fit, *judge])
+    zero_m = 1e-6 * float(np.random.default_rng([seed, 5]).uniform(-_MOST_ZERO_um, _MOST_ZERO_um))
+    captures = _captures(bench, plant, around, [*fit, *judge], zero_m)
     damping = base.truth.damping_time_us
     return Case(
         hidden,
@@ -138,7 +140,11 @@ def make_case(
 
 
 def _captures(
-    bench: Bench, plant: BallscrewPlant, around: Surroundings, commands: Sequence[Command]
+    bench: Bench,
+    plant: BallscrewPlant,
+    around: Surroundings,
+    commands: Sequence[Command],
+    zero_m: float,
 ) -> list[Capture]:
     step = bench.scale_resolution_m or 1e-9
     fine = fine_scale(bench)
@@ -147,6 +153,6 @@ def _captures(
         push = random_force(around, run, command.size, bench.servo_period_s)
         capture = closed_loop_capture(fine, plant, command, external_force_N=push)
         assert capture.table_position_m is not None
-        table = jittered(around, run, capture.table_position_m, step)
+        table = jittered(around, run, capture.table_position_m + zero_m, step)
         made.append(replace(capture, table_position_m=table))
     return made
