@@ -47,7 +47,10 @@ FLAGS = {
     "rollback": ("rollback", "{url}", "--yes"),
     "restore": ("restore", "{url}", "start.json", "--bench", "paper", "--yes"),
     "capture": ("capture", "{url}", "--bench", "paper", *MOTION, "--yes", "--out", "runs-{n}"),
-    "verify": ("verify", "{url}", *MOTION, "--repeats", "1", "--static", "0", "--yes"),
+    "verify": (
+        *("verify", "{url}", "--compensation", "{file}", *MOTION),
+        *("--repeats", "1", "--static", "0", "--yes"),
+    ),
 }
 
 
@@ -75,10 +78,17 @@ class Site:
     direct: str
     took_s: dict[str, float] = field(default_factory=dict)
     n_commands: int = 0
+    file: str = "table.json"  # the compensation that stands
+    code: int = 0  # how the last command ended, negative for a signal
 
     def start(self, *words: str) -> subprocess.Popen[str]:
         self.n_commands += 1
-        filled = [w.replace("{url}", self.url).replace("{n}", str(self.n_commands)) for w in words]
+        filled = [
+            w.replace("{url}", self.url)
+            .replace("{n}", str(self.n_commands))
+            .replace("{file}", self.file)
+            for w in words
+        ]
         return subprocess.Popen(
             [sys.executable, "-m", "pmac_comp", *filled],
             stdout=subprocess.PIPE,
@@ -128,6 +138,7 @@ class Site:
         except subprocess.TimeoutExpired:
             process.kill()
             said = process.communicate()
+        self.code = process.returncode
         took = f"{name}: {process.returncode} after {time.monotonic() - start_s:.2f} s"
         return took if process.returncode <= 0 else f"{took} {said}"
 
@@ -135,7 +146,8 @@ class Site:
         """A command runs to its end; on a busy machine the card may be too slow for it once."""
         for _ in range(3):
             done = self.ended(name, 100.0)
-            if ": 0 " in done:
+            if self.code == 0:
+                self.file = FLAGS[name][2]
                 return
             print(done[:1500], flush=True)
             self.recovered()
@@ -205,10 +217,12 @@ def killed(site: Site, link: str, name: str, share: float, goal: Backup | None) 
         site.closed()
     before = site.card()
     how = site.ended(name, share)
+    code = site.code
     left_open, left = site.status()["compensation"]["left_open"], site.card()
     torn = left_open != "nothing" and "measurement" not in left_open
     on_top = second(site) if torn else "not tried"
     wrong = [] if on_top != "accepted" else ["an upload was accepted on top"]
+    wrong += [f"it ended by itself with exit {code}"] if code > 0 else []
     wrong += [] if on_top == "not tried" or not differing(left, site.card()) else ["it wrote"]
     verdict = site.recovered()
     now = site.status()["compensation"]
