@@ -183,12 +183,19 @@ def parse_motion(text: str, bench: Bench) -> Motion:
     return motion
 
 
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
 def _key_values(text: str, whole: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         key, _, value = item.partition("=")
         try:
-            values[key.strip()] = float(value)
+            values[key.strip()] = _finite(value)
         except ValueError as error:
             raise ConfigError(
                 f"'{whole}': '{item}' is not key=number.",

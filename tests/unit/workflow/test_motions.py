@@ -109,3 +109,10 @@ def test_relaxing_wiggle_fades_and_ends_where_the_motion_starts() -> None:
     assert 50e-6 < np.max(np.abs(before)) < 150e-6
     assert np.max(np.abs(before[-400:])) < 5e-6
     check_motion(whole, BENCH)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "fast", ""])
+def test_a_key_wants_a_finite_number(value: str) -> None:
+    with pytest.raises(ConfigError, match="is not key=number") as refused:
+        parse_motion(f"sine:amplitude_mm=10,frequency_Hz={value}", load_bench("paper"))
+    assert refused.value.code == "PC-MOV-005"
