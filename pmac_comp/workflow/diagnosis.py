@@ -116,6 +116,11 @@ def diagnose_captures(
     )
 
 
+def _named(capture: Capture, path: Path) -> Capture:
+    """The capture by a name under which a person finds it: its own, or its file's."""
+    return capture if "name" in capture.attributes else capture.with_attributes(name=path.name)
+
+
 def diagnose_files(
     captures: Sequence[Path],
     validate: Sequence[Path],
@@ -141,7 +146,7 @@ def diagnose_files(
     start = _base_model(loaded, model, base, effects)
     digests = {path: file_digest(path) for path in [*captures, *validate]}
     check_not_twice({str(p): digests[p] for p in captures}, {str(p): digests[p] for p in validate})
-    read = {path: read_capture(path) for path in digests}
+    read = {path: _named(read_capture(path), path) for path in digests}
     for path, capture in read.items():
         check_scales(capture, loaded, path.name)
         check_same_loop(capture, loaded, path.name)

@@ -22,7 +22,11 @@ from pmac_comp.physics.diagnose.control_law import told_of_law
 from pmac_comp.physics.diagnose.estimates import Told, estimates_of, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
-from pmac_comp.physics.diagnose.lookalikes import alike, separating_experiment
+from pmac_comp.physics.diagnose.lookalikes import (
+    alike,
+    separating_experiment,
+    telling_experiment,
+)
 from pmac_comp.physics.diagnose.onset import told, without_onset
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare
 from pmac_comp.physics.diagnose.remainder import Remainder, remainder_of
@@ -270,9 +274,8 @@ def _experiment(
 ) -> SeparatingExperiment | None:
     if tied:
         return separating_experiment(tied[0], library, grown.final.model.bench)
-    if left.unexplained and grown.rounds and grown.rounds[-1].contenders:
-        rivals = [c.effect for c in grown.rounds[-1].contenders[:2]]
-        return separating_experiment(rivals, library, grown.final.model.bench)
+    if left.unexplained and left.regions:
+        return telling_experiment(left.regions[0].coordinate, grown.final.model.bench)
     return None
 
 

@@ -184,6 +184,82 @@ _EXPERIMENTS: Mapping[frozenset[str], tuple[str, _Motions]] = {
 }
 
 
+def _twice(room: _Room) -> tuple[str, ...]:
+    return (*_map(room), *_map(room))
+
+
+# What tells most of a rest without a name, by the coordinate that holds most of it.
+_TELLING: Mapping[str, tuple[str, _Motions]] = {
+    "position": (
+        "Cross the whole travel slowly, both ways, twice: what stays at its place is told from "
+        "what depends on direction or changes with time.",
+        _twice,
+    ),
+    "screw_angle": (
+        "Run slowly over a few turns and fast over the travel: what goes with the angle alone is "
+        "told from what the loop makes of it.",
+        _turns,
+    ),
+    "speed": (
+        "Run the same stroke at speeds from a hundredth of the largest to nearly all of it, both "
+        "ways, and stand still in between: what depends on speed is told from what comes after a "
+        "rest.",
+        _speeds,
+    ),
+    "direction": (
+        "Run the same stroke at several speeds in both directions: what changes with direction "
+        "alone is told from what grows with speed.",
+        _speeds,
+    ),
+    "distance_since_reversal": (
+        "Reverse gently and hard, in strokes of tens of micrometres and of millimetres: what "
+        "depends on the distance since a turn is told from what depends on the force.",
+        _loads,
+    ),
+    "force": (
+        "Repeat one sinusoid at rising frequency: what grows with the force in proportion is told "
+        "from what sets in beyond one.",
+        _rising,
+    ),
+    "acceleration": (
+        "Repeat one sinusoid at both ends of the travel and at rising frequency: what the length "
+        "of the screw carries is told from what the mass does elsewhere.",
+        lambda room: (*_both_ends(room), *_rising(room)),
+    ),
+    "frequency": (
+        "Excite the axis at rising frequencies and stop hard: the frequency at which it rings, and "
+        "how long, tells which mass on which spring.",
+        _tones,
+    ),
+    "time": (
+        "Repeat the same slow run with minutes in between: what drifts is told from what comes "
+        "back with the motion.",
+        _twice,
+    ),
+}
+
+
+def telling_experiment(coordinate: str, bench: Bench) -> SeparatingExperiment | None:
+    """The run that tells most of what has no name, by the coordinate that holds most of it.
+
+    Parameters
+    ----------
+    coordinate : str
+        Of the first region of what is left.
+    bench : Bench
+        Travel and limits that the motions keep to.
+
+    Returns
+    -------
+    SeparatingExperiment or None
+        For no effect in particular; None of a coordinate that no run sets apart.
+    """
+    if coordinate not in _TELLING:
+        return None
+    text, motions = _TELLING[coordinate]
+    return SeparatingExperiment((), text, motions(_Room.of(bench)))
+
+
 def justified(one: str, other: str) -> bool:
     """Whether a tie of two effects may be named without further proof that data cannot decide."""
     return any({one, other} <= group for group in _GROUPS)

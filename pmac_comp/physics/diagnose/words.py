@@ -101,6 +101,12 @@ def statements_of(story: Story) -> tuple[str, ...]:
     torque = _torque(story)
     if torque is not None and not _in_torque(story):
         said.append(f"The torque gap goes from {torque[0]:.3g} to {torque[1]:.3g} N m rms.")
+    times = story.after.position_um / max(story.left.noise_floor_um, 1e-12)
+    if story.verdict != "none" and times > _CLEARLY and not story.left.unexplained:
+        said.append(
+            f"What is left is {times:.2g} times the noise floor, most of it no more than how "
+            "friction sets in or a fit to those runs as well leaves open."
+        )
     if story.left.visible:
         word = "Left" if story.verdict != "none" else "Not proved beyond noise"
         said += [f"{word}: {region.describe()}." for region in story.left.regions[:3]]
@@ -137,7 +143,14 @@ def _nothing(story: Story) -> str:
     """What is left where nothing is missing: noise, or more than repeats would leave."""
     times = story.after.position_um / max(story.left.noise_floor_um, 1e-12)
     if times < _CLEARLY and not story.left.visible:
-        return "what is left is noise"
+        if not story.where:
+            return "what is left is noise"
+        first = story.where[0]
+        seen = f"{first.channel} residual over {first.coordinate.replace('_', ' ')}"
+        return (
+            f"what is left is {times:.2g} times the noise floor, and what repeats in it (the {seen}"
+            f", {first.size_um:.2g} um) is too small for a name"
+        )
     return (
         f"what is left is {times:.2g} times the noise floor, and no effect or smooth function of "
         "the motion foretells it on other runs (how friction sets in at stops and how the floor "

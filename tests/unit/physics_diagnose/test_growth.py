@@ -78,10 +78,12 @@ def _told(
     named: tuple[str, ...],
     *,
     regions: tuple[SimpleNamespace, ...] = (),
+    where: tuple[SimpleNamespace, ...] = (),
 ) -> str:
     left = SimpleNamespace(
         noise_floor_um=0.1,
         visible=bool(regions),
+        unexplained=False,
         excess_um=0.0,
         calm=SimpleNamespace(left_out=0.0),
         regions=regions,
@@ -92,7 +94,7 @@ def _told(
         named,
         (),
         (),
-        (),
+        where,
         Gap(*before),
         Gap(*after),
         left,
@@ -123,3 +125,17 @@ def test_what_is_seen_beside_nothing_missing_is_told_as_not_proved():
     assert "Left: table residual rings." in _told(
         (0.9, 0.1), (0.13, 0.1), ("backlash",), regions=(ringing,)
     )
+
+
+def test_what_a_name_leaves_beyond_the_floor_is_told():
+    assert "1.8 times the noise floor" in _told((1.85, 0.1), (0.18, 0.1), ("backlash",))
+    assert "times the noise floor" not in _told((1.85, 0.1), (0.11, 0.1), ("backlash",))
+
+
+def test_what_repeats_is_not_called_noise():
+    seen = SimpleNamespace(
+        channel="table", coordinate="screw_angle", size_um=0.05, describe=lambda: "seen"
+    )
+    told = _told((0.1, 0.1), (0.1, 0.1), (), where=(seen,))
+    assert "the table residual over screw angle, 0.05 um) is too small for a name" in told
+    assert "left is noise" not in told

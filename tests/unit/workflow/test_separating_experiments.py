@@ -6,7 +6,8 @@ import math
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench, parse_bench
-from pmac_comp.physics.diagnose.lookalikes import separating_experiment
+from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS
+from pmac_comp.physics.diagnose.lookalikes import separating_experiment, telling_experiment
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.workflow.motions import parse_motion
 
@@ -47,6 +48,10 @@ def test_every_experiment_runs_within_travel_and_limits(name: str) -> None:
             separating_experiment(group, library, bench).motions for group in groups
         )
     )
+    for coordinate in COORDINATE_UNITS:
+        told = telling_experiment(coordinate, bench)
+        assert told is not None
+        texts.update(told.motions)
     assert len(texts) >= 15
     for text in texts:
         motion = parse_motion(text, bench)  # refuses what leaves the travel or the limits
@@ -63,3 +68,13 @@ def test_the_speeds_of_a_level_and_a_slope_differ_widely() -> None:
     assert "every speed" in found.text
     speeds = [parse_motion(text, BENCHES["paper"]).row()[4] for text in found.motions]
     assert max(speeds) > 50.0 * min(speeds)
+
+
+def test_the_run_that_tells_more_suits_what_is_left() -> None:
+    reversals = telling_experiment("distance_since_reversal", BENCHES["paper"])
+    speeds = telling_experiment("speed", BENCHES["paper"])
+    assert reversals is not None
+    assert speeds is not None
+    assert all(m.startswith(("triangle", "sine")) for m in reversals.motions)
+    assert all(m.startswith("trapezoid") for m in speeds.motions)
+    assert telling_experiment("taste", BENCHES["paper"]) is None
