@@ -140,9 +140,9 @@ def _step_refusal(
 ) -> SafetyRefusal:
     places = [quiet_place(t, limits) for t in tables if isinstance(t, CompTable)]
     where = next((p for p in places if p is not None), None)
-    hint = "Kill the motor first" + (
-        f", or stand near {where:.0f} counts, where the correction is small." if where else "."
-    )
+    hint = "Kill the motor first."
+    if where is not None:
+        hint = f"Kill the motor first, or stand near {where:.0f} counts: it is small there."
     return MotorNotSafe(
         f"Switching compensation {name} would move motor #{motor} by "
         f"{limits.text_um(value_ct)} at once; the limit is {limits.text_um(limits.max_step_ct)}.",

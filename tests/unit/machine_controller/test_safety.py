@@ -1,0 +1,33 @@
+"""What forbids to switch a table where the axes stand, and where they might stand instead."""
+
+from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.safety import Limits, check_step
+
+LIMITS = Limits(
+    max_correction_ct=1000.0,
+    max_slope=0.1,
+    max_step_ct=1.0,
+    min_position_ct=0.0,
+    max_position_ct=2000.0,
+    um_per_ct=1.0,
+)
+
+
+def _refused(*entries: int) -> str:
+    table = CompTable(1, entries, 2000, wrap=True)
+    (refusal,) = check_step([], [table], {1: 1000.0}, {1: True}, LIMITS)
+    return refusal.hint
+
+
+def test_a_step_is_refused_with_the_place_where_it_is_none() -> None:
+    # Entries at 1000 and 2000 counts, in 1/16 count: 10 counts where it stands, none at the ends.
+    assert "stand near 0 counts" in _refused(160, 0)
+
+
+def test_no_place_is_named_where_there_is_none() -> None:
+    assert _refused(160, 160) == "Kill the motor first."
+
+
+def test_a_killed_motor_follows_without_a_step() -> None:
+    table = CompTable(1, (160, 0), 2000, wrap=True)
+    assert check_step([table], [], {1: 1000.0}, {1: False}, LIMITS) == []
