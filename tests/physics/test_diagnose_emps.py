@@ -36,3 +36,14 @@ def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data():
     assert found.gap_after_um < 1.6 < found.gap_before_um
     assert found.noise_floor_um == pytest.approx(0.185, abs=0.02)
     assert found.gap_channel == "motor"
+
+
+@pytest.mark.emps
+@pytest.mark.skipif(not RECORD.exists(), reason="the EMPS record is not here (PMAC_COMP_EMPS)")
+def test_all_effects_beside_them_do_not_take_the_names_of_real_friction_away():
+    bench = load_bench("emps")
+    found = diagnose([read_capture(RECORD)], bench, model=DriveModel(bench, ("viscous",), {}))
+    assert found.named[0] == "coulomb"
+    assert set(found.named[1:]) & {"friction_asymmetry", "bias_force"}
+    assert found.gap_after_um < 1.1
+    assert found.residual

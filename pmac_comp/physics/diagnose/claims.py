@@ -25,7 +25,10 @@ _LEAST_SIGMAS = 3.0
 _WIDE = 1.5  # of the noise floor: what is closed in um is then no chance
 # Of the base model's excess: where less is left, forms that explain the rest are right.
 _OPEN_SHARE = 0.1
-_MOST_BESIDE = 2  # effects that are claimed beside much that has no name
+_MOST_BESIDE = 2  # effects that are claimed beside much that has no name, whatever each closes
+_BULK = (
+    0.5  # of the gap in um that an effect met: more is closed by what is there, on real data too
+)
 _TOO_SMALL = "its size cannot be told from nothing"
 _NO_IMITATIONS = frozenset({_TOO_SMALL, ONSET})
 
@@ -99,10 +102,12 @@ def claims_of(
             why = "no run reaches its corner, so what shows is a spring of another stiffness"
         if done.accepted.effect in apart and not why:
             why = "its size would have to differ from run to run"
-        if left.missed and len(grown.accepted) > _MOST_BESIDE and not why:
+        many = left.missed and len(grown.accepted) > _MOST_BESIDE
+        if many and not why and done.accepted.gap_um > (1.0 - _BULK) * done.gap_um:
             why = (
                 f"{len(grown.accepted)} effects together still miss the runs not used for fitting "
-                "by more than twice the noise: they share what none of them is"
+                "by more than twice the noise, and it closes the smaller part of what it met: they "
+                "may share what none of them is"
             )
         if left.visible and findings and not why:
             # Names that need quantities of the bench file to be wrong, and explain it not even
