@@ -5,6 +5,19 @@ from typing import Annotated
 
 import typer
 
+from pmac_comp.cli import output
+
+
+def _say_default_bench(ctx: typer.Context, param: typer.CallbackParam, bench: str) -> str:
+    """Say which bench is assumed where a real controller is spoken to and none was named."""
+    url = str(ctx.params.get("url") or "sim://")
+    source = ctx.get_parameter_source(str(param.name))
+    # Typer has a copy of click's enumeration of its own: compared by name.
+    if source is not None and source.name == "DEFAULT" and not url.startswith("sim://"):
+        output.say(f"bench: {bench} (the default; name the file of this axis with --bench)")
+    return bench
+
+
 UrlArgument = Annotated[
     str,
     typer.Argument(help="sim:// tcp://host:1025 udp://host:1025 serial:///dev/ttyS0 ssh://..."),
@@ -17,7 +30,13 @@ CompensationArgument = Annotated[
 ]
 BenchArgument = Annotated[str, typer.Argument(help="Bench file or the name of a bundled one")]
 BenchOption = Annotated[
-    str, typer.Option("--bench", "-b", help="Bench file or the name of a bundled one")
+    str,
+    typer.Option(
+        "--bench",
+        "-b",
+        help="Bench file or the name of a bundled one",
+        callback=_say_default_bench,
+    ),
 ]
 EffectsOption = Annotated[
     Path | None,

@@ -41,6 +41,7 @@ MOTION = ("--motion", "sine:amplitude_mm=2,frequency_Hz=2,cycles=10")
 FIRST = ("upload law", "rollback", "upload table", "restore", "verify", "capture")
 ALIVE = {"I129"}  # the torque that an armed law writes in every cycle
 UNSETTLED = "PC-TXN-010"  # code of an upload beside one that waits for `recover`
+STEPS = "PC-SAF-004"  # code of a switch that would move the axis at once
 FLAGS = {
     "upload law": ("upload", "{url}", "law.json", "--yes"),
     "upload table": ("upload", "{url}", "table.json", "--yes"),
@@ -155,14 +156,21 @@ class Site:
         raise RuntimeError(done)
 
     def recovered(self) -> str:
-        """Recover until it is done: while an axis or a motion program runs it is refused."""
+        """Recover until it is done, as its refusals say.
+
+        While an axis or a motion program runs it is waited for; where switching off would step
+        the axis the motor is killed first.
+        """
         end_s = time.monotonic() + 120.0
         while True:
             code, said, complaint = self.run("recover", "{url}", "--json")
             if code == 0:
                 return str(json.loads(said)["verdict"])
-            waits = any(word in said + complaint for word in ("move", "motion program runs"))
-            require(waits and time.monotonic() < end_s, "recover", said, complaint)
+            told = said + complaint
+            if STEPS in told:
+                self.run("terminal", "{url}", "-c", "#1K")
+            waits = any(word in told for word in (STEPS, "move", "motion program runs"))
+            require(waits and time.monotonic() < end_s, "recover", told)
             time.sleep(0.5)
 
 
