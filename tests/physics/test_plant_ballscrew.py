@@ -192,6 +192,15 @@ def test_finer_steps_converge():
     assert errors[2] < 0.65 * errors[1]
 
 
+@pytest.mark.parametrize("time_us", [300.0, 626.0, 2000.0])
+def test_heavy_damping_gets_the_steps_that_it_needs(time_us):
+    command = 2.0 * np.sin(2 * math.pi * 10.0 * np.arange(1000) * TS)
+    plants = [nominal({"chain_damping": {"time_us": time_us}}) for _ in range(2)]
+    plants[1].par[k.P_N_FINE] *= 8.0
+    found, fine = (p.run(command)[:, 1] for p in plants)
+    assert np.max(np.abs(found - fine)) < 2e-3 * np.ptp(fine)
+
+
 def test_compiled_step_equals_its_python_form_bit_for_bit():
     fast, slow = make_plant(BENCH, seed=5), make_plant(BENCH, seed=5)
     torque = 2.0 * np.sin(np.arange(300) * 0.05)

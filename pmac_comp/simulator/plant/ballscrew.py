@@ -38,6 +38,7 @@ _STOP_BEHIND_TRAVEL_m = 10e-3
 _STOP_STIFFNESS_N_per_m = 5e6
 _STOP_DAMPING = 0.3  # of critical, with the table on it
 _STEP_TIMES_OMEGA = 0.45  # largest elastic phase per fine step; leapfrog is stable below 2
+_STEP_TIMES_DECAY = 1.0  # the same for structural damping, beta omega^2 dt; stable below 2
 _FRICTION_SPREAD = 0.15
 
 
@@ -365,15 +366,22 @@ def resonance_Hz(par: FloatArray, table_position_m: float = 0.0) -> float:
 
 
 def _choose_steps(par: FloatArray) -> None:
-    """Fine grid from the fastest elastic mode at either end of the screw."""
+    """Fine grid from the fastest elastic mode at either end of the screw.
+
+    Forces are those at the start of a step: a heavily damped mode, which decays with
+    ``beta omega^2``, asks for more steps than its frequency does.
+    """
     ends = (-par[k.P_ORIGIN] + 0.02, par[k.P_LENGTH] - par[k.P_ORIGIN])
     fastest = max(float(modal_frequencies_Hz(par, end)[-1]) for end in ends)
-    needed = 2.0 * math.pi * fastest * par[k.P_PERIOD] / _STEP_TIMES_OMEGA
+    omega = 2.0 * math.pi * fastest
+    rate = max(omega / _STEP_TIMES_OMEGA, par[k.P_BETA] * omega**2 / _STEP_TIMES_DECAY)
+    needed = rate * par[k.P_PERIOD]
     fine = max(3, math.ceil(needed / par[k.P_N_COARSE]))
     if fine > 100:
         raise ConfigError(
             f"The fastest mode of this drive is {fastest:.0f} Hz; that needs {fine} fine steps.",
             code="PC-PLT-005",
-            hint="Check stiffness and mass in [nominal], or give a plant of your own.",
+            hint="Check stiffness and mass in [nominal] and chain damping, or give a plant of "
+            "your own.",
         )
     par[k.P_N_FINE] = fine
