@@ -20,6 +20,7 @@ from pmac_comp.workflow.same_axis import PERIOD_TOLERANCE, captures_of, check_sa
 if TYPE_CHECKING:
     from pmac_comp.physics.identify.result import Identification
     from pmac_comp.physics.model.drive import DriveModel
+    from pmac_comp.physics.model.resting import Start
 
 Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
@@ -215,13 +216,15 @@ def predict_files(
     given = _inputs(command)
     grid = _ServoGrid(given.time_s, loaded.servo_period_s)
     run = simulate if rounding == "none" else expected_response
+    start = _start(loaded, given)
     response = run(
         drive,
         grid.onto(given.commanded_m),
         desired_position_m=grid.onto_optional(given.desired_m),
         torque_feedforward_Nm=grid.onto_optional(given.feedforward_Nm),
         external_force_N=grid.onto_optional(given.force_N),
-        resting_torque_Nm=_held_Nm(loaded, given),
+        resting_torque_Nm=start.torque_Nm,
+        resting_error_m=start.error_m,
     )
     motor, table = grid.back(response.motor_position_m), grid.back(response.table_position_m)
     desired = given.commanded_m if given.desired_m is None else given.desired_m
@@ -262,15 +265,15 @@ class _Inputs:
     torque_Nm: FloatArray | None = None
 
 
-def _held_Nm(bench: Bench, given: _Inputs) -> float:
-    """Torque that friction held as a captured run began; 0 of a command alone."""
-    from pmac_comp.physics.model.resting import resting_torque_Nm
+def _start(bench: Bench, given: _Inputs) -> "Start":
+    """What integrator and friction held as a captured run began; nothing of a command alone."""
+    from pmac_comp.physics.model.resting import Start, start_of
 
     if given.motor_m is None:
-        return 0.0
+        return Start()
     desired_m = given.commanded_m if given.desired_m is None else given.desired_m
     period_s = float(np.median(np.diff(given.time_s)))
-    return resting_torque_Nm(bench, desired_m, given.motor_m, given.torque_Nm, period_s)
+    return start_of(bench, desired_m, given.motor_m, given.torque_Nm, period_s)
 
 
 def _inputs(command: Path) -> _Inputs:

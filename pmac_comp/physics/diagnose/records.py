@@ -26,7 +26,7 @@ from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
 from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
-from pmac_comp.physics.model.resting import first_under_way, resting_torque_Nm
+from pmac_comp.physics.model.resting import RELAXED, Start, first_under_way, start_of
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
@@ -67,9 +67,9 @@ class Record:
         Servo samples per coarse sample.
     period_s : float
         Servo period.
-    rest_torque_Nm : float
-        What the controller's integrator holds when the run begins: on a real axis it rests
-        anywhere within the friction.
+    start : Start
+        What integrator and friction hold when the run begins: a real axis rests anywhere within
+        its friction, and off the command.
     number : int
         Place in the order in which the captures were given.
     following_s : float
@@ -88,7 +88,7 @@ class Record:
     valid: BoolArray
     factor: int
     period_s: float
-    rest_torque_Nm: float = 0.0
+    start: Start = RELAXED
     number: int = 0
     following_s: float = 0.0
     dated_s: float | None = None
@@ -145,7 +145,8 @@ class Record:
             torque_feedforward_Nm=probe_torque_Nm,
             external_force_N=force,
             time_origin_s=self._origin_s(model),
-            resting_torque_Nm=self.rest_torque_Nm,
+            resting_torque_Nm=self.start.torque_Nm,
+            resting_error_m=self.start.error_m,
             substeps=substeps,
             quantise=quantise,
         )
@@ -255,7 +256,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
-        rest_torque_Nm=resting_torque_Nm(bench, desired, measured[:, 0], given, period_s),
+        start=start_of(bench, desired, measured[:, 0], given, period_s),
     )
 
 

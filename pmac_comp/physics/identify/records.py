@@ -27,7 +27,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, usable_rows
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
-from pmac_comp.physics.model.resting import first_under_way, resting_torque_Nm
+from pmac_comp.physics.model.resting import RELAXED, Start, first_under_way, start_of
 
 LeaveOut = Literal["nothing", "rest", "reversals"]
 EXTERNAL_FORCE = "external_force_N"
@@ -64,8 +64,8 @@ class Record:
         Servo periods per sample of the capture.
     commanded_m, desired_m, feedforward_Nm, force_N : ndarray
         Inputs at the servo rate.
-    resting_Nm : float
-        What the integrator holds when the run begins.
+    start : Start
+        What integrator and friction hold when the run begins.
     """
 
     capture: Capture
@@ -79,7 +79,7 @@ class Record:
     desired_m: FloatArray | None
     feedforward_Nm: FloatArray | None
     force_N: FloatArray | None
-    resting_Nm: float = 0.0
+    start: Start = RELAXED
 
     @property
     def period_s(self) -> float:
@@ -134,17 +134,17 @@ def prepare(
         desired_m=fine(capture.desired_position_m),
         feedforward_Nm=fine(extra.get(TORQUE_FEEDFORWARD)),
         force_N=fine(extra.get(EXTERNAL_FORCE)),
-        resting_Nm=_resting_Nm(capture, bench),
+        start=_start(capture, bench),
     )
 
 
-def _resting_Nm(capture: Capture, bench: Bench) -> float:
+def _start(capture: Capture, bench: Bench) -> Start:
     torque_Nm = capture.torque_command_Nm
     if torque_Nm is None or EXTERNAL_FORCE in capture.extra or TORQUE_FEEDFORWARD in capture.extra:
-        return 0.0
+        return RELAXED
     desired_m = bridged(capture.desired_m, capture.mask)
     motor_m, held_Nm = (bridged(c, capture.mask) for c in (capture.motor_position_m, torque_Nm))
-    return resting_torque_Nm(bench, desired_m, motor_m, held_Nm, capture.sample_period_s)
+    return start_of(bench, desired_m, motor_m, held_Nm, capture.sample_period_s)
 
 
 def response_of(
@@ -169,7 +169,8 @@ def response_of(
         time_origin_s=float(record.capture.time_s[0]),
         quantise=quantise,
         substeps=substeps,
-        resting_torque_Nm=record.resting_Nm,
+        resting_torque_Nm=record.start.torque_Nm,
+        resting_error_m=record.start.error_m,
     )
 
 

@@ -291,10 +291,12 @@ def simulate(
     quantise: bool = False,
     extra_terms: Sequence[TableTerm] = (),
     resting_torque_Nm: float = 0.0,
+    resting_error_m: float = 0.0,
 ) -> Response:
     """Response of the closed loop to a command sampled at the servo period.
 
-    The drive starts at rest on the first desired position, relaxed unless a torque is held.
+    The drive starts at rest on the first desired position, relaxed unless a torque is held or an
+    error is left.
 
     Parameters
     ----------
@@ -318,6 +320,8 @@ def simulate(
         Further forces or readings, e.g. a flexible competitor.
     resting_torque_Nm : float
         What the integrator holds when the run begins, and friction against it.
+    resting_error_m : float
+        By how much the motor then rests behind the command, held there by friction.
 
     Returns
     -------
@@ -346,6 +350,7 @@ def simulate(
     origin = float(finite_array("time_origin_s", [time_origin_s])[0])
     vector = model.kernel_vector(quantise=quantise)
     vector[s.RESTING] = finite_array("resting_torque_Nm", [resting_torque_Nm])[0]
+    vector[s.RESTING_ERROR] = finite_array("resting_error_m", [resting_error_m])[0]
     n_sub = model.substeps if substeps is None else substeps
     rows, values = packed([*model.terms(), *extra_terms])
     out = run_loop(vector, n_sub, desired, torque, force, rows, values, origin)

@@ -31,6 +31,7 @@ def expected_response(
     torque_feedforward_Nm: FloatArray | None = None,
     external_force_N: FloatArray | None = None,
     resting_torque_Nm: float = 0.0,
+    resting_error_m: float = 0.0,
     executor: Executor | None = None,
 ) -> Response:
     """Mean unrounded response of the closed loop whose sensors and output round.
@@ -39,7 +40,7 @@ def expected_response(
     ----------
     model, commanded_position_m, desired_position_m, torque_feedforward_Nm, external_force_N
         As in ``simulate``, shape (n,) each. Position zero lies in the middle of a count.
-    resting_torque_Nm : float
+    resting_torque_Nm, resting_error_m : float
         As in ``simulate``.
     executor : Executor or None
         Where simulations run; None uses threads.
@@ -59,6 +60,7 @@ def expected_response(
         "torque_feedforward_Nm": torque_feedforward_Nm,
         "external_force_N": external_force_N,
         "resting_torque_Nm": resting_torque_Nm,
+        "resting_error_m": resting_error_m,
     }
     options: list[dict[str, Any]] = [
         {

@@ -356,6 +356,12 @@ def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
 
 
 @_part
+def _begun_Nm(par: FloatArray) -> float:
+    """Torque with which a run begins: what the integrator holds, and the gain on the error left."""
+    return float(par[s.RESTING] + par[s.KP] * par[s.RESTING_ERROR])
+
+
+@_part
 def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArray) -> None:
     """Bristles that hold the torque with which a run begins, and the chain wound up between them.
 
@@ -367,11 +373,10 @@ def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArra
     guide = par[s.GUIDE + s.LEVEL]
     total = motor + nut + rho * guide
     n_gms = int(par[s.GMS_N])
-    longest = max(par[s.MOTOR + s.BREAK], par[s.NUT + s.BREAK], par[s.GUIDE + s.BREAK])
-    if total <= 0.0 or (n_gms == 0 and longest <= 0.0):
+    if total <= 0.0:
         return
     load = par[s.BIAS] + par[s.CABLE_K] * (z[3] - par[s.CABLE_CENTRE])
-    share = min(max((par[s.RESTING] - rho * load) / total, -1.0), 1.0)
+    share = min(max((_begun_Nm(par) - rho * load) / total, -1.0), 1.0)
     if par[s.MOTOR + s.BREAK] > 0.0:
         force[0] = share * motor
     if par[s.NUT + s.BREAK] > 0.0:
@@ -459,14 +464,14 @@ def _term(
 
 
 @_part
-def _relaxed(par: FloatArray, desired_m: float, z: FloatArray) -> None:
-    """Chain at rest with the motor's reading on the desired position."""
-    theta = desired_m / par[s.LEAD]
+def _relaxed(par: FloatArray, reading_m: float, z: FloatArray) -> None:
+    """Chain at rest with the motor's reading on a position."""
+    theta = reading_m / par[s.LEAD]
     for _ in range(50):
         wrong = par[s.ECCENTRICITY] * math.cos(
             par[s.ECCENTRICITY + 1] * theta + par[s.ECCENTRICITY + 2]
         )
-        theta = (desired_m - wrong) / par[s.LEAD]
+        theta = (reading_m - wrong) / par[s.LEAD]
     z[0] = theta
     z[1] = theta
     z[3] = par[s.LEAD] * theta
@@ -598,6 +603,19 @@ def _control(
     memory[_DESIRED] = desired
     memory[_VC] = vc
     return float(_rounded(command, par[s.TORQUE_STEP]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def law_Nm(par: FloatArray, desired_m: FloatArray, reading_m: FloatArray) -> FloatArray:
+    """Torque command of the law on given readings, from the first of them on at rest, N m."""
+    memory = np.zeros(_MEMORY)
+    memory[_DESIRED] = desired_m[0]
+    memory[_READ] = reading_m[0]
+    memory[_OLDER_READ] = reading_m[0]
+    command = np.zeros(desired_m.size)
+    for k in range(desired_m.size):
+        command[k] = _control(par, memory, desired_m[k], reading_m[k], 0.0)
+    return command
 
 
 @_part
@@ -939,7 +957,7 @@ def run(
     history = np.zeros(_HISTORY)
 
     z, zf = np.zeros(N_STATES), np.zeros(N_STATES)
-    _relaxed(par, desired_m[0], z)
+    _relaxed(par, desired_m[0] - par[s.RESTING_ERROR], z)
     turned = np.zeros(3)
     turned[_EXTREME] = z[0]
     turned[_HEADING] = 1.0
@@ -948,11 +966,12 @@ def run(
     if elastic:
         lead, lead_slope = _lead(par, z[1], grown)
     z[3] += lead
-    motor_torque = par[s.RESTING]
+    begun_Nm = _begun_Nm(par)
+    motor_torque = begun_Nm
     # Friction at motor, nut and guide: force at the end of and mean over the last substep.
     force, mean, work = np.zeros(3), np.zeros(3), np.zeros((4, 3))
     slip, slip_end = np.zeros(8), np.zeros(8)
-    if par[s.RESTING] != 0.0:
+    if begun_Nm != 0.0:
         _strained(par, z, force, slip)
         mean[:] = force
     motor_a, nut_a, table_a = 0.0, 0.0, 0.0
@@ -994,7 +1013,7 @@ def run(
         if par[s.WARMUP] != 0.0:
             warm = 1.0 - par[s.WARMUP] * (1.0 - math.exp(-t / par[s.WARMUP_TIME]))
         for sub in range(n_sub):
-            held = _held_torque(history, par[s.RESTING], k * n_sub + sub, n_sub, delay_steps)
+            held = _held_torque(history, begun_Nm, k * n_sub + sub, n_sub, delay_steps)
             fading = 0.0 if ideal_current else motor_torque - held
 
             # ---- explicit torques, forces and friction levels at the middle of the substep

@@ -36,13 +36,13 @@ def flickering() -> Capture:
 
 def test_a_flickering_encoder_does_not_hide_what_the_integrator_holds(flickering):
     (record,) = prepare([flickering], BENCH, prefix="run")
-    assert record.rest_torque_Nm == pytest.approx(HELD_Nm, abs=2e-3)
+    assert record.start.torque_Nm == pytest.approx(HELD_Nm, abs=2e-3)
 
 
 def test_a_run_that_begins_in_motion_does_not_tell_it(flickering):
     moving = flickering.commanded_position_m + 0.01 * flickering.time_s
     (record,) = prepare([replace(flickering, commanded_position_m=moving)], BENCH, prefix="run")
-    assert record.rest_torque_Nm == 0.0
+    assert record.start.torque_Nm == 0.0
 
 
 @pytest.fixture
