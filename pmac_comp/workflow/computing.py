@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
@@ -23,7 +23,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.compensate.trim import trimmed_law
-from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law
+from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
@@ -35,6 +35,14 @@ from pmac_comp.workflow.dynamic_law import (
     turn_errors,
     with_unmodelled,
     without_turn,
+)
+from pmac_comp.workflow.foreseen import (
+    check_amplitude,
+    check_options,
+    check_slow_runs,
+    check_uncompensated,
+    require_motion,
+    too_large,
 )
 from pmac_comp.workflow.law_cost import (
     CHEAP_FRAC,
@@ -58,7 +66,6 @@ from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
-_LESS = " --aim mechanical leaves the lag of the loop alone and needs less."
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
@@ -110,8 +117,8 @@ def compute_compensation(
         The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
-    if route in MOTION_ROUTES:
-        _require_motion(route, motion)
+    check_options(bench, route, motion, every_cycles)
+    check_slow_runs(bench, slow, whole_travel=limit is Limit.REFUSE)
     begun = with_starts(bench, model_loop(without_turn(model)), (*captures, *slow))
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
@@ -135,7 +142,7 @@ def compute_compensation(
     backlash = lead is not None and has_backlash(lead, route)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
-        known = _require_motion(route, motion)
+        known = require_motion(route, motion)
         return _for_motion(bench, model, route, law, lead, known, aim, backlash=backlash)
     if captures:
         if progress is not None:
@@ -154,17 +161,6 @@ def compute_compensation(
         backlash = lead is not None and has_backlash(lead, route)
         law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
-
-
-def _require_motion(route: str, motion: Motion | None) -> Motion:
-    if motion is None:
-        raise ConfigError(
-            f"The route {route} needs the motion it is for.",
-            code="PC-DEP-011",
-            hint="Give it with --command: a CSV with time_s,commanded_position_mm, or a motion as "
-            "`capture --motion` takes it.",
-        )
-    return motion
 
 
 def _for_motion(
@@ -232,14 +228,20 @@ def compensate_files(
 
     check_route(route)
     loaded = load_bench(bench)
+    motion = parse_motion(command, loaded) if command else None
+    check_options(loaded, route, motion, every_cycles)
     drive = load_model(model, loaded, effects=effects)
+    slow_runs, runs = captures_of(slow, loaded), captures_of(captures, loaded)
+    check_uncompensated(loaded, [*slow_runs, *runs], [path.name for path in (*slow, *captures)])
+    if limit is Limit.REFUSE:
+        check_amplitude(loaded, drive, route, motion, aim)
     compensation = compute_compensation(
         loaded,
         drive,
         route=route,
-        slow=tuple(captures_of(slow, loaded)),
-        captures=tuple(captures_of(captures, loaded)),
-        motion=parse_motion(command, loaded) if command else None,
+        slow=tuple(slow_runs),
+        captures=tuple(runs),
+        motion=motion,
         aim=aim,
         provenance={
             "bench_digest": loaded.digest,
@@ -252,12 +254,7 @@ def compensate_files(
     )
     cuts = limits_report(loaded, compensation)
     if cuts and limit is Limit.REFUSE:
-        raise AmplitudeExceeded(
-            "The correction passes the limits: " + "; ".join(cuts) + ".",
-            code="PC-DEP-010",
-            hint="Check the model, raise [safety] max_correction_um, or use --limit to clip."
-            + _LESS * (route in MOTION_ROUTES and aim is Aim.TOTAL),
-        )
+        raise too_large(route, aim, "; ".join(cuts))
     tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
@@ -292,6 +289,17 @@ def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> lis
 
 def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
     """Figures of a compensation for people."""
+    if compensation.motion_position_m is not None:
+        out = _describe_motion(bench, compensation)
+    elif compensation.route in TORQUE_ROUTES:
+        out = _describe_law(compensation)
+    else:
+        out = {"route": compensation.route}
+    return out | _describe_static(bench, compensation)
+
+
+def _describe_law(compensation: Compensation) -> dict[str, Any]:
+    """Figures of ``law`` and ``servo``."""
     law = compensation.law
     out: dict[str, Any] = {
         "route": compensation.route,
@@ -301,7 +309,7 @@ def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
         "change along the travel %/m": 100.0
         * law.inertia_per_m_s2_per_m
         / max(abs(law.inertia_s2), 1e-12),
-        "largest correction um": largest_correction_um(law),
+        "largest correction um": law.largest_correction_m * UM_PER_M,
         "clamp um": law.amplitude_limit_m * UM_PER_M,
         "valid to m/s": law.valid_speed_m_per_s,
         "valid to m/s2": law.valid_acceleration_m_per_s2,
@@ -309,13 +317,10 @@ def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
     explained = law.provenance.get("trim_explained", 0.0)
     if explained:
         out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
-    if compensation.route in TORQUE_ROUTES:
-        out["friction torque Nm"] = law.torque_coulomb_Nm
-        out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
-        out["look-ahead ms"] = law.lookahead_s * 1e3
-    if compensation.motion_position_m is not None:
-        out = _describe_motion(bench, compensation)
-    return out | _describe_static(bench, compensation)
+    out["friction torque Nm"] = law.torque_coulomb_Nm
+    out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
+    out["look-ahead ms"] = law.lookahead_s * 1e3
+    return out
 
 
 def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]:
@@ -338,9 +343,10 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
     if rest is not None:
         found = Unmodelled.from_mapping(rest)
         _, typical_um, most_um = found.total_um if aim == Aim.TOTAL.value else found.mechanical_um
-        own = min(history)
-        out[f"{aim} error after um rms, promised"] = math.sqrt(own * math.hypot(own, typical_um))
-        out[f"{aim} error after um rms, at most"] = math.hypot(own, most_um)
+        own, whole = min(history), history[0]
+        likely_um = math.sqrt(own * joined_um(own, typical_um, own, whole))
+        out[f"{aim} error after um rms, promised"] = likely_um
+        out[f"{aim} error after um rms, at most"] = joined_um(own, most_um, own, whole)
     if compensation.route == "cam":
         return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
     drawn = draw_motion(compensation, bench)
@@ -365,12 +371,6 @@ def _describe_static(bench: Bench, compensation: Compensation) -> dict[str, Any]
     return out
 
 
-def largest_correction_um(law: CompensationLaw) -> float:
-    """Largest correction within the law's range of speeds and accelerations, um."""
-    a, v = law.valid_acceleration_m_per_s2, law.valid_speed_m_per_s
-    return UM_PER_M * (abs(law.inertia_s2) * a + abs(law.viscous_s) * v + abs(law.coulomb_m))
-
-
 def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     """What of a compensation lies beyond the safety limits, in words; empty for nothing."""
     limit_um = bench.safety.max_correction_um
@@ -380,7 +380,7 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
         return [cut] if share else []
     law = compensation.law
-    largest = largest_correction_um(law)
+    largest = law.largest_correction_m * UM_PER_M
     if compensation.route not in TORQUE_ROUTES or largest <= limit_um:
         return []
     return [

@@ -48,20 +48,33 @@ def static_map(
     none = dict.fromkeys(("coulomb_m", "coulomb_per_m", "gap_half_m"), 0.0)
     removed = law.with_values(**none) if route == "table" else law
     lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench), per_turn_m=per_turn_m)
+    if covered_m(bench, lead) is None:
+        return lead
+    if limit is Limit.REFUSE:
+        require_covered(bench, lead)
+    return _faded(bench, lead)
+
+
+def require_covered(bench: Bench, lead: LeadMap) -> None:
+    """Refuse a map of a part of the travel only.
+
+    Raises
+    ------
+    NotIdentifiable
+        The slow runs do not reach over the travel.
+    """
     covered = covered_m(bench, lead)
     if covered is None:
-        return lead
-    low, high = (1e3 * value for value in covered)
-    if limit is Limit.REFUSE:
-        raise NotIdentifiable(
-            f"The slow runs cover {low:.1f} to {high:.1f} mm of the travel "
-            f"{bench.travel.min_mm:g} to {bench.travel.max_mm:g} mm: a table over the travel would "
-            "be a guess.",
-            code="PC-LEAD-011",
-            hint="Capture the whole travel: `pmac-comp capture --campaign lead`; or correct only "
-            "what was measured with --limit.",
-        )
-    return _faded(bench, lead)
+        return
+    low, high = (value * MM_PER_M for value in covered)
+    raise NotIdentifiable(
+        f"The slow runs cover {low:.1f} to {high:.1f} mm of the travel "
+        f"{bench.travel.min_mm:g} to {bench.travel.max_mm:g} mm: a table over the travel would "
+        "be a guess.",
+        code="PC-LEAD-011",
+        hint="Capture the whole travel: `pmac-comp capture --campaign lead`; or correct only "
+        "what was measured with --limit.",
+    )
 
 
 def covered_m(bench: Bench, lead: LeadMap) -> tuple[float, float] | None:

@@ -239,7 +239,9 @@ def design_law(
     """
     chosen = tuple(motions or design_motions(bench))
     half_m, regular = gap or (0.0, loop)
-    start = _start(bench, regular, chosen, latency_cycles, with_torque=with_torque)
+    start = start_law(
+        bench, regular, chosen, latency_cycles=latency_cycles, with_torque=with_torque
+    )
     start = replace(
         start,
         gap_half_m=half_m,
@@ -248,18 +250,17 @@ def design_law(
         lookahead_s=start.lookahead_s + (every_cycles - 1) * bench.servo_period_s,
         provenance=dict(provenance or {}),
         jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
-        valid_speed_m_per_s=max(float(np.max(np.abs(m.velocity_m_per_s))) for m in chosen),
-        valid_acceleration_m_per_s2=max(
-            float(np.max(np.abs(m.acceleration_m_per_s2))) for m in chosen
-        ),
     )
     return _refined(start, loop, chosen, latency_cycles, progress)
 
 
 def _largest_jerk(motion: Trajectory) -> float:
     """Largest jerk in m/s3 of a motion as a law sees it, by differences at the sample period."""
-    jerk = np.diff(motion.position_m, 3) / motion.sample_period_s**3
-    return float(np.max(np.abs(jerk)))
+    return _largest(np.diff(motion.position_m, 3) / motion.sample_period_s**3)
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.max(np.abs(values)))
 
 
 def slower_law(
@@ -283,15 +284,20 @@ def slower_law(
     return _refined(start, loop, chosen, latency_cycles, None, most=_FEW_STEPS)
 
 
-def _start(
+def start_law(
     bench: Bench,
     loop: LoopRunner,
     motions: Sequence[Trajectory],
-    latency: int,
     *,
-    with_torque: bool,
+    latency_cycles: int = 1,
+    with_torque: bool = True,
 ) -> CompensationLaw:
-    """Regression of what the model does on what its motor does (ballscrew facts 2.8, 2.9)."""
+    """Law by regression of what the model does on what its motor does, before it is refined.
+
+    Source
+    ------
+    Closed forms of the elastic chain (ballscrew facts 2.8, 2.9).
+    """
     period = bench.servo_period_s
     rows, errors, torques = [], [], []
     for motion in motions:
@@ -312,10 +318,12 @@ def _start(
         coulomb_m=float(offset[4]),
         coulomb_per_m=float(offset[5]),
         breakaway_m=_START_BREAKAWAY_m,
-        lookahead_s=(latency + 1) * period + _DRIVE_DELAY_s,
+        lookahead_s=(latency_cycles + 1) * period + _DRIVE_DELAY_s,
         origin_m=bench.mid_travel_m,
         turn_m=bench.pitch_m,
         amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,
+        valid_speed_m_per_s=max(_largest(m.velocity_m_per_s) for m in motions),
+        valid_acceleration_m_per_s2=max(_largest(m.acceleration_m_per_s2) for m in motions),
     )
     if not with_torque:
         return law

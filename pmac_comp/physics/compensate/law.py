@@ -185,6 +185,12 @@ class CompensationLaw:
         """Copy with some coefficients replaced."""
         return replace(self, **values)  # type: ignore[arg-type]
 
+    @property
+    def largest_correction_m(self) -> float:
+        """Largest correction within the law's range of speeds and accelerations, m."""
+        fast = abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
+        return fast + abs(self.viscous_s) * self.valid_speed_m_per_s + abs(self.coulomb_m)
+
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""
         zero = dict.fromkeys(TORQUE_NAMES, 0.0)

@@ -27,6 +27,7 @@ def test_a_motion_cut_by_the_limit_offers_the_smaller_aim(
 ) -> None:
     drive = SimpleNamespace(effects=())
     monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
+    monkeypatch.setattr(computing, "check_amplitude", lambda *a: None)
     monkeypatch.setattr(computing, "compute_compensation", lambda *a, **k: "cut")
     monkeypatch.setattr(computing, "limits_report", lambda *a: ["26.0 % of the motion is cut"])
     out = tmp_path / "c.json"
