@@ -226,10 +226,10 @@ def verify_on_controller(
     if out is not None:
         require_new(_earlier_runs(out), out)
     kept = KeptRuns(out)
+    stated = load_bench(bench)
+    chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
+    drive = None if model is None else load_model(model, stated)
     with open_axis(url, bench) as axis, _told_what_is_left(kept, axis.motor):
-        chosen = [parse_motion(text, axis.bench) for text in motions] or verification_motions(
-            axis.bench, seed
-        )
         context = context_of(axis)
         with left_as_found(axis, context, compensation):
             measured = measured_sign(axis, context, compensation)
@@ -240,7 +240,7 @@ def verify_on_controller(
                 chosen,
                 repeats=repeats,
                 static_runs=static_runs,
-                drive=None if model is None else load_model(model, axis.bench),
+                drive=drive,
                 keep=kept.keep,
                 progress=progress,
             )
