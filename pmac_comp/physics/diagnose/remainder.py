@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.noise import ambient_m2, noise_floor_um
 from pmac_comp.physics.diagnose.onset import holds_onset
+from pmac_comp.physics.diagnose.place import PlacePattern, place_pattern
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.statistics import block_means, corrected_p, sign_flip_p
@@ -41,6 +42,7 @@ _PLAIN, _IDEAL = 1.5, 3.0
 _FAR = 2.0  # of the noise floor: no name closes a gap that leaves so much
 _EXCESS = 0.8  # of the noise floor: what the flexible rivals may have missed
 _CHANCE = 1e-4  # that white noise shows the wave that is told
+_BY_PLACE = 0.01  # that runs foretell each other by place
 
 
 @dataclass(frozen=True)
@@ -143,16 +145,19 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     # Where nothing has a name, what the onset of friction might excuse is not nothing either.
     if not grown.accepted and plain_um > max(_PLAIN * floor_um, _IDEAL * _MODEL_um, open_um):
         beyond, excess_um = True, max(excess_um, plain_um)
-    fine = _material_wave(grown, max(floor_um, _MODEL_um, 0.25 * base_um))
+    worth_um = max(floor_um, _MODEL_um, 0.25 * base_um)
+    fine = _material_wave(grown, worth_um)
+    place = _material_place(grown, bench, worth_um)
     regions = _regions(grown, bench)
-    if fine is not None:
+    patterns = tuple(p.region for p in (place, fine) if p is not None)
+    if patterns:
         excess_um = float(np.sqrt(max(excess_um**2, gap_um**2 - floor_um**2)))
-        regions = (fine.region, *regions)
+        regions = (*patterns, *(r for r in regions if place is None or r.coordinate != "position"))
     return Remainder(
         explained=explained,
         missed=missed,
         open_share=max(0.0, gap_um**2 - floor_um**2) / max(base_um**2, 1e-12),
-        unexplained=bool((by_rivals and rivals_apply) or beyond or fine is not None),
+        unexplained=bool((by_rivals and rivals_apply) or beyond or patterns),
         fit_share=fit_share,
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
@@ -177,6 +182,26 @@ def _material_wave(grown: Grown, worth_um: float) -> FinePattern | None:
     if fine is None or fine.p_value > _CHANCE or fine.rms_um < worth_um:
         return None
     return fine
+
+
+def _material_place(grown: Grown, bench: Bench, worth_um: float) -> PlacePattern | None:
+    """What the table shows at the same places in every run, neither by chance nor small.
+
+    What friction does at stops may excuse a gap, but runs that stop elsewhere show nothing there.
+    """
+    workbench = grown.bench
+    if workbench.channels < 2:
+        return None
+    pattern = place_pattern(
+        [r[:, -1] for r in workbench.residuals(grown.final.simulated)],
+        [y[:, -1] for y in grown.final.simulated],
+        workbench.counted,
+        pitch_m=bench.pitch_m,
+        block=max(1, round(workbench.block_s / workbench.records[0].coarse_period_s)),
+    )
+    if pattern is None or pattern.p_value > _BY_PLACE or pattern.rms_um < worth_um:
+        return None
+    return pattern
 
 
 def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float, float]:

@@ -44,6 +44,7 @@ def test_twice_the_floor_is_unknown_whatever_might_excuse_it(
     monkeypatch.setattr(remainder, "_left_out", lambda *a: 0.0)
     monkeypatch.setattr(remainder, "_regions", lambda *a: ())
     monkeypatch.setattr(remainder, "_material_wave", lambda *a: None)
+    monkeypatch.setattr(remainder, "_material_place", lambda *a: None)
     monkeypatch.setattr(
         remainder, "_excess_um", lambda *a: (EXCUSED_um, 0.5 * EXCUSED_um, plain_um)
     )
