@@ -275,7 +275,7 @@ def compensate_files(
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),
         ],
-        "law": None if route in MOTION_ROUTES else law.as_mapping(),
+        "law": law.as_mapping() if route in TORQUE_ROUTES else None,
     }
 
 

@@ -8,6 +8,11 @@ it lacks goes through the loop the same way, while what sticks at reversals is g
 carries friction across. A promise therefore reaches from the model's word alone to that with the
 largest rest of the captures on top, and names the middle of both in proportion. By how much the
 model's errors are off in size, in the captures, widens it on either side.
+
+What the model lacks runs with what it has: friction that is a little larger adds to the error of
+friction itself. Where a compensation takes the model's error away, that is gone, and what is left
+of both adds in squares; where it leaves the error as it was, both add plainly. So the share of the
+model's error that stays stands for how far both run together.
 """
 
 import math
@@ -187,10 +192,27 @@ def widened(promise: MotionPromise, rest: Unmodelled | None) -> dict[str, float]
         out[f"model_{name}_um"] = out[f"{name}_um"]
     if rest is None:
         return out
-    parts = (("e_r_after", rest.mechanical_um), ("total_after", rest.total_um))
-    for (name, (_, typical, most)), off in zip(parts, rest.off_frac, strict=True):
-        own = float(out[f"{name}_um"])
-        out[f"{name}_um"] = math.sqrt(own * math.hypot(own, typical))
+    parts = (
+        ("e_r_after", "e_before", rest.mechanical_um),
+        ("total_after", "total_before", rest.total_um),
+    )
+    for (name, before, (_, typical, most)), off in zip(parts, rest.off_frac, strict=True):
+        own, whole = float(out[f"{name}_um"]), float(out[f"{before}_um"])
+        out[f"{name}_um"] = math.sqrt(own * joined_um(own, typical, own, whole))
         out[f"{name}_lower_um"] = own * (1.0 - off)
-        out[f"{name}_upper_um"] = math.hypot(own * (1.0 + off), most)
+        out[f"{name}_upper_um"] = joined_um(own * (1.0 + off), most, own, whole)
     return out
+
+
+def joined_um(own_um: float, rest_um: float, after_um: float, before_um: float) -> float:
+    """Rms in um of the model's error and a rest, which run together as far as the error stays.
+
+    Parameters
+    ----------
+    own_um, rest_um : float
+        The two, rms.
+    after_um, before_um : float
+        The model's error with and without compensation, rms.
+    """
+    together = min(1.0, after_um / before_um) if before_um > 0.0 else 1.0
+    return math.sqrt(own_um**2 + rest_um**2 + 2.0 * together * own_um * rest_um)

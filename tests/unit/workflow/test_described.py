@@ -1,4 +1,4 @@
-"""What is said where a correction passes the limits: which way out there is for which route."""
+"""What is said of a compensation: its figures by route, and the way out where it passes limits."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -6,9 +6,14 @@ from types import SimpleNamespace
 import pytest
 
 from pmac_comp.base.errors import AmplitudeExceeded
+from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.workflow import computing
-from pmac_comp.workflow.computing import compensate_files
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.computing import compensate_files, describe
+from tests.compensations import friction_law, lead_map
+
+BENCH = load_bench("paper")
 
 MOTION = "sine:amplitude_mm=12,frequency_Hz=3.5"
 
@@ -35,3 +40,15 @@ def test_a_motion_cut_by_the_limit_offers_the_smaller_aim(
         compensate_files("paper", Path("m.json"), out, route=route, command=MOTION, aim=aim)
     assert ("--aim mechanical" in refused.value.hint) is offers_less
     assert not out.exists()
+
+
+def test_a_table_is_described_without_a_law_that_it_does_not_carry() -> None:
+    law = friction_law()
+    told = describe(BENCH, Compensation("law", law, lead_map()))
+    assert {"per speed um/(m/s)", "friction torque Nm", "look-ahead ms"} <= set(told)
+    table = describe(BENCH, Compensation("table", law, lead_map()))
+    assert table["route"] == "table"
+    assert table["lead slope um per m"] == pytest.approx(35.0)
+    static = {name for name in told if name in table}
+    assert static == set(table)
+    assert not any("per " in name and "lead" not in name for name in table)
