@@ -4,7 +4,6 @@ What lives here: which delays belong to a door, and the order of the two steps. 
 arithmetic of either (``physics.compensate``), files, controllers.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
+from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
 from pmac_comp.physics.compensate.grip import (
     GRIP,
@@ -75,6 +75,7 @@ def dynamic_law(
         return design_law(
             bench,
             loop,
+            delay_s=drive_delay_s(model),
             latency_cycles=LATENCY_CYCLES[route],
             with_torque=route in TORQUE_ROUTES,
             every_cycles=every_cycles,
@@ -249,16 +250,3 @@ def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
         f"does not hold ({force_N:+.0f} N at the table): a load, not friction. The law sends it; "
         "should the load change, capture and compute again"
     ]
-
-
-def drive_delay_s(model: "DriveModel") -> float:
-    """Delay in s from torque command to shaft: dead time, half a period of hold, current loop."""
-    chain = model.values_of("chain")
-    nominal = model.bench.nominal
-    dead_s = chain.get("actuator_delay_s", (nominal.actuator_delay_us or 0.0) * 1e-6)
-    bandwidth_Hz = chain.get("current_bandwidth_Hz", nominal.current_bandwidth_Hz or math.inf)
-    # A grown model states the totals, which stand in place of those of the chain.
-    dead_s = model.parameters.get("actuator_delay.time_s", dead_s)
-    bandwidth_Hz = model.parameters.get("current_bandwidth.bandwidth_Hz", bandwidth_Hz)
-    lag_s = 0.0 if math.isinf(bandwidth_Hz) else 1.0 / (2.0 * math.pi * bandwidth_Hz)
-    return dead_s + lag_s + 0.5 * model.bench.servo_period_s

@@ -8,6 +8,11 @@ of the model. What may not: captures, counts. Imports ``physics.model``,
 The refinement is what makes the law right with the loop around it: latency of the door, current
 loop, delay and the controller's own feed-forward all act in the simulation, so the coefficients
 that undo them come out instead of being assumed.
+
+The look-ahead is not among them: it is the time from the law to the shaft, which the model knows.
+A model with sharp friction hardly tells it from break-away distances (0.7 ms of it change what the
+law leaves of the model's errors by a few per cent), and friction that a drive really has turned out
+a third worse with what was fitted so.
 """
 
 import math
@@ -22,6 +27,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
@@ -47,7 +53,6 @@ _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
 _START_BREAKAWAY_m = 1.2e-6
-_DRIVE_DELAY_s = 1.2e-3  # of dead time and current loop: where the look-ahead starts from
 _JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
 _MOST_STEPS = 10
 _FEW_STEPS = 4  # from a start that is nearly right
@@ -63,7 +68,6 @@ _OFFSET_SCALES = {
     "coulomb_per_m": 1e-6,
     "jerk_s3": 1e-9,
     "breakaway_m": 1e-5,
-    "lookahead_s": 4e-4,
 }
 _TORQUE_SCALES = {
     "torque_inertia_Nm_s2_per_m": 0.02,
@@ -74,7 +78,7 @@ _TORQUE_SCALES = {
     "torque_breakaway_m": 1e-5,
     "torque_constant_Nm": 0.02,
 }
-_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6, "lookahead_s": 0.0}
+_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6}
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,7 @@ def design_law(
     bench: Bench,
     loop: LoopRunner,
     *,
+    delay_s: float | None = None,
     latency_cycles: int = 1,
     with_torque: bool = True,
     every_cycles: int = 1,
@@ -216,6 +221,8 @@ def design_law(
         Limits, travel, period.
     loop : LoopRunner
         Closed loop of the model (``model_loop``).
+    delay_s : float, optional
+        From torque command to shaft (``drive_delay_s``); by the bench file if not given.
     latency_cycles : int
         Servo cycles by which the door delivers late (1 for PLC 0, 0 for the open servo).
     with_torque : bool
@@ -240,14 +247,19 @@ def design_law(
     chosen = tuple(motions or design_motions(bench))
     half_m, regular = gap or (0.0, loop)
     start = start_law(
-        bench, regular, chosen, latency_cycles=latency_cycles, with_torque=with_torque
+        bench,
+        regular,
+        chosen,
+        delay_s=delay_s,
+        latency_cycles=latency_cycles,
+        with_torque=with_torque,
     )
     start = replace(
         start,
         gap_half_m=half_m,
         coulomb_m=start.coulomb_m if half_m == 0.0 else max(start.coulomb_m, LEAST_COULOMB_m),
         every_cycles=every_cycles,
-        lookahead_s=start.lookahead_s + (every_cycles - 1) * bench.servo_period_s,
+        lookahead_s=start.lookahead_s + _held_s(bench, every_cycles),
         provenance=dict(provenance or {}),
         jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
     )
@@ -273,15 +285,20 @@ def slower_law(
     motions: Sequence[Trajectory] | None = None,
 ) -> CompensationLaw:
     """The law fitted anew for a door that computes it less often, from a law for every cycle."""
-    more = every_cycles - law.every_cycles
+    later_s = _held_s(bench, every_cycles) - _held_s(bench, law.every_cycles)
     start = replace(
         law,
         every_cycles=every_cycles,
-        lookahead_s=law.lookahead_s + 0.5 * more * bench.servo_period_s,
-        ripple_lookahead_s=law.ripple_lookahead_s + 0.5 * more * bench.servo_period_s,
+        lookahead_s=law.lookahead_s + later_s,
+        ripple_lookahead_s=law.ripple_lookahead_s + later_s,
     )
     chosen = tuple(motions or design_motions(bench))
     return _refined(start, loop, chosen, latency_cycles, None, most=_FEW_STEPS)
+
+
+def _held_s(bench: Bench, every_cycles: int) -> float:
+    """By how much a value that is held for some cycles is late on average, s."""
+    return 0.5 * (every_cycles - 1) * bench.servo_period_s
 
 
 def start_law(
@@ -289,6 +306,7 @@ def start_law(
     loop: LoopRunner,
     motions: Sequence[Trajectory],
     *,
+    delay_s: float | None = None,
     latency_cycles: int = 1,
     with_torque: bool = True,
 ) -> CompensationLaw:
@@ -310,6 +328,7 @@ def start_law(
     matrix = np.concatenate(rows)
     offset, *_ = np.linalg.lstsq(matrix[:, :7], -np.concatenate(errors), rcond=None)
     torque, *_ = np.linalg.lstsq(matrix[:, [0, 2, 4, 6]], np.concatenate(torques), rcond=None)
+    ahead_s = nominal_delay_s(bench) if delay_s is None else delay_s
     law = CompensationLaw(
         inertia_s2=float(offset[0]),
         inertia_per_m_s2_per_m=float(offset[1]),
@@ -318,7 +337,7 @@ def start_law(
         coulomb_m=float(offset[4]),
         coulomb_per_m=float(offset[5]),
         breakaway_m=_START_BREAKAWAY_m,
-        lookahead_s=(latency_cycles + 1) * period + _DRIVE_DELAY_s,
+        lookahead_s=latency_cycles * period + ahead_s,
         origin_m=bench.mid_travel_m,
         turn_m=bench.pitch_m,
         amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,

@@ -19,7 +19,7 @@ the distance from the law's origin::
                                                         added to the output
 
 ``t`` is a second friction state with the break-away distance of the motor's friction. The
-look-ahead L covers the delay of door, drive and loop: at a reversal the friction's step must meet
+look-ahead L covers the delay of door and drive: at a reversal the friction's step must meet
 the axis on time, and a lead by derivatives makes a spike of a step that rings the first mode
 instead. The extrapolation is Newton's by backward differences, exact for constant jerk: a move that
 ends is not taken for one that turns, and at rest the place expected is the place, so what was
@@ -89,7 +89,7 @@ class CompensationLaw:
     jerk_limit_m_per_s3 : float
         J, above what the motions the law was fitted on have.
     lookahead_s : float
-        L, from latency, delay and current loop to the motor's own reversal.
+        L, from the pass of the law to the shaft: latency, dead time and current loop.
     torque_inertia_Nm_s2_per_m, torque_jerk_Nm_s3_per_m, torque_viscous_Nm_s_per_m : float
         TJ, TK, TB.
     torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_constant_Nm : float

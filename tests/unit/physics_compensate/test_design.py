@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import design_law, design_motions, model_loop
+from pmac_comp.physics.compensate.delay import nominal_delay_s
+from pmac_comp.physics.compensate.design import (
+    design_law,
+    design_motions,
+    model_loop,
+    slower_law,
+    start_law,
+)
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
@@ -33,6 +40,20 @@ def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> Non
     assert law.coulomb_m == pytest.approx(0.93e-6, rel=0.15)
     # Slope of the inertial coefficient along the screw: 1.82 um per m/s2 and m.
     assert law.inertia_per_m_s2_per_m == pytest.approx(1.82e-6, rel=0.10)
+
+
+def test_law_looks_ahead_by_what_lies_between_its_pass_and_the_shaft() -> None:
+    period, delay_s = BENCH.servo_period_s, nominal_delay_s(BENCH)
+    loop = model_loop(DriveModel.base(BENCH))
+    motions = design_motions(BENCH)[:1]
+    at_once = start_law(BENCH, loop, motions, latency_cycles=0)
+    assert at_once.lookahead_s == pytest.approx(delay_s)
+    known = start_law(BENCH, loop, motions, delay_s=2e-3)
+    assert known.lookahead_s == pytest.approx(2e-3 + period)
+    law = design_law(BENCH, loop, delay_s=2e-3, every_cycles=3, motions=motions)
+    assert law.lookahead_s == pytest.approx(2e-3 + 2.0 * period)  # held for three, one late
+    back = slower_law(BENCH, law, loop, 1, motions=motions)
+    assert back.lookahead_s == pytest.approx(2e-3 + period)
 
 
 def test_law_removes_both_errors_of_its_model_on_another_motion(law: CompensationLaw) -> None:

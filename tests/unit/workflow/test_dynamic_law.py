@@ -6,11 +6,11 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.constant import TWO_STD
+from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow.dynamic_law import (
     constant_remarks,
-    drive_delay_s,
     nut_gap,
     without_turn,
 )
