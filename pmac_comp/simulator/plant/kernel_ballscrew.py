@@ -153,6 +153,9 @@ _HISTORY = 32
 S_GMS = S_HISTORY + _HISTORY
 N_STATES = S_GMS + _GMS
 _STOP_NEAR_m = 2e-3
+# A part of the time step that allocates nothing: inlined, and without counts of references to its
+# arrays, which are atomic.
+_part = njit(cache=True, _nrt=False, forceinline=True)
 # Hysteresis of the reversal detector: well below any dip length, above round-off.
 _TURN_RAD = 1e-4
 
@@ -258,6 +261,213 @@ def ballscrew_reset(state: FloatArray, par: FloatArray, table_m: float) -> None:
     _read_sensors(state, par)
 
 
+@_part
+def _delayed_commands(
+    state: FloatArray, par: FloatArray, command: float
+) -> tuple[float, float, float]:
+    """Newer and older command of a delay, and the time in this period of the switch between them.
+
+    Transport delay: whole cycles from the ring, the rest as a switch inside the period.
+    """
+    cycle = int(state[S_CYCLE])
+    state[S_HISTORY + cycle % _HISTORY] = command
+    delay_cycles = par[P_DELAY] / par[P_PERIOD]
+    whole = int(delay_cycles)
+    newer = 0.0
+    older = 0.0
+    if cycle - whole >= 0:
+        newer = state[S_HISTORY + (cycle - whole) % _HISTORY]
+    if cycle - whole - 1 >= 0:
+        older = state[S_HISTORY + (cycle - whole - 1) % _HISTORY]
+    return newer, older, (delay_cycles - whole) * par[P_PERIOD]
+
+
+@_part
+def _chain(par: FloatArray, angle_rad: float) -> tuple[float, float, float, float, float, float]:
+    """Stiffnesses and consistent masses of the chain with the nut at ``angle_rad``.
+
+    Torsional and axial stiffness, the inverse of the rotary mass matrix (11, 12, 22), and the
+    inverse of the screw's axial mass.
+    """
+    x = par[P_ORIGIN] + par[P_LEAD] * angle_rad
+    x = min(max(x, 1e-3), par[P_LENGTH])
+    c_coupling = 1.0 / par[P_K_COUPLING]
+    c_torsion = c_coupling + x / par[P_GJ]
+    share = c_coupling / c_torsion
+    c_axial = 1.0 / par[P_K_BEARING] + x / par[P_EA]
+    near = x / par[P_LENGTH]
+    j_near = par[P_J_SCREW] * near
+    j_c = par[P_J_COUPLING]
+    m11 = par[P_J_MOTOR] + (j_near / 3.0 + j_c) * (1.0 - share) ** 2
+    m12 = (1.0 - share) * (j_near / 3.0 * (share + 0.5) + j_c * share)
+    m22 = par[P_J_SCREW] * (1.0 - near) + j_near / 3.0 * (share * share + share + 1.0)
+    m22 += j_c * share * share
+    det = m11 * m22 - m12 * m12
+    b = 1.0 / (par[P_K_BEARING] * c_axial)
+    m_axial = par[P_M_SCREW] * (near / 3.0 * (b * b + b + 1.0) + 1.0 - near)
+    return 1.0 / c_torsion, 1.0 / c_axial, m22 / det, -m12 / det, m11 / det, 1.0 / m_axial
+
+
+@_part
+def _friction_levels(
+    state: FloatArray, par: FloatArray, angle_rad: float, speed_m_per_s: float, nut_force_N: float
+) -> tuple[float, float, float]:
+    """Coulomb levels of motor (N m), nut (N m) and guide (N), one value a coarse step."""
+    warm = _warm(par, state[S_TIME])
+    motor = par[P_MOTOR_LEVEL] * warm
+    nut = par[P_NUT_LEVEL]
+    if par[P_FPR_NM] != 0.0:
+        nut += par[P_FPR_NM] * math.cos(par[P_FPR_ORDER] * angle_rad + par[P_FPR_PHASE])
+    if par[P_DIP] != 0.0:
+        travelled = par[P_LEAD] * abs(angle_rad - state[S_TURN])
+        nut *= 1.0 - par[P_DIP] * math.exp(-travelled / par[P_DIP_LENGTH])
+    guide = par[P_GUIDE_LEVEL]
+    if abs(speed_m_per_s) < 6.0 * par[P_STRIBECK_SPEED]:
+        bump = math.exp(-((speed_m_per_s / par[P_STRIBECK_SPEED]) ** 2))
+        guide += par[P_STRIBECK_N] * bump
+        nut += par[P_STRIBECK_NM] * bump
+        motor += par[P_STRIBECK_MOTOR] * warm * bump
+    nut *= warm
+    guide *= warm
+    nut += par[P_NUT_LOAD] * abs(nut_force_N)
+    return max(motor, 1e-9), max(nut, 1e-6), max(guide, 1e-6)
+
+
+@_part
+def _viscous(
+    par: FloatArray, speed_m_per_s: float, screw_rad_per_s: float
+) -> tuple[float, float, float]:
+    """Viscous coefficients of motor, nut and guide; a slowly varying law is linearised here."""
+    turning = 1.0 + par[P_ASYM_ROTARY] * (1.0 if screw_rad_per_s >= 0.0 else -1.0)
+    uneven = par[P_ASYM_VISCOUS] + par[P_ASYM_SLIDING]
+    forward = 1.0 if speed_m_per_s >= 0.0 else -1.0
+    guide = par[P_GUIDE_VISCOUS] * (1.0 + uneven * forward)
+    speed = abs(speed_m_per_s)
+    if par[P_SQRT_N] != 0.0 and speed > 0.0:
+        root = par[P_SQRT_N] * speed ** (par[P_SQRT_EXPONENT] - 1.0)
+        guide += min(root, 5.0e4)
+    return par[P_MOTOR_VISCOUS] * turning, par[P_NUT_VISCOUS] * turning, guide
+
+
+@_part
+def _motor_waves(par: FloatArray, angle_rad: float) -> tuple[float, float]:
+    """Cogging torque in N m, and the factor of torque ripple."""
+    cog = 0.0
+    if par[P_COG_NM] != 0.0:
+        cog = par[P_COG_NM] * math.cos(par[P_COG_ORDER] * angle_rad + par[P_COG_PHASE])
+    ripple = 1.0
+    if par[P_RIPPLE] != 0.0:
+        ripple += par[P_RIPPLE] * math.cos(par[P_RIPPLE_ORDER] * angle_rad + par[P_RIPPLE_PHASE])
+    return cog, ripple
+
+
+@_part
+def _table_load(state: FloatArray, par: FloatArray, table_m: float) -> float:
+    """Force on the table from outside, in N."""
+    load = -par[P_BIAS] - state[S_EXTERNAL] - par[P_CABLE_K] * (table_m - par[P_CABLE_X])
+    if par[P_FORCE] != 0.0:
+        load -= par[P_FORCE] * math.sin(par[P_FORCE_OMEGA] * state[S_TIME] + par[P_FORCE_PHASE])
+    return float(load)
+
+
+@_part
+def _nut_force(par: FloatArray, delta_m: float, closing_m_per_s: float) -> float:
+    """Force of the nut joint: clearance, a soft zone, Hertzian contact, damping."""
+    k_nut = par[P_K_NUT]
+    beta = par[P_BETA]
+    gap = par[P_GAP]
+    soft = par[P_SOFT_HALF]
+    hertz = par[P_HERTZ]
+    if not (gap > 0.0 or soft > 0.0 or hertz > 0.0):
+        return float(k_nut * (delta_m + beta * closing_m_per_s))
+    stretch = delta_m
+    damp = 1.0
+    if gap > 0.0:
+        if delta_m > gap:
+            stretch = delta_m - gap
+        elif delta_m < -gap:
+            stretch = delta_m + gap
+        else:
+            stretch = 0.0
+            damp = 0.0
+    if soft > 0.0:
+        ratio = par[P_SOFT_RATIO]
+        if stretch > soft:
+            stretch -= soft * (1.0 - ratio)
+        elif stretch < -soft:
+            stretch += soft * (1.0 - ratio)
+        else:
+            stretch *= ratio
+            damp = min(damp, ratio)
+    force = k_nut * stretch
+    if hertz > 0.0:
+        force *= max(1.0 - (force / hertz) ** 2 / 36.0, 0.5)
+    return float(force + damp * k_nut * beta * closing_m_per_s)
+
+
+@_part
+def _bent(z: float, move: float, low: float, high: float, is_lugre: bool) -> float:  # noqa: FBT001
+    """Deflection of a bristle after ``move``: stable for any speed."""
+    if is_lugre:
+        return (z + move) / (1.0 + abs(move) / high)
+    return min(max(z + move, -low), high)
+
+
+@_part
+def _rub(
+    z: float,
+    bending: float,
+    dt: float,
+    stiffness: float,
+    damping: float,
+    low: float,
+    high: float,
+    is_lugre: bool,  # noqa: FBT001
+) -> float:
+    """Force of a bristle bent by ``z``, ``bending`` of it in the last ``dt``.
+
+    The sharp form is an elastic-plastic return map whose damping, there to let a stuck axis come
+    to rest, never adds to the level.
+    """
+    force = stiffness * z + damping * bending / dt
+    return force if is_lugre else min(max(force, -low), high)
+
+
+@_part
+def _maxwell_slip(
+    state: FloatArray,
+    par: FloatArray,
+    move: float,
+    dt: float,
+    stiffness: float,
+    low: float,
+    high: float,
+) -> float:
+    """Force of the guide's Maxwell-slip elements, whose deflections move on."""
+    force = 0.0
+    for e in range(_GMS):
+        part = _GMS_DISTANCE[e]
+        old = state[S_GMS + e]
+        z = min(max(old + move, -part * low), part * high)
+        force += _GMS_SHARE[e] * (stiffness * z / part + par[P_GUIDE_DAMPING] * (z - old) / dt)
+        state[S_GMS + e] = z
+    return force
+
+
+@_part
+def _record(state: FloatArray, par: FloatArray, log: FloatArray) -> None:
+    """End a period: count it, read the sensors, keep the true values."""
+    state[S_CYCLE] += 1.0
+    _read_sensors(state, par)
+    if log.shape[0] > 0:
+        row = int(state[S_RECORDED]) % log.shape[0]
+        log[row, 0] = state[S_CYCLE]
+        log[row, 1] = par[P_LEAD] * state[S_TH_MOTOR]
+        log[row, 2] = state[S_TABLE]
+        log[row, 3] = state[S_TORQUE]
+        state[S_RECORDED] += 1.0
+
+
 @njit(cache=True)
 def ballscrew_step(
     state: FloatArray, par: FloatArray, log: FloatArray, torque_command: float
@@ -280,56 +490,23 @@ def ballscrew_step(
     dt = par[P_PERIOD] / (n_coarse * n_fine)
     rho = par[P_LEAD]
     beta = par[P_BETA]
-    limit = par[P_LIMIT]
-    command = min(max(torque_command, -limit), limit)
-
-    # Transport delay: whole cycles from the ring, the rest as a switch inside the period.
-    cycle = int(state[S_CYCLE])
-    state[S_HISTORY + cycle % _HISTORY] = command
-    delay_cycles = par[P_DELAY] / par[P_PERIOD]
-    whole = int(delay_cycles)
-    newer = 0.0
-    older = 0.0
-    if cycle - whole >= 0:
-        newer = state[S_HISTORY + (cycle - whole) % _HISTORY]
-    if cycle - whole - 1 >= 0:
-        older = state[S_HISTORY + (cycle - whole - 1) % _HISTORY]
-    switch_s = (delay_cycles - whole) * par[P_PERIOD]
+    command = min(max(torque_command, -par[P_LIMIT]), par[P_LIMIT])
+    newer, older, switch_s = _delayed_commands(state, par, command)
     lag = 1.0 - math.exp(-dt * par[P_BANDWIDTH])
-
-    # Position-dependent elasticity and consistent masses, once per period.
-    x = par[P_ORIGIN] + rho * state[S_TH_SCREW]
-    x = min(max(x, 1e-3), par[P_LENGTH])
-    c_coupling = 1.0 / par[P_K_COUPLING]
-    c_torsion = c_coupling + x / par[P_GJ]
-    k_th = 1.0 / c_torsion
-    share = c_coupling / c_torsion
-    c_axial = 1.0 / par[P_K_BEARING] + x / par[P_EA]
-    k_ax = 1.0 / c_axial
-    near = x / par[P_LENGTH]
-    j_near = par[P_J_SCREW] * near
-    j_c = par[P_J_COUPLING]
-    m11 = par[P_J_MOTOR] + (j_near / 3.0 + j_c) * (1.0 - share) ** 2
-    m12 = (1.0 - share) * (j_near / 3.0 * (share + 0.5) + j_c * share)
-    m22 = par[P_J_SCREW] * (1.0 - near) + j_near / 3.0 * (share * share + share + 1.0)
-    m22 += j_c * share * share
-    det = m11 * m22 - m12 * m12
-    i11 = m22 / det
-    i12 = -m12 / det
-    i22 = m11 / det
-    b = 1.0 / (par[P_K_BEARING] * c_axial)
-    m_axial = par[P_M_SCREW] * (near / 3.0 * (b * b + b + 1.0) + 1.0 - near)
-    inv_m_axial = 1.0 / m_axial
+    k_th, k_ax, i11, i12, i22, inv_m_axial = _chain(par, state[S_TH_SCREW])
     inv_m_table = 1.0 / par[P_M_TABLE]
-    k_nut = par[P_K_NUT]
-    gap = par[P_GAP]
-    soft = par[P_SOFT_HALF]
-    hertz = par[P_HERTZ]
-    nonlinear_nut = gap > 0.0 or soft > 0.0 or hertz > 0.0
     flexible_base = par[P_BASE_MASS] > 0.0
     # Looked at once per period: no table covers a millimetre in it.
     free = par[P_STOP_LOW] + _STOP_NEAR_m < state[S_TABLE] < par[P_STOP_HIGH] - _STOP_NEAR_m
     stops = par[P_STOP_K] > 0.0 and not free
+    # Bristle stiffness belongs to the cold Coulomb level; the level itself may vary.
+    sigma_m = par[P_MOTOR_LEVEL] / par[P_MOTOR_BREAK]
+    sigma_n = par[P_NUT_LEVEL] / par[P_NUT_BREAK]
+    sigma_g = par[P_GUIDE_LEVEL] / par[P_GUIDE_BREAK]
+    lugre_m = par[P_MOTOR_BRISTLE] > 0.5
+    lugre_n = par[P_NUT_BRISTLE] > 0.5
+    lugre_g = par[P_GUIDE_BRISTLE] == 1.0
+    gms_g = par[P_GUIDE_BRISTLE] == 2.0
 
     th_m = state[S_TH_MOTOR]
     w_m = state[S_W_MOTOR]
@@ -345,140 +522,45 @@ def ballscrew_step(
     z_m = state[S_Z_MOTOR]
     z_n = state[S_Z_NUT]
     z_g = state[S_Z_GUIDE]
-    time = state[S_TIME]
     f_n = state[S_NUT_FORCE]
-
-    # Bristle stiffness belongs to the cold Coulomb level; the level itself may vary.
-    sigma_m = par[P_MOTOR_LEVEL] / par[P_MOTOR_BREAK]
-    sigma_n = par[P_NUT_LEVEL] / par[P_NUT_BREAK]
-    sigma_g = par[P_GUIDE_LEVEL] / par[P_GUIDE_BREAK]
-    lugre_m = par[P_MOTOR_BRISTLE] > 0.5
-    lugre_n = par[P_NUT_BRISTLE] > 0.5
-    lugre_g = par[P_GUIDE_BRISTLE] == 1.0
-    gms_g = par[P_GUIDE_BRISTLE] == 2.0
-    z_e = state[S_GMS : S_GMS + _GMS]
     elapsed = 0.0
     for _ in range(n_coarse):
         state[S_TH_SCREW] = th_s
         _track_reversal(state)
-        warm = _warm(par, time)
-        speed = abs(v)
-        motor_level = par[P_MOTOR_LEVEL] * warm
-        nut_level = par[P_NUT_LEVEL]
-        if par[P_FPR_NM] != 0.0:
-            nut_level += par[P_FPR_NM] * math.cos(par[P_FPR_ORDER] * th_s + par[P_FPR_PHASE])
-        if par[P_DIP] != 0.0:
-            travelled = rho * abs(th_s - state[S_TURN])
-            nut_level *= 1.0 - par[P_DIP] * math.exp(-travelled / par[P_DIP_LENGTH])
-        guide_level = par[P_GUIDE_LEVEL]
-        if speed < 6.0 * par[P_STRIBECK_SPEED]:
-            bump = math.exp(-((v / par[P_STRIBECK_SPEED]) ** 2))
-            guide_level += par[P_STRIBECK_N] * bump
-            nut_level += par[P_STRIBECK_NM] * bump
-            motor_level += par[P_STRIBECK_MOTOR] * warm * bump
-        nut_level *= warm
-        guide_level *= warm
-        forward = 1.0 if v >= 0.0 else -1.0
-        turning = 1.0 + par[P_ASYM_ROTARY] * (1.0 if w_s >= 0.0 else -1.0)
-        motor_viscous = par[P_MOTOR_VISCOUS] * turning
-        nut_viscous = par[P_NUT_VISCOUS] * turning
-        uneven = par[P_ASYM_VISCOUS] + par[P_ASYM_SLIDING]
-        guide_viscous = par[P_GUIDE_VISCOUS] * (1.0 + uneven * forward)
-        nut_level += par[P_NUT_LOAD] * abs(f_n)
-        nut_level = max(nut_level, 1e-6)
-        guide_level = max(guide_level, 1e-6)
-        motor_level = max(motor_level, 1e-9)
-        # Friction of a slowly varying law is linearised about the coarse point.
-        root = 0.0
-        if par[P_SQRT_N] != 0.0 and speed > 0.0:
-            root = par[P_SQRT_N] * speed ** (par[P_SQRT_EXPONENT] - 1.0)
-            guide_viscous += min(root, 5.0e4)
-        cog = 0.0
-        if par[P_COG_NM] != 0.0:
-            cog = par[P_COG_NM] * math.cos(par[P_COG_ORDER] * th_m + par[P_COG_PHASE])
-        ripple = 1.0
-        if par[P_RIPPLE] != 0.0:
-            ripple += par[P_RIPPLE] * math.cos(par[P_RIPPLE_ORDER] * th_m + par[P_RIPPLE_PHASE])
-        static_m, per_rad = lead_error(par, th_s, time)
+        motor_level, nut_level, guide_level = _friction_levels(state, par, th_s, v, f_n)
+        motor_viscous, nut_viscous, guide_viscous = _viscous(par, v, w_s)
+        cog, ripple = _motor_waves(par, th_m)
+        load = _table_load(state, par, xt)
+        static_m, per_rad = lead_error(par, th_s, state[S_TIME])
         anchor = th_s
         arm = rho + per_rad
-        load = -par[P_BIAS] - state[S_EXTERNAL] - par[P_CABLE_K] * (xt - par[P_CABLE_X])
-        if par[P_FORCE] != 0.0:
-            load -= par[P_FORCE] * math.sin(par[P_FORCE_OMEGA] * time + par[P_FORCE_PHASE])
         end_m = motor_level / sigma_m
         end_n = nut_level / sigma_n
+        forward = 1.0 if v >= 0.0 else -1.0
         end_g = guide_level / sigma_g * (1.0 + par[P_ASYM_SLIDING] * forward)
         # At rest the guide holds as much in either direction as it slides with in that one.
         end_low = guide_level / sigma_g * (1.0 - par[P_ASYM_SLIDING])
         end_high = guide_level / sigma_g * (1.0 + par[P_ASYM_SLIDING])
+        low_N, high_N = sigma_g * end_low, sigma_g * end_high
+        end_over = end_g if lugre_g else end_high
         for _ in range(n_fine):
             t_k = k_th * (th_m - th_s + beta * (w_m - w_s))
             delta = xt - (rho * th_s + static_m + per_rad * (th_s - anchor) + u)
-            closing = v - arm * w_s - v_u
-            if nonlinear_nut:
-                stretch = delta
-                damp = 1.0
-                if gap > 0.0:
-                    if delta > gap:
-                        stretch = delta - gap
-                    elif delta < -gap:
-                        stretch = delta + gap
-                    else:
-                        stretch = 0.0
-                        damp = 0.0
-                if soft > 0.0:
-                    ratio = par[P_SOFT_RATIO]
-                    if stretch > soft:
-                        stretch -= soft * (1.0 - ratio)
-                    elif stretch < -soft:
-                        stretch += soft * (1.0 - ratio)
-                    else:
-                        stretch *= ratio
-                        damp = min(damp, ratio)
-                f_n = k_nut * stretch
-                if hertz > 0.0:
-                    f_n *= max(1.0 - (f_n / hertz) ** 2 / 36.0, 0.5)
-                f_n += damp * k_nut * beta * closing
-            else:
-                f_n = k_nut * (delta + beta * closing)
+            f_n = _nut_force(par, delta, v - arm * w_s - v_u)
 
-            # Bristles: stable for any speed. The sharp form is an elastic-plastic return map whose
-            # damping, there to let a stuck axis come to rest, never adds to the level.
-            if lugre_m:
-                z_new = (z_m + w_m * dt) / (1.0 + abs(w_m) * dt / end_m)
-            else:
-                z_new = min(max(z_m + w_m * dt, -end_m), end_m)
-            t_fm = sigma_m * z_new + par[P_MOTOR_DAMPING] * (z_new - z_m) / dt
-            if not lugre_m:
-                t_fm = min(max(t_fm, -motor_level), motor_level)
-            z_m = z_new
-            if lugre_n:
-                z_new = (z_n + w_s * dt) / (1.0 + abs(w_s) * dt / end_n)
-            else:
-                z_new = min(max(z_n + w_s * dt, -end_n), end_n)
-            t_fn = sigma_n * z_new + par[P_NUT_DAMPING] * (z_new - z_n) / dt
-            if not lugre_n:
-                t_fn = min(max(t_fn, -nut_level), nut_level)
-            z_n = z_new
+            z_old, z_m = z_m, _bent(z_m, w_m * dt, end_m, end_m, lugre_m)
+            damping = par[P_MOTOR_DAMPING]
+            t_fm = _rub(z_m, z_m - z_old, dt, sigma_m, damping, motor_level, motor_level, lugre_m)
+            z_old, z_n = z_n, _bent(z_n, w_s * dt, end_n, end_n, lugre_n)
+            damping = par[P_NUT_DAMPING]
+            t_fn = _rub(z_n, z_n - z_old, dt, sigma_n, damping, nut_level, nut_level, lugre_n)
             f_g = guide_viscous * v
             if gms_g:
-                for e in range(_GMS):
-                    part = _GMS_DISTANCE[e]
-                    z_new = min(max(z_e[e] + v * dt, -part * end_low), part * end_high)
-                    f_g += _GMS_SHARE[e] * (
-                        sigma_g * z_new / part + par[P_GUIDE_DAMPING] * (z_new - z_e[e]) / dt
-                    )
-                    z_e[e] = z_new
+                f_g += _maxwell_slip(state, par, v * dt, dt, sigma_g, end_low, end_high)
             else:
-                if lugre_g:
-                    z_new = (z_g + v * dt) / (1.0 + abs(v) * dt / end_g)
-                else:
-                    z_new = min(max(z_g + v * dt, -end_low), end_high)
-                rubs = sigma_g * z_new + par[P_GUIDE_DAMPING] * (z_new - z_g) / dt
-                if not lugre_g:
-                    rubs = min(max(rubs, -sigma_g * end_low), sigma_g * end_high)
-                f_g += rubs
-                z_g = z_new
+                z_old, z_g = z_g, _bent(z_g, v * dt, end_low, end_over, lugre_g)
+                damping = par[P_GUIDE_DAMPING]
+                f_g += _rub(z_g, z_g - z_old, dt, sigma_g, damping, low_N, high_N, lugre_g)
 
             r1 = torque * ripple + cog - t_k - t_fm - motor_viscous * w_m
             r2 = t_k + arm * f_n - t_fn - nut_viscous * w_s
@@ -508,7 +590,7 @@ def ballscrew_step(
             th_s += dt * w_s
             u += dt * v_u
             xt += dt * v
-        time += n_fine * dt
+        state[S_TIME] += n_fine * dt
 
     state[S_TH_MOTOR] = th_m
     state[S_W_MOTOR] = w_m
@@ -525,16 +607,7 @@ def ballscrew_step(
     state[S_Z_NUT] = z_n
     state[S_NUT_FORCE] = f_n
     state[S_Z_GUIDE] = z_g
-    state[S_TIME] = time
-    state[S_CYCLE] = cycle + 1.0
-    _read_sensors(state, par)
-    if log.shape[0] > 0:
-        row = int(state[S_RECORDED]) % log.shape[0]
-        log[row, 0] = cycle + 1.0
-        log[row, 1] = rho * th_m
-        log[row, 2] = xt
-        log[row, 3] = torque
-        state[S_RECORDED] += 1.0
+    _record(state, par, log)
 
 
 @njit(cache=True)
