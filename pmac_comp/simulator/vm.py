@@ -41,6 +41,10 @@ IntTable = NDArray[np.int64]
 WordSpace = NDArray[np.int32]
 FloatTable = NDArray[np.float64]
 
+# A part of the loop that allocates nothing: inlined, and without counts of references to its
+# arrays, which are atomic.
+_part = njit(cache=True, _nrt=False, forceinline=True)
+
 # Status of a run.
 FINISHED, SCAN_END, EVENTS, OUT_OF_BUDGET, FAULT, JUMPED_BACK = range(6)
 
@@ -450,6 +454,128 @@ def _q_address(x: WordSpace, y: WordSpace, cs: int, number: int) -> int:
     return int(0x8000 + ((start - 0x8000 + number) & 8191))
 
 
+@_part
+def _index(value: float) -> int:
+    """Number of a variable that was computed."""
+    return int(math.floor(value + 1e-6)) & 8191
+
+
+@_part
+def _read_variable(
+    x: WordSpace,
+    y: WordSpace,
+    imap: IntTable,
+    iscale: FloatTable,
+    cs: int,
+    kind: int,
+    number: int,
+) -> float:
+    """Variable P, Q, I or M (``kind`` 0 to 3) of that number."""
+    if kind == 0:
+        return float(read_float48(x, y, 0x6000 + number))
+    if kind == 1:
+        return float(read_float48(x, y, _q_address(x, y, cs, number)))
+    if kind == 2:
+        return float(read_i(x, y, imap, iscale, number))
+    return float(read_m(x, y, number))
+
+
+@_part
+def _write_variable(
+    x: WordSpace,
+    y: WordSpace,
+    dirty: IntTable,
+    imap: IntTable,
+    iscale: FloatTable,
+    cs: int,
+    kind: int,
+    number: int,
+    value: float,
+) -> None:
+    """Store to variable P, Q, I or M (``kind`` 0 to 3) of that number."""
+    if kind == 0:
+        write_float48(x, y, 0x6000 + number, value)
+    elif kind == 1:
+        write_float48(x, y, _q_address(x, y, cs, number), value)
+    elif kind == 2:
+        write_i(x, y, dirty, imap, iscale, number, value)
+    else:
+        write_m(x, y, dirty, number, value)
+
+
+@_part
+def _arithmetic(op: int, a: float, b: float) -> float:
+    """Value of a two-sided operator."""
+    if op == OP_ADD:
+        return a + b
+    if op == OP_SUB:
+        return a - b
+    if op == OP_MUL:
+        return a * b
+    if op == OP_DIV:
+        return float(divide(a, b))
+    if op == OP_MOD:
+        return float(modulo(a, b))
+    return float(bitwise(op, a, b))
+
+
+@_part
+def _access(
+    x: WordSpace,
+    y: WordSpace,
+    dirty: IntTable,
+    code: IntTable,
+    stack: FloatTable,
+    op: int,
+    motor_base: int,
+    pc: int,
+    sp: int,
+) -> tuple[int, int]:
+    """Load or store of a register by its address: a field, a long word or a 48-bit float.
+
+    Program counter and stack pointer afterwards.
+    """
+    storing = (op - OP_LOAD_FIELD) & 1
+    indexed = op >= OP_LOAD_FIELD_AT
+    form = ((op - OP_LOAD_FIELD) % 6) // 2  # 0 field, 1 long, 2 float
+    space = 0
+    if form == 0:
+        space = code[pc]
+        pc += 1
+    address = code[pc + 1] + (motor_base if code[pc] != 0 else 0)
+    pc += 2
+    value = 0.0
+    if storing:
+        sp -= 1
+        value = stack[sp]
+    if indexed:
+        sp -= 1
+        address += int(math.floor(stack[sp] + 1e-6))
+    address &= ADDRESS_MASK
+    if form == 0:
+        words = x if space == 0 else y
+        if storing:
+            write_field(words, address, code[pc], code[pc + 1], value)
+        else:
+            value = read_field(words, address, code[pc], code[pc + 1], code[pc + 2])
+        pc += 3
+    elif form == 1:
+        if storing:
+            write_long(x, y, address, nearest(value))
+        else:
+            value = float(read_long(x, y, address))
+    elif storing:
+        write_float48(x, y, address, value)
+    else:
+        value = read_float48(x, y, address)
+    if not storing:
+        stack[sp] = value
+        sp += 1
+    elif _is_cached(address, M_X if space == 0 and form == 0 else M_Y):
+        dirty[0] += 1
+    return pc, sp
+
+
 @njit(cache=True)
 def run(
     x: WordSpace,
@@ -503,53 +629,26 @@ def run(
             stack[sp] = consts[code[pc]]
             sp += 1
             pc += 1
-        elif op == OP_LOAD_P:
-            stack[sp] = read_float48(x, y, 0x6000 + code[pc])
+        elif OP_LOAD_P <= op <= OP_LOAD_M:
+            kind = op - OP_LOAD_P
+            stack[sp] = _read_variable(x, y, imap, iscale, state[S_CS], kind, code[pc])
             sp += 1
             pc += 1
-        elif op == OP_STORE_P:
+        elif OP_LOAD_P_AT <= op <= OP_LOAD_M_AT:
+            kind, index = op - OP_LOAD_P_AT, _index(stack[sp - 1])
+            stack[sp - 1] = _read_variable(x, y, imap, iscale, state[S_CS], kind, index)
+        elif OP_STORE_P <= op <= OP_STORE_M:
             sp -= 1
-            write_float48(x, y, 0x6000 + code[pc], stack[sp])
+            kind, value = op - OP_STORE_P, stack[sp]
+            _write_variable(x, y, dirty, imap, iscale, state[S_CS], kind, code[pc], value)
             pc += 1
+        elif OP_STORE_P_AT <= op <= OP_STORE_M_AT:
+            sp -= 2
+            kind, index, value = op - OP_STORE_P_AT, _index(stack[sp]), stack[sp + 1]
+            _write_variable(x, y, dirty, imap, iscale, state[S_CS], kind, index, value)
         elif OP_ADD <= op <= OP_XOR:
             sp -= 1
-            a, b = stack[sp - 1], stack[sp]
-            if op == OP_ADD:
-                stack[sp - 1] = a + b
-            elif op == OP_SUB:
-                stack[sp - 1] = a - b
-            elif op == OP_MUL:
-                stack[sp - 1] = a * b
-            elif op == OP_DIV:
-                stack[sp - 1] = divide(a, b)
-            elif op == OP_MOD:
-                stack[sp - 1] = modulo(a, b)
-            else:
-                stack[sp - 1] = bitwise(op, a, b)
-        elif op == OP_LOAD_M:
-            stack[sp] = read_m(x, y, code[pc])
-            sp += 1
-            pc += 1
-        elif op == OP_LOAD_I:
-            stack[sp] = read_i(x, y, imap, iscale, code[pc])
-            sp += 1
-            pc += 1
-        elif op == OP_LOAD_Q:
-            stack[sp] = read_float48(x, y, _q_address(x, y, state[S_CS], code[pc]))
-            sp += 1
-            pc += 1
-        elif op == OP_STORE_M:
-            sp -= 1
-            write_m(x, y, dirty, code[pc], stack[sp])
-            pc += 1
-        elif op == OP_STORE_I:
-            sp -= 1
-            write_i(x, y, dirty, imap, iscale, code[pc], stack[sp])
-            pc += 1
-        elif op == OP_STORE_Q:
-            sp -= 1
-            write_float48(x, y, _q_address(x, y, state[S_CS], code[pc]), stack[sp])
-            pc += 1
+            stack[sp - 1] = _arithmetic(op, stack[sp - 1], stack[sp])
         elif op == OP_JUMP_FALSE:
             sp -= 1
             pc = code[pc] if stack[sp] == 0.0 else pc + 1
@@ -574,27 +673,6 @@ def run(
                 stack[sp - 1] = math.atan2(stack[sp - 1], cosine) * per_radian
             else:
                 stack[sp - 1] = _function(op, stack[sp - 1], per_radian)
-        elif OP_LOAD_P_AT <= op <= OP_LOAD_M_AT:
-            index = int(math.floor(stack[sp - 1] + 1e-6)) & 8191
-            if op == OP_LOAD_P_AT:
-                stack[sp - 1] = read_float48(x, y, 0x6000 + index)
-            elif op == OP_LOAD_Q_AT:
-                stack[sp - 1] = read_float48(x, y, _q_address(x, y, state[S_CS], index))
-            elif op == OP_LOAD_I_AT:
-                stack[sp - 1] = read_i(x, y, imap, iscale, index)
-            else:
-                stack[sp - 1] = read_m(x, y, index)
-        elif OP_STORE_P_AT <= op <= OP_STORE_M_AT:
-            sp -= 2
-            index = int(math.floor(stack[sp] + 1e-6)) & 8191
-            if op == OP_STORE_P_AT:
-                write_float48(x, y, 0x6000 + index, stack[sp + 1])
-            elif op == OP_STORE_Q_AT:
-                write_float48(x, y, _q_address(x, y, state[S_CS], index), stack[sp + 1])
-            elif op == OP_STORE_I_AT:
-                write_i(x, y, dirty, imap, iscale, index, stack[sp + 1])
-            else:
-                write_m(x, y, dirty, index, stack[sp + 1])
         elif op == OP_JUMP_BACK:
             pc = code[pc]
             state[S_JUMPS] += 1
@@ -629,44 +707,7 @@ def run(
                 state[S_CS] = code[pc + 1] - 1
             pc += 2
         elif OP_LOAD_FIELD <= op <= OP_STORE_FLOAT_AT:
-            storing = (op - OP_LOAD_FIELD) & 1
-            indexed = op >= OP_LOAD_FIELD_AT
-            form = ((op - OP_LOAD_FIELD) % 6) // 2  # 0 field, 1 long, 2 float
-            space = 0
-            if form == 0:
-                space = code[pc]
-                pc += 1
-            address = code[pc + 1] + (state[S_R1] if code[pc] != 0 else 0)
-            pc += 2
-            value = 0.0
-            if storing:
-                sp -= 1
-                value = stack[sp]
-            if indexed:
-                sp -= 1
-                address += int(math.floor(stack[sp] + 1e-6))
-            address &= ADDRESS_MASK
-            if form == 0:
-                words = x if space == 0 else y
-                if storing:
-                    write_field(words, address, code[pc], code[pc + 1], value)
-                else:
-                    value = read_field(words, address, code[pc], code[pc + 1], code[pc + 2])
-                pc += 3
-            elif form == 1:
-                if storing:
-                    write_long(x, y, address, nearest(value))
-                else:
-                    value = float(read_long(x, y, address))
-            elif storing:
-                write_float48(x, y, address, value)
-            else:
-                value = read_float48(x, y, address)
-            if not storing:
-                stack[sp] = value
-                sp += 1
-            elif _is_cached(address, M_X if space == 0 and form == 0 else M_Y):
-                dirty[0] += 1
+            pc, sp = _access(x, y, dirty, code, stack, op, state[S_R1], pc, sp)
         elif op == OP_COPYREG:
             for k in range(5):
                 write_float48(x, y, 0x6000 + ((code[pc] + k) & 8191), regs[k])
