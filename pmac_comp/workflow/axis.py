@@ -122,7 +122,8 @@ class Axis:
             What to run.
         relaxed : bool
             Wiggle before the motion, so that it starts as a simulation does; the wiggle is not
-            part of the capture.
+            part of the capture. Where the card gathers into its own memory, which the wiggle would
+            fill, the start is approached instead, and the capture says so.
         progress : callable, optional
             Called with a step and a fraction.
 
@@ -136,6 +137,7 @@ class Axis:
             The motor tripped on the way.
         """
         check_motion(motion, self.bench)
+        relaxed = relaxed and self.plan().mode is GatherMode.RING
         whole, first = relaxing(motion) if relaxed else (motion, 0)
         self.prepare(whole)
         for attempt in range(_ATTEMPTS):

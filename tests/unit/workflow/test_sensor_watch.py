@@ -1,5 +1,6 @@
 """A sensor that fails in a run stops the axis while it runs, and the fault is named (F25)."""
 
+import numpy as np
 import pytest
 
 from pmac_comp.base.errors import CaptureError, MotorNotSafe
@@ -8,8 +9,9 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow.approach import APPROACHED
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.motions import Motion, parse_motion, relaxing
 from pmac_comp.workflow.simulated import embedded
 
 BENCH = load_bench("paper")
@@ -93,3 +95,19 @@ def test_a_motion_that_the_card_cannot_hold_says_how_long_it_may_be() -> None:
             axis.run(motion)
         assert refused.value.code == "PC-AXI-005"
         assert motors.read_motor(link, axis.motor).status.is_commanded_still
+
+
+def test_runs_in_the_cards_own_memory_are_approached_and_not_wiggled() -> None:
+    controller = BENCH.controller.model_copy(update={"dpram": "none"})
+    bench = BENCH.model_copy(update={"controller": controller})
+    motion = parse_motion(
+        "trapezoid:distance_mm=20,speed_mm_per_s=100,acceleration_m_per_s2=2", bench
+    )
+    with embedded(Card(bench)) as link:
+        axis = Axis(link, bench)
+        axis.enable()
+        free_s = int(link.query("SIZE")[0]) / axis.plan().layout.long_words * bench.servo_period_s
+        assert motion.duration_s < free_s < relaxing(motion)[0].duration_s
+        capture = axis.run(motion, relaxed=True)
+    assert capture.attributes["start"] == APPROACHED
+    assert np.ptp(capture.motor_position_m) == pytest.approx(0.02, abs=1e-4)
