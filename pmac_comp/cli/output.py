@@ -195,7 +195,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         whole = value.is_integer() and abs(value) < _WHOLE_BELOW
         large = _ROUNDED_FROM <= abs(value) < _WHOLE_BELOW
-        return f"{value:.0f}" if whole or large else f"{value:.4g}"
+        return f"{value:z.0f}" if whole or large else f"{value:.4g}"
     return str(value)
 
 

@@ -105,3 +105,8 @@ def test_an_error_begins_on_a_line_of_its_own_below_the_progress(
     output.say("second")
     shown = capsys.readouterr().err
     assert shown.endswith(" 30 %\nerror: link lost\nsecond\n")
+
+
+def test_a_rounded_zero_has_no_sign(capsys: pytest.CaptureFixture[str]) -> None:
+    output.table("", ("from mm",), [(-0.0,)])
+    assert "-" not in capsys.readouterr().out.replace("from mm", "")
