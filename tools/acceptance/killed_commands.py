@@ -37,7 +37,8 @@ from tests.faults.openssh import trusting
 from tests.faults.ssh_gateway import SECRET, USER, Gateway
 
 LINKS = ("tcp", "pty", "ssh")
-MOTION = ("--motion", "sine:amplitude_mm=2,frequency_Hz=2,cycles=10")
+LONG = "sine:amplitude_mm=2,frequency_Hz=2,cycles=10"
+SHORT = "sine:amplitude_mm=1,frequency_Hz=8,cycles=6"  # what the card itself holds (serial lines)
 FIRST = ("upload law", "rollback", "upload table", "restore", "verify", "capture")
 ALIVE = {"I129"}  # the torque that an armed law writes in every cycle
 UNSETTLED = "PC-TXN-010"  # code of an upload beside one that waits for `recover`
@@ -47,9 +48,12 @@ FLAGS = {
     "upload table": ("upload", "{url}", "table.json", "--yes"),
     "rollback": ("rollback", "{url}", "--yes"),
     "restore": ("restore", "{url}", "start.json", "--bench", "paper", "--yes"),
-    "capture": ("capture", "{url}", "--bench", "paper", *MOTION, "--yes", "--out", "runs-{n}"),
+    "capture": (
+        *("capture", "{url}", "--bench", "paper", "--motion", "{motion}"),
+        *("--yes", "--out", "runs-{n}"),
+    ),
     "verify": (
-        *("verify", "{url}", "--compensation", "{file}", *MOTION),
+        *("verify", "{url}", "--compensation", "{file}", "--motion", "{motion}"),
         *("--repeats", "1", "--static", "0", "--yes"),
     ),
 }
@@ -88,6 +92,7 @@ class Site:
             w.replace("{url}", self.url)
             .replace("{n}", str(self.n_commands))
             .replace("{file}", self.file)
+            .replace("{motion}", SHORT if self.url.startswith("serial") else LONG)
             for w in words
         ]
         return subprocess.Popen(
