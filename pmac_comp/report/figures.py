@@ -131,10 +131,12 @@ def lead_figure(lead: LeadMap, table: Callable[[FloatArray], FloatArray] | None)
     return svg(draw, 7.2, 3.4)
 
 
-def summary_bars(rows: Sequence[tuple[str, float, float, float | None]], floor_um: float) -> str:
-    """Mechanical error before and after per motion with the promise as a mark.
+def summary_bars(
+    rows: Sequence[tuple[str, float, float, float | None]], floor_um: float, what: str
+) -> str:
+    """Error before and after per motion with the promise as a mark.
 
-    ``floor_um`` is what the sensors' own steps make of every one of them.
+    ``floor_um`` is what the sensors' own steps make of every one of them; ``what``: which error.
     """
 
     def draw(figure: Figure) -> None:
@@ -157,7 +159,7 @@ def summary_bars(rows: Sequence[tuple[str, float, float, float | None]], floor_u
             axis.axvline(floor_um, color="#23231f", ls=":", lw=1.2, label="sensors' steps alone")
         axis.set_yticks(place, [r[0] for r in rows])
         axis.invert_yaxis()
-        axis.set_xlabel("mechanical error, um rms")
+        axis.set_xlabel(f"{what} error, um rms")
         axis.grid(visible=False, axis="y")
         figure.legend(loc="outside upper right", ncols=2, markerscale=0.5)
 

@@ -52,15 +52,6 @@ def _mean(values: list[float]) -> float:
 
 def verification_sections(verification: Verification) -> list[Section]:
     """Tables and figures of before and after."""
-    bars = [
-        (
-            m.name,
-            m.e_before.value,
-            m.e_r_after.value,
-            None if m.promise is None else m.promise["e_r_after_um"],
-        )
-        for m in verification.motions
-    ]
     sections = [
         Section(
             "Before and after",
@@ -84,13 +75,7 @@ def verification_sections(verification: Verification) -> list[Section]:
                 *_promise_tables(verification.motions),
                 *_interval_tables(verification),
             ],
-            figures=[
-                (
-                    figures.summary_bars(bars, verification.floor_um),
-                    "Mechanical error per motion, measured; the promise is that of the model, "
-                    "without the steps of encoder and scale.",
-                )
-            ],
+            figures=[_summary(verification)],
         )
     ]
     sections += [_motion_section(verification, m) for m in verification.motions]
@@ -120,6 +105,31 @@ def verification_sections(verification: Verification) -> list[Section]:
     if verification.ringing is not None:
         sections.append(_ringing_section(verification.ringing))
     return sections
+
+
+def _summary(verification: Verification) -> tuple[str, str]:
+    """Bars of the error that is judged, per motion; of a known motion that is the total one."""
+    known = verification.route in MOTION_ROUTES
+    what, before, after = (
+        ("total", "total_before", "total_after")
+        if known
+        else ("mechanical", "e_before", "e_r_after")
+    )
+    bars = [
+        (
+            m.name,
+            getattr(m, before).value,
+            getattr(m, after).value,
+            None if m.promise is None else m.promise[f"{after}_um"],
+        )
+        for m in verification.motions
+    ]
+    # The floor is that of table against motor, whose steps a total error has not.
+    image = figures.summary_bars(bars, 0.0 if known else verification.floor_um, what)
+    return image, (
+        f"{what.capitalize()} error per motion, measured; the promise is that of the model, "
+        "without the steps of encoder and scale."
+    )
 
 
 def _static_section(static: StaticOutcome) -> Section:

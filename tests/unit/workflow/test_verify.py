@@ -9,6 +9,7 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
 from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
@@ -182,3 +183,16 @@ def test_an_interrupted_verification_that_kept_nothing_says_how_to_keep() -> Non
     kept.keep(run(correction_um=0.0, e_um=3.0, control_um=10.0))
     assert "--out" in kept.left(4)
     assert "#4" in kept.left(4)
+
+
+@pytest.mark.parametrize(("route", "judged"), [("law", "mechanical"), ("program", "total")])
+def test_the_figure_of_a_page_shows_the_error_that_is_judged(route: str, judged: str) -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    after = [run(correction_um=-9.0, e_um=3.3, control_um=1.0)]
+    errors = ("e_before", "e_r_after", "e_c_before", "e_c_after", "total_before", "total_after")
+    promise = {f"{error}_um": 1.0 for error in errors}
+    motions = (outcome_of("a", before, after, promise=promise),)
+    sections = verification_sections(Verification(motions, 0.1, simulated=True, route=route))
+    image, caption = sections[0].figures[0]
+    assert caption.startswith(f"{judged.capitalize()} error per motion")
+    assert f"{judged} error, um rms" in image
