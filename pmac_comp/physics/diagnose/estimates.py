@@ -16,7 +16,7 @@ from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.refit import Fitted, linearised
 from pmac_comp.physics.diagnose.result import Estimate, Finding
-from pmac_comp.physics.diagnose.workbench import Columns, Direction, Workbench
+from pmac_comp.physics.diagnose.workbench import Columns, Direction, Noise, Workbench
 from pmac_comp.physics.identify.result import Z95
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
@@ -31,7 +31,6 @@ _LOST = 20.0
 _UNDER_WHITENED = 0.7
 # Of the guide's friction, that two careful models of the chain put down to other parts, at least.
 _GUIDE_OPEN = 0.02
-_WHOLE_s = 1e6
 # A dead time and the lag of the current loop, and the known one of the other.
 _LATE = {
     "actuator_delay": "chain.current_bandwidth_Hz",
@@ -247,29 +246,33 @@ def _weighting_spread(part: Workbench, point: Fitted, columns: Columns, prior: P
     """How far parameters move when the same data is weighed otherwise.
 
     A true model gives the same answer under any weights, but for noise; what a model lacks does
-    not, and pulls every part of the data alike, which leaving out parts cannot show.
+    not, and pulls every part of the data alike, which leaving out parts cannot show. Where noise is
+    slow, weights that whiten it less leave an answer by far noisier than the first: of what that
+    moves, only what its own noise does not explain is counted.
 
     Source
     ------
-    Hausman (1978): two estimators of which one is robust differ where the model is misspecified.
+    Hausman (1978): two estimators of which one is robust differ where the model is misspecified;
+    the variance of the difference is the difference of the variances.
     """
     noise = part.noise
     if noise is None:
         return np.zeros(prior.sigma.size)
     softer = replace(noise.whitener, lags=_UNDER_WHITENED * noise.whitener.lags)
-    weighings = [
-        noise,
-        replace(noise, robust=None),
-        replace(noise, doubtful=None),
-        replace(noise, whitener=softer),
-    ]
     residuals = part.residuals(point.simulated)
     every = range(prior.sigma.size)
-    steps = [
-        part.with_noise(w).gram(residuals, columns, prior, longest_s=_WHOLE_s).solve(every).step
-        for w in weighings
-    ]
-    return np.asarray(np.max([np.abs(s - steps[0]) for s in steps], axis=0))
+
+    def weighed(noise: Noise) -> tuple[Gram, Solution]:
+        gram = part.with_noise(noise).gram(residuals, columns, prior)
+        return gram, gram.solve(every)
+
+    first, under = weighed(noise), weighed(replace(noise, whitener=softer))
+    same = [weighed(replace(noise, robust=None)), weighed(replace(noise, doubtful=None))]
+    moved = [np.abs(solution.step - first[1].step) for _, solution in same]
+    variances = [np.diag(robust_covariance(*fitted)) for fitted in (under, first)]
+    by_noise = Z95**2 * np.maximum(variances[0] - variances[1], 0.0)
+    beyond = (under[1].step - first[1].step) ** 2 - by_noise
+    return np.asarray(np.max([*moved, np.sqrt(np.maximum(beyond, 0.0))], axis=0))
 
 
 def _groups(gram: Gram) -> IntArray:
