@@ -121,6 +121,27 @@ def claims_of(
     return Claims(tuple(claimed), withheld, imitated)
 
 
+def sizes_alone(grown: Grown, claims: Claims) -> tuple[str, ...]:
+    """Sizes of the claimed effects before any that is not claimed came in, in words.
+
+    What is not claimed stays in the model and shares with them what each alone would carry. Nothing
+    where all are claimed, or where one that is not came before.
+    """
+    first = grown.accepted[: len(claims.effects)]
+    if not claims.withheld or not first or tuple(c.effect for c in first) != claims.effects:
+        return ()
+    model = first[-1].fitted.model
+    sizes = []
+    for contender in first:
+        effect, place = model.effect(contender.key)
+        spec = amplitude_of(effect.name, effect.specs(place))
+        value = spec.to_file(model.parameters[f"{effect.name}.{spec.name}"])
+        unit = spec.file_unit or spec.unit
+        text = f"{effect.name}.{spec.file_name or spec.name} = {value:.4g}"
+        sizes.append(text if unit == "1" else f"{text} {unit}")
+    return tuple(sizes)
+
+
 def unreached(grown: Grown) -> frozenset[str]:
     """Effects with a corner in the joint's spring that lies beyond the force of every run."""
     model = grown.final.model

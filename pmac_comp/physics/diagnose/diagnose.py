@@ -14,7 +14,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.by_run import told_by_run
-from pmac_comp.physics.diagnose.claims import Claims, claims_of, unreached
+from pmac_comp.physics.diagnose.claims import Claims, claims_of, sizes_alone, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
@@ -209,6 +209,7 @@ def _assembled(
                     ruled_out(grown, library) if named else (),
                     library,
                     claims.withheld,
+                    alone=sizes_alone(grown, claims),
                     restated=findings[0].text if found.alone else "",
                 )
             ),

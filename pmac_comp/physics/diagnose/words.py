@@ -69,6 +69,8 @@ class Story:
         Effects with their own words.
     withheld : Mapping of str to str
         Effects that close some of the gap and are not claimed, and why.
+    alone : sequence of str
+        Sizes of the named effects without those beside them, where they differ.
     restated : str
         The one quantity of the bench file that does in place of effects, in words.
     """
@@ -84,6 +86,7 @@ class Story:
     rivals: Sequence[Rival]
     library: Mapping[str, Effect]
     withheld: Mapping[str, str]
+    alone: Sequence[str] = ()
     restated: str = ""
 
 
@@ -96,6 +99,11 @@ def statements_of(story: Story) -> tuple[str, ...]:
         f"{name} closes some of it and is not claimed: {why}."
         for name, why in story.withheld.items()
     ]
+    if story.alone:
+        said.append(
+            f"With the named effects alone: {', '.join(story.alone)}; beside what is not claimed, "
+            "with which they may share, the sizes are those above."
+        )
     said.append(_worth(story))
     said += _rests(story)
     torque = _torque(story)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.claims import claims_of, unreached
+from pmac_comp.physics.diagnose.claims import Claims, claims_of, sizes_alone, unreached
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import pulled
 from pmac_comp.physics.diagnose.imitations import imitation, true_name
@@ -136,3 +136,23 @@ def test_a_corner_that_no_run_reaches_carries_no_name(place):
     assert unreached(grown(23e-6, 700.0)) == {"preload_loss"}
     plain: Any = SimpleNamespace(final=SimpleNamespace(model=DriveModel.base(BENCH)))
     assert unreached(plain) == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("order", "told"),
+    [
+        (("payload", "cable_drag"), ("payload.mass_kg = 12 kg",)),
+        (("payload",), ()),  # all that is in the model is claimed
+        (("cable_drag", "payload"), ()),  # never fitted alone
+    ],
+)
+def test_sizes_of_named_effects_are_told_without_what_is_not_claimed(order, told):
+    model, accepted = DriveModel.base(BENCH), []
+    for name in order:
+        model = model.with_effect(name, {"mass_kg": 12.0} if name == "payload" else {})
+        fitted = SimpleNamespace(model=model)
+        accepted.append(SimpleNamespace(effect=name, key=name, fitted=fitted))
+    claimed: Any = tuple(SimpleNamespace(accepted=a) for a in accepted if a.effect == "payload")
+    withheld = {name: "why" for name in order if name != "payload"}
+    grown: Any = SimpleNamespace(accepted=tuple(accepted))
+    assert sizes_alone(grown, Claims(claimed, withheld, imitated=False)) == told
