@@ -267,10 +267,10 @@ class _Inputs:
 
 def _start(bench: Bench, given: _Inputs) -> "Start":
     """What integrator and friction held as a captured run began; nothing of a command alone."""
-    from pmac_comp.physics.model.resting import Start, start_of
+    from pmac_comp.physics.model.resting import RELAXED, start_of
 
     if given.motor_m is None:
-        return Start()
+        return RELAXED
     desired_m = given.commanded_m if given.desired_m is None else given.desired_m
     period_s = float(np.median(np.diff(given.time_s)))
     return start_of(bench, desired_m, given.motor_m, given.torque_Nm, period_s)

@@ -15,7 +15,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import constant_torque
 from pmac_comp.physics.compensate.design import LoopRunner
-from pmac_comp.physics.model.resting import resting_torque_Nm
+from pmac_comp.physics.model.resting import start_of
 
 _RESTING = "resting_torque_Nm"  # attribute of a capture in memory, not of its file
 
@@ -38,13 +38,13 @@ def with_starts(bench: Bench, loop: LoopRunner, captures: Sequence[Capture]) -> 
 
 
 def _held_Nm(bench: Bench, capture: Capture, load_Nm: float) -> float:
-    held = resting_torque_Nm(
+    held = start_of(
         bench,
         capture.desired_m,
         capture.motor_position_m,
         capture.torque_command_Nm,
         capture.sample_period_s,
-    )
+    ).torque_Nm
     return held - load_Nm if held != 0.0 else 0.0
 
 

@@ -112,17 +112,6 @@ def _law_Nm(vector: FloatArray, desired_m: FloatArray, motor_m: FloatArray) -> F
     return np.asarray(law_Nm(vector, desired_m, motor_m))
 
 
-def resting_torque_Nm(
-    bench: Bench,
-    desired_m: FloatArray,
-    motor_m: FloatArray,
-    torque_Nm: FloatArray | None,
-    period_s: float,
-) -> float:
-    """Torque that the integrator holds when a run begins, N m; arguments as of ``start_of``."""
-    return start_of(bench, desired_m, motor_m, torque_Nm, period_s).torque_Nm
-
-
 def first_under_way(desired_m: FloatArray) -> int:
     """The sample from which on a run has left behind where in a gap or a stick it began."""
     away = np.abs(desired_m - desired_m[0])
