@@ -118,6 +118,7 @@ def claims_of(
             imitated |= why not in _NO_IMITATIONS and not _narrow(done, done.accepted)
         else:
             claimed.append(done)
+    imitated |= not _NO_IMITATIONS.issuperset(withheld.values()) and _unclaimed(grown, claimed)
     return Claims(tuple(claimed), withheld, imitated)
 
 
@@ -189,6 +190,18 @@ def _weak(done: Round, accepted: Contender, rules: Rules) -> bool:
 def _narrow(done: Round, accepted: Contender) -> bool:
     """Whether an effect closes too little of the gap to show in um."""
     return done.gap_um**2 - accepted.gap_um**2 < (_WIDE * done.floor_um) ** 2
+
+
+def _unclaimed(grown: Grown, claimed: Sequence[Round]) -> bool:
+    """Whether more than chance was closed of the gap than those did that are claimed.
+
+    What an effect closes is measured in its round. One that came late and outlived the first, which
+    then was not needed beside it, closes what that one closed.
+    """
+    first, last = grown.rounds[0], grown.rounds[-1]
+    left_um = last.gap_um if last.accepted is None else last.accepted.gap_um
+    closed = sum(d.gap_um**2 - d.accepted.gap_um**2 for d in claimed if d.accepted is not None)
+    return first.gap_um**2 - left_um**2 - closed > (_WIDE * last.floor_um) ** 2
 
 
 def _nothing(accepted: Contender, model: DriveModel, estimates: Sequence[Estimate]) -> bool:

@@ -68,7 +68,7 @@ def diagnose(
     Parameters
     ----------
     captures : sequence of Capture
-        Runs for fitting, each starting at rest.
+        Runs for fitting, from rest or cut out of a motion.
     bench : Bench
         What is known of the drive.
     validate : sequence of Capture
@@ -289,7 +289,9 @@ def ruled_out(grown: Grown, library: Mapping[str, Effect]) -> tuple[Rival, ...]:
         if winner is None:
             continue
         tried = {c.effect: c for c in done.contenders}
-        gains = {s.start.effect: s.gain for s in done.screening.ranked}
+        # An effect found under another name need not have been looked at in its round.
+        own = {winner.effect: winner.screened.gain}
+        gains = own | {s.start.effect: s.gain for s in done.screening.ranked}
         for name, gain in gains.items():
             if name in taken or name in done.tied or not alike(name, winner.effect, library):
                 continue

@@ -87,6 +87,20 @@ _TRUE_NAMES: Mapping[str, str] = {
 }
 
 
+def as_true_name(effect: str, model: DriveModel) -> DriveModel:
+    """The model with an effect in such a corner replaced by what it is, of the same size.
+
+    Without the effect alone where its parameters do not tell the size of the other.
+    """
+    bare = model.without_effect(effect)
+    if effect != "preload_loss":
+        return bare
+    # The stiff spring beyond a soft zone begins where that one's force leaves it.
+    half_m = model.parameters["preload_loss.half_width_m"]
+    soft = model.parameters["preload_loss.stiffness_ratio"]
+    return bare.with_effect("backlash", {"gap_m": 2.0 * half_m * (1.0 - soft)})
+
+
 def true_name(effect: str, model: DriveModel) -> str:
     """The effect that an effect of a model is in truth; nothing where it is itself."""
     return _TRUE_NAMES.get(effect, "") if imitation(effect, model) else ""

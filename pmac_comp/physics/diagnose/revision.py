@@ -17,10 +17,11 @@ from pmac_comp.physics.diagnose.contenders import (
     contend,
     judged,
 )
-from pmac_comp.physics.diagnose.imitations import true_name
+from pmac_comp.physics.diagnose.imitations import as_true_name, true_name
 from pmac_comp.physics.diagnose.lookalikes import alike
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit
+from pmac_comp.physics.diagnose.screen import Screened
 from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.effect import Effect, split_name
@@ -34,6 +35,14 @@ _MISSED, _SLOWLY = 0.5, 0.1
 def accepted_of(rounds: Sequence[Round]) -> tuple[Contender, ...]:
     """Accepted candidates in order."""
     return tuple(r.accepted for r in rounds if r.accepted is not None)
+
+
+def _start(name: str, done: Round, rounds: Sequence[Round]) -> Screened | None:
+    """Best start of an effect in a round, or in the last one that did not have it in its model."""
+    for each in (done, *reversed(rounds)):
+        if name in each.screening.starts:
+            return each.screening.starts[name][0]
+    return None
 
 
 @dataclass(frozen=True)
@@ -67,18 +76,22 @@ class Reviser:
         for i, done in enumerate(kept):
             name = "" if done.accepted is None else true_name(done.accepted.effect, whole.model)
             present = {split_name(n)[0] for n in whole.model.effects}
-            if done.accepted is None or name not in done.screening.starts or name in present:
+            start = _start(name, done, rounds)
+            if done.accepted is None or start is None or name in present:
                 continue
             self.progress(f"{done.accepted.effect} is {name} here: refitting with that")
-            found = self._instead(whole, done, name)
+            found = self._instead(whole, done, start)
             if found is None or not earned(found[0], found[1], self.rules):
                 continue
             tied = tuple(n for n in done.tied if n != name and alike(n, name, self.library))
-            kept[i] = replace(done, accepted=found[0], tied=tied)
+            others = (c for c in done.contenders if c.effect != name)
+            kept[i] = replace(done, accepted=found[0], tied=tied, contenders=(found[0], *others))
             whole = found[0].fitted
         return whole, kept
 
-    def _instead(self, whole: Fitted, done: Round, name: str) -> tuple[Contender, Round] | None:
+    def _instead(
+        self, whole: Fitted, done: Round, start: Screened
+    ) -> tuple[Contender, Round] | None:
         """Another effect in the place of a round's, the round judged against neither of them."""
         if done.accepted is None:
             return None
@@ -88,10 +101,26 @@ class Reviser:
             less = evaluate(self.bench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model)
         except ModelError:
             return None
-        start = replace(done.screening.starts[name][0], own_SI={})
-        tried = contend(Ground.of(self.bench, less, self.library), start, Frozen((), []))
+        ground = Ground.of(self.bench, less, self.library)
+        tried = contend(ground, replace(start, own_SI={}), Frozen((), []))
+        tried += self._as_large(ground, whole, done.accepted.effect, start)
         left = gap(self.bench.calm_records, less.model, self.bench.executor)
-        return (tried[0], done.judged_against(left)) if tried else None
+        best = max(tried, key=lambda c: c.gain, default=None)
+        return None if best is None else (best, done.judged_against(left))
+
+    def _as_large(
+        self, ground: Ground, whole: Fitted, effect: str, start: Screened
+    ) -> list[Contender]:
+        """The other effect at the size of the one in its corner, all else as it was beside that."""
+        part = self.bench.fitting_bench()
+        same = as_true_name(effect, whole.model)
+        if start.start.effect not in {split_name(n)[0] for n in same.effects}:
+            return []
+        try:
+            fitted = refit(part, evaluate(part, same))
+        except ModelError:
+            return []
+        return [judged(ground, start, evaluate(self.bench, fitted.model))]
 
     def widened(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
         """The model with accepted effects at further places where those earn themselves."""

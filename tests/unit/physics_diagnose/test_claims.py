@@ -10,11 +10,43 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.diagnose.claims import Claims, claims_of, sizes_alone, unreached
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import pulled
-from pmac_comp.physics.diagnose.imitations import imitation, true_name
+from pmac_comp.physics.diagnose.imitations import as_true_name, imitation, true_name
 from pmac_comp.physics.diagnose.result import Finding
-from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.drive import DriveModel, simulate
 
 BENCH = load_bench("paper")
+
+
+@pytest.mark.parametrize(("ratio", "share"), [(0.0, 0.02), (0.02, 0.25)])
+def test_a_soft_zone_without_stiffness_and_the_backlash_that_it_is_move_alike(ratio, share):
+    values = {"half_width_m": 3e-6, "stiffness_ratio": ratio}
+    corner = DriveModel.base(BENCH).with_effect("preload_loss", values)
+    same = as_true_name("preload_loss", corner)
+    assert same.parameters["backlash.gap_m"] == pytest.approx(6e-6, rel=0.03)
+    assert not any(name.startswith("preload_loss") for name in same.effects)
+    time_s = BENCH.servo_period_s * np.arange(4000)
+    command = 10e-3 * (1.0 - np.cos(4.0 * np.pi * time_s))
+    one, other = (simulate(m, command).mechanical_error_m for m in (corner, same))
+    plain = simulate(DriveModel.base(BENCH), command).mechanical_error_m
+    assert np.std(one - other) < share * np.std(one - plain)
+
+
+@pytest.mark.parametrize(("first_um", "imitated"), [(2.4, True), (0.25, False)])
+def test_an_imitation_that_outlived_what_closed_the_gap_is_not_nothing(first_um, imitated):
+    # Backlash closed the gap in the first round and was not needed beside the soft zone of the
+    # second, which closed little of what was left then.
+    zone = SimpleNamespace(effect="preload_loss", fit_gain=1e5, gap_um=0.22)
+    gone = SimpleNamespace(accepted=None, gap_um=first_um, floor_um=0.2, rows_fit=1e4)
+    kept = SimpleNamespace(accepted=zone, gap_um=0.24, floor_um=0.2, rows_fit=1e4)
+    last = SimpleNamespace(accepted=None, gap_um=0.22, floor_um=0.2, rows_fit=1e4)
+    model = DriveModel.base(BENCH).with_effect("preload_loss", {"stiffness_ratio": 0.0})
+    grown: Any = SimpleNamespace(
+        rounds=(gone, kept, last), accepted=(zone,), final=SimpleNamespace(model=model)
+    )
+    left: Any = SimpleNamespace(unexplained=False, visible=False, open_share=0.0, missed=False)
+    found = claims_of(grown, left, (), Rules())
+    assert found.effects == ()
+    assert found.imitated is imitated
 
 
 @pytest.mark.parametrize(

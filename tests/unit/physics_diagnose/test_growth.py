@@ -8,7 +8,7 @@ from pmac_comp.physics.diagnose import contenders
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
-from pmac_comp.physics.diagnose.revision import Reviser
+from pmac_comp.physics.diagnose.revision import Reviser, _start
 from pmac_comp.physics.diagnose.words import Story, _size, statements_of
 from pmac_comp.physics.model.effect import effect_library
 
@@ -19,6 +19,17 @@ def test_elementary_friction_is_never_taken_out_again(effect):
     done = SimpleNamespace(accepted=SimpleNamespace(effect=effect))
     reviser = Reviser(None, {}, contenders.Rules(), print)  # type: ignore[arg-type]
     assert reviser._without(None, done) is None  # type: ignore[arg-type]
+
+
+def test_a_name_that_was_in_the_model_is_looked_for_in_the_last_round_that_tried_it():
+    # Backlash stood in the model when a soft zone was added, and left it then.
+    rounds = [
+        SimpleNamespace(screening=SimpleNamespace(starts=starts))
+        for starts in ({"backlash": ("first",)}, {"payload": ("x",)}, {"backlash": ("last", "y")})
+    ]
+    assert _start("backlash", rounds[0], rounds) == "first"  # type: ignore[arg-type]
+    assert _start("backlash", rounds[1], rounds) == "last"  # type: ignore[arg-type]
+    assert _start("cogging", rounds[1], rounds) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("fit_gain", "asked"), [(100.0, True), (1e5, False)])
