@@ -124,13 +124,14 @@ def predict(
     ] = RoundingChoice.expected,
     json_target: JsonOption = "",
 ) -> None:
-    """Predict motor and table position and torque for a command that begins at rest.
+    """Predict motor and table position and torque for a command.
 
-    The command is a CSV file with time_s,commanded_position_mm or any capture, whose corrected
-    command and load are used where it holds them, and the torque it held at rest before the first
-    motion. The answer has the columns of a capture at the
-    times of the command; a command on another grid than the servo's is interpolated. Positions are
-    those of motor and table before encoder and scale round them; zero is the middle of a count.
+    The command is a CSV file with time_s,commanded_position_mm, which begins at rest, or any
+    capture, whose corrected command and load are used where it holds them, and how it began: the
+    torque held at rest, or the speed of a capture that was cut out of a motion. The answer has the
+    columns of a capture at the times of the command; a command on another grid than the servo's is
+    interpolated. Positions are those of motor and table before encoder and scale round them; zero
+    is the middle of a count.
     """
     from pmac_comp.workflow.identification import predict_files
 

@@ -13,6 +13,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture, write_capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
+from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.commands import read_command
 from pmac_comp.workflow.same_axis import PERIOD_TOLERANCE, captures_of, check_same_drive
@@ -20,7 +21,6 @@ from pmac_comp.workflow.same_axis import PERIOD_TOLERANCE, captures_of, check_sa
 if TYPE_CHECKING:
     from pmac_comp.physics.identify.result import Identification
     from pmac_comp.physics.model.drive import DriveModel
-    from pmac_comp.physics.model.resting import Start
 
 Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
@@ -223,8 +223,7 @@ def predict_files(
         desired_position_m=grid.onto_optional(given.desired_m),
         torque_feedforward_Nm=grid.onto_optional(given.feedforward_Nm),
         external_force_N=grid.onto_optional(given.force_N),
-        resting_torque_Nm=start.torque_Nm,
-        resting_error_m=start.error_m,
+        start=start,
     )
     motor, table = grid.back(response.motor_position_m), grid.back(response.table_position_m)
     desired = given.commanded_m if given.desired_m is None else given.desired_m
@@ -265,9 +264,9 @@ class _Inputs:
     torque_Nm: FloatArray | None = None
 
 
-def _start(bench: Bench, given: _Inputs) -> "Start":
+def _start(bench: Bench, given: _Inputs) -> Start:
     """What integrator and friction held as a captured run began; nothing of a command alone."""
-    from pmac_comp.physics.model.resting import RELAXED, start_of
+    from pmac_comp.physics.model.resting import start_of
 
     if given.motor_m is None:
         return RELAXED

@@ -13,7 +13,7 @@ from pmac_comp.physics.diagnose.records import Record, prepare
 from pmac_comp.physics.identify import identify
 from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.model.drive import DriveModel, simulate
-from pmac_comp.physics.model.resting import Start
+from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -67,7 +67,7 @@ def test_an_axis_that_rests_strained_stays_where_it_is() -> None:
     model = DriveModel.base(BENCH).with_effect("presliding@all", lengths)
     command = np.zeros(1000)
     for torque_Nm in (0.3, -0.3):
-        held = simulate(model, command, resting_torque_Nm=torque_Nm)
+        held = simulate(model, command, start=Start(torque_Nm))
         assert np.abs(held.motor_position_m).max() < 1e-9
         assert np.ptp(held.table_position_m) < 1e-9
         assert held.torque_command_Nm[0] == pytest.approx(torque_Nm)

@@ -29,6 +29,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def model_loop(model: "DriveModel") -> LoopRunner:
             commanded,
             desired_position_m=desired,
             torque_feedforward_Nm=torque,
-            resting_torque_Nm=resting_Nm,
+            start=Start(resting_Nm),
         )
         if response.table_position_m is None:
             raise ModelError(

@@ -21,6 +21,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals, without_static
 from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evaluate_law
+from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 
@@ -97,7 +98,7 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
             commanded,
             desired_position_m=desired,
             torque_feedforward_Nm=torque,
-            resting_torque_Nm=resting_Nm,
+            start=Start(resting_Nm),
             quantise=rounds,
         )
         return LoopSignals(

@@ -24,13 +24,12 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
 from pmac_comp.physics.identify.plausibility import require_positions
-from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
-from pmac_comp.physics.model.resting import RELAXED, Start, first_under_way, start_of
+from pmac_comp.physics.model.resting import first_under_way, forgetting_s, start_of
+from pmac_comp.physics.model.start import RELAXED, Start
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
-_FORGETTING = 6.0
 _DATE = "start_utc"
 DATED: Mapping[int, float] = MappingProxyType({-1: 0.0})
 """Start times of runs that are those of their files' dates."""
@@ -145,8 +144,7 @@ class Record:
             torque_feedforward_Nm=probe_torque_Nm,
             external_force_N=force,
             time_origin_s=self._origin_s(model),
-            resting_torque_Nm=self.start.torque_Nm,
-            resting_error_m=self.start.error_m,
+            start=self.start,
             substeps=substeps,
             quantise=quantise,
         )
@@ -182,7 +180,7 @@ def prepare(captures: Sequence[Capture], bench: Bench, *, prefix: str) -> tuple[
     Parameters
     ----------
     captures : sequence of Capture
-        Runs that start at rest.
+        Runs, from rest or cut out of a motion.
     bench : Bench
         Gives the servo period and says whether there is a scale.
     prefix : str
@@ -238,44 +236,32 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     columns = [capture.motor_position_m]
     if with_table and capture.table_position_m is not None:
         columns.append(capture.table_position_m)
-    measured = np.column_stack([on_servo_grid(_filled(c, capture.mask)) for c in columns])
+    readings = [_filled(c, capture.mask) for c in columns]
     force = capture.extra.get(_FORCE_COLUMN)
     torque = capture.torque_command_Nm
     valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
-    desired = on_servo_grid(_command(capture.desired_m, capture.mask))
-    given = None if torque is None else on_servo_grid(_filled(torque, capture.mask))
-    valid &= _under_way(desired, 0.0 if given is not None else _forgetting_s(bench), period_s)
+    followed = _command(capture.desired_m, capture.mask)
+    desired = on_servo_grid(followed)
+    given = None if torque is None else _filled(torque, capture.mask)
+    start = start_of(bench, followed, readings[0], given, capture.sample_period_s)
+    first = first_under_way(bench, desired, start, period_s)
+    if given is None and start.speed_m_per_s == 0.0:
+        # What an integrator holds nobody knows then, until it has forgotten it.
+        first += min(round(forgetting_s(bench) / period_s), desired.size // 3)
+    valid[:first] = False
     return Record(
         name=name,
         capture=capture,
         commanded_m=on_servo_grid(_command(capture.commanded_position_m, capture.mask)),
         desired_m=desired,
-        measured_m=measured,
-        torque_Nm=given,
+        measured_m=np.column_stack([on_servo_grid(c) for c in readings]),
+        torque_Nm=None if given is None else on_servo_grid(given),
         external_force_N=None if force is None else on_servo_grid(force),
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
-        start=start_of(bench, desired, measured[:, 0], given, period_s),
+        start=start,
     )
-
-
-def _under_way(desired_m: FloatArray, forgetting_s: float, period_s: float) -> BoolArray:
-    """Samples after the first motion: where in a gap or a stick a run begins, nobody knows.
-
-    Nor what an integrator holds, if the torque was not captured, until it has forgotten it.
-    """
-    first = first_under_way(desired_m)
-    first += min(round(forgetting_s / period_s), desired_m.size // 3)
-    return np.arange(desired_m.size) >= first
-
-
-def _forgetting_s(bench: Bench) -> float:
-    """Time in which an integrator forgets where it began; 0 without one."""
-    vector = DriveModel.base(bench).kernel_vector()
-    if vector[slots.KI] <= 0.0:
-        return 0.0
-    return float(_FORGETTING * vector[slots.KP] / vector[slots.KI])
 
 
 def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -84,8 +84,8 @@ def identify(
     Parameters
     ----------
     captures : sequence of Capture
-        Runs that start at rest. ``extra["external_force_N"]`` holds the load of the side screws
-        where there was one; invalid samples are left out.
+        Runs, from rest or cut out of a motion. ``extra["external_force_N"]`` holds the load of the
+        side screws where there was one; invalid samples are left out.
     bench : Bench
         What is known, with tolerances.
     model : DriveModel or None

@@ -27,7 +27,8 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, usable_rows
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
-from pmac_comp.physics.model.resting import RELAXED, Start, first_under_way, start_of
+from pmac_comp.physics.model.resting import first_under_way, start_of
+from pmac_comp.physics.model.start import RELAXED, Start
 
 LeaveOut = Literal["nothing", "rest", "reversals"]
 EXTERNAL_FORCE = "external_force_N"
@@ -121,20 +122,21 @@ def prepare(
     def fine(values: FloatArray | None) -> FloatArray | None:
         return None if values is None else _on_servo_grid(bridged(values, mask), stride)
 
+    start = _start(capture, bench)
     full = np.column_stack([bridged(column, mask) for column in named.values()])
     return Record(
         capture=capture,
         channels=tuple(named),
         full=full,
         measured=thinned(full, factor),
-        valid=_rows_that_count(capture, factor, leave_out),
+        valid=_rows_that_count(capture, bench, factor, leave_out, start),
         factor=factor,
         stride=stride,
         commanded_m=_on_servo_grid(bridged(capture.commanded_position_m, mask), stride),
         desired_m=fine(capture.desired_position_m),
         feedforward_Nm=fine(extra.get(TORQUE_FEEDFORWARD)),
         force_N=fine(extra.get(EXTERNAL_FORCE)),
-        start=_start(capture, bench),
+        start=start,
     )
 
 
@@ -169,8 +171,7 @@ def response_of(
         time_origin_s=float(record.capture.time_s[0]),
         quantise=quantise,
         substeps=substeps,
-        resting_torque_Nm=record.start.torque_Nm,
-        resting_error_m=record.start.error_m,
+        start=record.start,
     )
 
 
@@ -297,7 +298,9 @@ def _stride(capture: Capture, bench: Bench) -> int:
     return stride
 
 
-def _rows_that_count(capture: Capture, factor: int, leave_out: LeaveOut) -> BoolArray:
+def _rows_that_count(
+    capture: Capture, bench: Bench, factor: int, leave_out: LeaveOut, start: Start
+) -> BoolArray:
     clean = _clean(capture, factor)
     if EXTERNAL_FORCE in capture.extra:
         return clean[::factor]
@@ -305,7 +308,10 @@ def _rows_that_count(capture: Capture, factor: int, leave_out: LeaveOut) -> Bool
         clean = clean & _steady_direction(capture)
     elif leave_out == "rest":
         clean = clean & _moving_lately(capture)
-        clean[: first_under_way(bridged(capture.desired_m, capture.mask))] = False
+    if leave_out == "rest" or start.speed_m_per_s != 0.0:
+        desired_m = bridged(capture.desired_m, capture.mask)
+        first = first_under_way(bench, desired_m, start, capture.sample_period_s)
+        clean = clean & (np.arange(clean.size) >= first)
     return clean[::factor]
 
 

@@ -28,6 +28,7 @@ from pmac_comp.physics.model.chain import (
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 from pmac_comp.physics.model.loop import run_loop
 from pmac_comp.physics.model.parameters import ParameterSpec, merged, within
+from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.model.terms import TableTerm, packed
 from pmac_comp.physics.signals.trajectory import Trajectory
 
@@ -290,13 +291,9 @@ def simulate(
     substeps: int | None = None,
     quantise: bool = False,
     extra_terms: Sequence[TableTerm] = (),
-    resting_torque_Nm: float = 0.0,
-    resting_error_m: float = 0.0,
+    start: Start = RELAXED,
 ) -> Response:
     """Response of the closed loop to a command sampled at the servo period.
-
-    The drive starts at rest on the first desired position, relaxed unless a torque is held or an
-    error is left.
 
     Parameters
     ----------
@@ -318,10 +315,9 @@ def simulate(
         Round what encoder, scale and output resolve, inside the loop.
     extra_terms : sequence of TableTerm
         Further forces or readings, e.g. a flexible competitor.
-    resting_torque_Nm : float
-        What the integrator holds when the run begins, and friction against it.
-    resting_error_m : float
-        By how much the motor then rests behind the command, held there by friction.
+    start : Start
+        State in which the run begins: at rest and relaxed on the first desired position, unless
+        a torque is held, an error is left or the axis moves already.
 
     Returns
     -------
@@ -349,8 +345,8 @@ def simulate(
     force = _like(commanded, "external_force_N", external_force_N, zeros)
     origin = float(finite_array("time_origin_s", [time_origin_s])[0])
     vector = model.kernel_vector(quantise=quantise)
-    vector[s.RESTING] = finite_array("resting_torque_Nm", [resting_torque_Nm])[0]
-    vector[s.RESTING_ERROR] = finite_array("resting_error_m", [resting_error_m])[0]
+    begun = [start.torque_Nm, start.error_m, start.speed_m_per_s]
+    vector[s.START] = finite_array("start", begun)
     n_sub = model.substeps if substeps is None else substeps
     rows, values = packed([*model.terms(), *extra_terms])
     out = run_loop(vector, n_sub, desired, torque, force, rows, values, origin)

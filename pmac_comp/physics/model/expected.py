@@ -17,6 +17,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate_many
+from pmac_comp.physics.model.start import RELAXED, Start
 
 # Eight equally likely places of a normal distribution, in standard deviations.
 _PLACES = (-1.53, -0.89, -0.49, -0.157, 0.157, 0.49, 0.89, 1.53)
@@ -30,8 +31,7 @@ def expected_response(
     desired_position_m: FloatArray | None = None,
     torque_feedforward_Nm: FloatArray | None = None,
     external_force_N: FloatArray | None = None,
-    resting_torque_Nm: float = 0.0,
-    resting_error_m: float = 0.0,
+    start: Start = RELAXED,
     executor: Executor | None = None,
 ) -> Response:
     """Mean unrounded response of the closed loop whose sensors and output round.
@@ -40,7 +40,7 @@ def expected_response(
     ----------
     model, commanded_position_m, desired_position_m, torque_feedforward_Nm, external_force_N
         As in ``simulate``, shape (n,) each. Position zero lies in the middle of a count.
-    resting_torque_Nm, resting_error_m : float
+    start : Start
         As in ``simulate``.
     executor : Executor or None
         Where simulations run; None uses threads.
@@ -59,8 +59,7 @@ def expected_response(
     given = {
         "torque_feedforward_Nm": torque_feedforward_Nm,
         "external_force_N": external_force_N,
-        "resting_torque_Nm": resting_torque_Nm,
-        "resting_error_m": resting_error_m,
+        "start": start,
     }
     options: list[dict[str, Any]] = [
         {

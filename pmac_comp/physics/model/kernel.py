@@ -37,6 +37,7 @@ _GAUSS_W = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.101228
 _READ, _OLDER_READ, _DESIRED, _VC, _VF, _INTEGRAL, _U1, _U2, _Y1, _Y2, _MEMORY = range(11)
 # Turning of the nut: angle farthest on, direction (1, -1), way since the last reversal in rad.
 _EXTREME, _HEADING, _SINCE = range(3)
+_LONG_AGO_rad = 1e3  # way since the last reversal of a run that begins under way
 # Terms of the sensors, and those of torques, forces and levels of friction.
 _READINGS, _FORCES = range(2)
 # A part of the loop that allocates nothing: without counts of references to its arrays, which are
@@ -358,7 +359,7 @@ def _lookup(values: FloatArray, term: FloatArray, where: float) -> float:
 @_part
 def _begun_Nm(par: FloatArray) -> float:
     """Torque with which a run begins: what the integrator holds, and the gain on the error left."""
-    return float(par[s.RESTING] + par[s.KP] * par[s.RESTING_ERROR])
+    return float(par[s.START_TORQUE] + par[s.KP] * par[s.START_ERROR])
 
 
 @_part
@@ -366,7 +367,7 @@ def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArra
     """Bristles that hold the torque with which a run begins, and the chain wound up between them.
 
     An axis that came to rest is held back by its friction, all at the same share of its level; what
-    a bias or a cable pulls is not.
+    a bias or a cable pulls is not. Where it moves already, friction has its full level.
     """
     rho = par[s.LEAD]
     motor, nut = par[s.MOTOR + s.LEVEL], par[s.NUT + s.LEVEL]
@@ -377,6 +378,8 @@ def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArra
         return
     load = par[s.BIAS] + par[s.CABLE_K] * (z[3] - par[s.CABLE_CENTRE])
     share = min(max((_begun_Nm(par) - rho * load) / total, -1.0), 1.0)
+    if par[s.START_SPEED] != 0.0:
+        share = math.copysign(1.0, par[s.START_SPEED])
     if par[s.MOTOR + s.BREAK] > 0.0:
         force[0] = share * motor
     if par[s.NUT + s.BREAK] > 0.0:
@@ -465,7 +468,7 @@ def _term(
 
 @_part
 def _relaxed(par: FloatArray, reading_m: float, z: FloatArray) -> None:
-    """Chain at rest with the motor's reading on a position."""
+    """Chain without forces with the motor's reading on a position, at the speed of the start."""
     theta = reading_m / par[s.LEAD]
     for _ in range(50):
         wrong = par[s.ECCENTRICITY] * math.cos(
@@ -475,6 +478,9 @@ def _relaxed(par: FloatArray, reading_m: float, z: FloatArray) -> None:
     z[0] = theta
     z[1] = theta
     z[3] = par[s.LEAD] * theta
+    z[4] = par[s.START_SPEED] / par[s.LEAD]
+    z[5] = z[4]
+    z[7] = par[s.START_SPEED]
 
 
 @_part
@@ -590,7 +596,7 @@ def _control(
         u = par[s.CASCADE_GAIN] * (
             par[s.CASCADE_KP] * error - (read - memory[_OLDER_READ]) / (2.0 * Ts)
         )
-    u += par[s.OFFSET] + par[s.RESTING] + feedforward
+    u += par[s.OFFSET] + par[s.START_TORQUE] + feedforward
     command = min(max(u, -par[s.LIMIT]), par[s.LIMIT])
     clipped = u - command
     frozen = clipped != 0.0 and (par[s.FREEZE_ALWAYS] > 0.5 or clipped * error > 0.0)
@@ -605,13 +611,22 @@ def _control(
     return float(_rounded(command, par[s.TORQUE_STEP]))
 
 
+@_part
+def _remember(par: FloatArray, memory: FloatArray, desired: float, read: float) -> None:
+    """What the servo keeps of earlier cycles: at rest, or at the speed of the start."""
+    step_m = par[s.START_SPEED] * par[s.PERIOD]
+    memory[_DESIRED] = desired - step_m
+    memory[_READ] = read - step_m
+    memory[_OLDER_READ] = read - 2.0 * step_m
+    memory[_VC] = par[s.START_SPEED]
+    memory[_VF] = par[s.START_SPEED]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def law_Nm(par: FloatArray, desired_m: FloatArray, reading_m: FloatArray) -> FloatArray:
-    """Torque command of the law on given readings, from the first of them on at rest, N m."""
+    """Torque command of the law on given readings from its start on, N m."""
     memory = np.zeros(_MEMORY)
-    memory[_DESIRED] = desired_m[0]
-    memory[_READ] = reading_m[0]
-    memory[_OLDER_READ] = reading_m[0]
+    _remember(par, memory, desired_m[0], reading_m[0])
     command = np.zeros(desired_m.size)
     for k in range(desired_m.size):
         command[k] = _control(par, memory, desired_m[k], reading_m[k], 0.0)
@@ -957,10 +972,13 @@ def run(
     history = np.zeros(_HISTORY)
 
     z, zf = np.zeros(N_STATES), np.zeros(N_STATES)
-    _relaxed(par, desired_m[0] - par[s.RESTING_ERROR], z)
+    _relaxed(par, desired_m[0] - par[s.START_ERROR], z)
     turned = np.zeros(3)
     turned[_EXTREME] = z[0]
     turned[_HEADING] = 1.0
+    if par[s.START_SPEED] != 0.0:
+        turned[_HEADING] = math.copysign(1.0, par[s.START_SPEED])
+        turned[_SINCE] = _LONG_AGO_rad
     grown = _strain(par, start_s)
     lead, lead_slope = 0.0, 0.0
     if elastic:
@@ -971,13 +989,12 @@ def run(
     # Friction at motor, nut and guide: force at the end of and mean over the last substep.
     force, mean, work = np.zeros(3), np.zeros(3), np.zeros((4, 3))
     slip, slip_end = np.zeros(8), np.zeros(8)
-    if begun_Nm != 0.0:
+    if begun_Nm != 0.0 or par[s.START_SPEED] != 0.0:
         _strained(par, z, force, slip)
         mean[:] = force
     motor_a, nut_a, table_a = 0.0, 0.0, 0.0
     base, shares, places = np.zeros(2), np.zeros(2), np.zeros(8)
     memory = np.zeros(_MEMORY)
-    memory[_DESIRED] = desired_m[0]
 
     for k in range(desired_m.size):
         t = start_s + k * Ts
@@ -990,9 +1007,7 @@ def run(
             out[6, k] = table_read
         motor_read = _rounded(motor_read, par[s.MOTOR_STEP])
         if k == 0:
-            # The first reading is taken as having always been there.
-            memory[_READ] = motor_read
-            memory[_OLDER_READ] = motor_read
+            _remember(par, memory, desired_m[0], motor_read)
         command = _control(par, memory, desired_m[k], motor_read, torque_ff_Nm[k])
         history[k & (_HISTORY - 1)] = min(
             max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT]

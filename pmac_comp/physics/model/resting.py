@@ -4,10 +4,9 @@ What lives here: the state of controller and friction at the first sample, as ca
 may not: captures themselves.
 
 Real runs begin where an earlier move ended: friction strained by it, the integrator holding
-against that. Both show in the torque at rest; how the strain is shared shows nowhere.
+against that. Both show in the torque at rest; how the strain is shared shows nowhere. Others are
+cut out of a motion: there the axis has its speed, and the law what the torque leaves.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.start import RELAXED, Start
 
 # A command rests within this (its sum of fractions of a count is not exact); so long, and at
 # least so many samples, tell what an integrator holds.
@@ -27,25 +27,13 @@ _FIRST_STEP = 1.5
 # Four lengths of usual presliding, but no more than a part of a small motion.
 _TAKE_UP_m = 200e-6
 _LARGEST_SHARE = 0.25
-
-
-@dataclass(frozen=True)
-class Start:
-    """How the loop of a run begins.
-
-    Parameters
-    ----------
-    torque_Nm : float
-        What the integrator holds, N m; 0 where it cannot be known.
-    error_m : float
-        By how much the motor rests behind the command, m; 0 where the torque cannot be known.
-    """
-
-    torque_Nm: float = 0.0
-    error_m: float = 0.0
-
-
-RELAXED = Start()
+# An axis moves with its command if it covers half of the way in which four counts show.
+_SHARED = 0.5
+_COUNTS = 4.0
+# Windings of a chain that is met in motion are not known; its modes have rung out by then. So many
+# times its own time, and an integrator has forgotten where it began.
+_RINGING_s = 0.3
+_FORGETTING = 6.0
 
 
 def start_of(
@@ -55,11 +43,12 @@ def start_of(
     torque_Nm: FloatArray | None,
     period_s: float,
 ) -> Start:
-    """What integrator and friction hold when a run begins.
+    """State of controller and axis when a run begins.
 
     Where the command rests at first, a median: an encoder that flickers by one count at rest makes
     the derivative term jump by far more than the integrator moves meanwhile. Where it sets out at
-    once, what the law of the bench file leaves of the torque: the integrator began with that.
+    once or is under way, what the law of the bench file leaves of the torque: the integrator began
+    with that.
 
     Friction that holds an axis holds its error too, and the integrator goes on by it: a micrometre
     that a tenth of a second of rest adds up is a micrometre of the motion that follows.
@@ -79,42 +68,91 @@ def start_of(
     -------
     Start
     """
+    if not np.ptp(motor_m) and np.ptp(desired_m):
+        return RELAXED  # a column left empty, as of a run that is to be foretold
     vector = DriveModel.base(bench).kernel_vector()
     left = np.flatnonzero(np.abs(desired_m - desired_m[0]) > _REST_m)
     first = slice(0, max(round(_REST_s / period_s), _LEAST_REST))
     resting = min(int(left[0]) if left.size else desired_m.size, first.stop)
-    if torque_Nm is None or vector[slots.KI] <= 0.0:
-        return RELAXED
-    if resting >= _LEAST_REST:
+    rests = resting >= _LEAST_REST
+    speed_m_per_s = 0.0 if rests else _shared_speed(bench, desired_m, motor_m, period_s)
+    if torque_Nm is None or not torque_Nm.any() or vector[slots.KI] <= 0.0:
+        left_m = float(desired_m[0] - motor_m[0]) if speed_m_per_s != 0.0 else 0.0
+        return Start(0.0, left_m, speed_m_per_s)
+    if rests:
         error_m = desired_m[:resting] - motor_m[:resting]
         integrated = vector[slots.KI] * period_s * (np.cumsum(error_m) - error_m)
         held = torque_Nm[:resting] - vector[slots.KP] * error_m - integrated - vector[slots.OFFSET]
         left_m = float(error_m.mean())
-    elif _sets_out(desired_m) and round(period_s / bench.servo_period_s) == 1:
-        held = torque_Nm[first] - _law_Nm(vector, desired_m[first], motor_m[first])
-        left_m = float(desired_m[0] - motor_m[0])
     else:
-        return RELAXED
+        vector[slots.START_SPEED] = speed_m_per_s
+        stretch = max(round(period_s / bench.servo_period_s), 1)
+        held = _beside_law_Nm(vector, stretch, desired_m[first], motor_m[first], torque_Nm[first])
+        left_m = float(desired_m[0] - motor_m[0])
     largest = vector[slots.LIMIT]
-    return Start(float(np.clip(np.median(held), -largest, largest)), left_m)
+    return Start(float(np.clip(np.median(held), -largest, largest)), left_m, speed_m_per_s)
 
 
-def _sets_out(desired_m: FloatArray) -> bool:
-    """Whether a command begins at rest: its first step is none, or one of its acceleration."""
+def _shared_speed(
+    bench: Bench, desired_m: FloatArray, motor_m: FloatArray, period_s: float
+) -> float:
+    """Speed of a command that an axis follows from the first sample on, m/s; 0 where it sets out.
+
+    The first step from rest is none or one of its acceleration. A command may begin with a jump in
+    speed too: then the axis lags at first, and covers less of the way than the command.
+    """
     steps = np.diff(desired_m[:3])
-    return bool(abs(steps[0]) <= max(_FIRST_STEP * abs(steps[-1] - steps[0]), _REST_m))
+    if abs(steps[0]) <= max(_FIRST_STEP * abs(steps[-1] - steps[0]), _REST_m):
+        return 0.0
+    way = desired_m - desired_m[0]
+    shows = np.flatnonzero(np.abs(way) >= _COUNTS * bench.motor_resolution_m)
+    last = max(int(shows[0]) if shows.size else desired_m.size - 1, _LEAST_REST)
+    follows = (motor_m[last] - motor_m[0]) / way[last] >= _SHARED
+    return float(steps[0] / period_s) if follows else 0.0
 
 
-def _law_Nm(vector: FloatArray, desired_m: FloatArray, motor_m: FloatArray) -> FloatArray:
-    """Torque of the control law on a reading, its integrator empty at first."""
+def _beside_law_Nm(
+    vector: FloatArray,
+    stretch: int,
+    desired_m: FloatArray,
+    motor_m: FloatArray,
+    torque_Nm: FloatArray,
+) -> FloatArray:
+    """Torque that the law, its integrator empty at first, does not give on a reading, N m.
+
+    ``stretch`` is the number of servo cycles per sample. Between samples a line is taken for the
+    motion, whose corners are pulses of acceleration: the law of all cycles of a sample is averaged.
+    """
     from pmac_comp.physics.model.kernel import law_Nm
 
-    return np.asarray(law_Nm(vector, desired_m, motor_m))
+    samples = np.arange(desired_m.size)
+    cycles = np.arange(stretch * (desired_m.size - 1) + 1) / stretch
+    desired_m, motor_m = (np.interp(cycles, samples, c) for c in (desired_m, motor_m))
+    given_Nm = law_Nm(vector, desired_m, motor_m)
+    if stretch == 1:
+        return np.asarray(torque_Nm - given_Nm)
+    over_sample = given_Nm[1:].reshape(-1, stretch).mean(axis=1)
+    return np.asarray(0.5 * (torque_Nm[:-1] + torque_Nm[1:]) - over_sample)
 
 
-def first_under_way(desired_m: FloatArray) -> int:
-    """The sample from which on a run has left behind where in a gap or a stick it began."""
+def first_under_way(bench: Bench, desired_m: FloatArray, start: Start, period_s: float) -> int:
+    """The sample from which on a run has left behind where in a gap or a stick it began.
+
+    One that begins in motion has a chain wound up and a loop under way as well, nobody knows how.
+    """
     away = np.abs(desired_m - desired_m[0])
     taken_up = min(_TAKE_UP_m, _LARGEST_SHARE * float(away.max()))
     moved = np.flatnonzero(away > taken_up)
-    return int(moved[0]) if moved.size else 0
+    first = int(moved[0]) if moved.size else 0
+    if start.speed_m_per_s == 0.0:
+        return first
+    settled_s = max(_RINGING_s, forgetting_s(bench))
+    return max(first, min(round(settled_s / period_s), desired_m.size // 3))
+
+
+def forgetting_s(bench: Bench) -> float:
+    """Time in which an integrator forgets where it began; 0 without one."""
+    vector = DriveModel.base(bench).kernel_vector()
+    if vector[slots.KI] <= 0.0:
+        return 0.0
+    return float(_FORGETTING * vector[slots.KP] / vector[slots.KI])

@@ -103,8 +103,10 @@ FREEZE_ALWAYS = 133  # 1: any saturation freezes the integrator; 0: only in dire
 NOTCH = 134  # N1 N2 D1 D2
 CASCADE_KP = 138
 CASCADE_GAIN = 139  # N m per m/s
-RESTING = 140  # N m that the integrator holds when the run begins, from then on beside the law
-RESTING_ERROR = 141  # m by which the motor rests behind the command when the run begins
+START_TORQUE = 140  # N m that the integrator holds when the run begins, later beside the law
+START_ERROR = 141  # m by which the motor is behind the command when the run begins
+START_SPEED = 142  # m/s of command and axis when the run begins
+START = slice(START_TORQUE, START_SPEED + 1)
 
 N_SLOTS = 144
 

@@ -39,12 +39,6 @@ def test_a_flickering_encoder_does_not_hide_what_the_integrator_holds(flickering
     assert record.start.torque_Nm == pytest.approx(HELD_Nm, abs=2e-3)
 
 
-def test_a_run_that_begins_in_motion_does_not_tell_it(flickering):
-    moving = flickering.commanded_position_m + 0.01 * flickering.time_s
-    (record,) = prepare([replace(flickering, commanded_position_m=moving)], BENCH, prefix="run")
-    assert record.start.torque_Nm == 0.0
-
-
 @pytest.fixture
 def axis() -> Capture:
     """A run of 40 mm and back with a table that lags by 3 um, and no torque."""
