@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -27,6 +27,7 @@ from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 from pmac_comp.physics.model.resting import first_under_way, forgetting_s, start_of
 from pmac_comp.physics.model.start import RELAXED, Start
+from pmac_comp.physics.signals.grid import onto_servo_grid
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
@@ -227,19 +228,15 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     require_positions(capture, bench, name)
     stretch = max(1, round(capture.sample_period_s / bench.servo_period_s))
     period_s = capture.sample_period_s / stretch
-    fine = np.arange(stretch * (capture.n - 1) + 1) / stretch
-    grid = np.arange(capture.n, dtype=np.float64)
-
-    def on_servo_grid(values: FloatArray) -> FloatArray:
-        return values if stretch == 1 else np.asarray(np.interp(fine, grid, values))
-
+    on_servo_grid = partial(onto_servo_grid, stride=stretch)
     columns = [capture.motor_position_m]
     if with_table and capture.table_position_m is not None:
         columns.append(capture.table_position_m)
     readings = [_filled(c, capture.mask) for c in columns]
     force = capture.extra.get(_FORCE_COLUMN)
     torque = capture.torque_command_Nm
-    valid = on_servo_grid(capture.mask.astype(np.float64)) > 0.999
+    cycles = np.arange(stretch * (capture.n - 1) + 1) / stretch
+    valid = np.interp(cycles, np.arange(capture.n), capture.mask.astype(np.float64)) > 0.999
     followed = _command(capture.desired_m, capture.mask)
     desired = on_servo_grid(followed)
     given = None if torque is None else _filled(torque, capture.mask)

@@ -17,7 +17,6 @@ from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.signal import firwin, resample_poly
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
@@ -29,6 +28,7 @@ from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 from pmac_comp.physics.model.resting import first_under_way, start_of
 from pmac_comp.physics.model.start import RELAXED, Start
+from pmac_comp.physics.signals.grid import onto_servo_grid
 
 LeaveOut = Literal["nothing", "rest", "reversals"]
 EXTERNAL_FORCE = "external_force_N"
@@ -120,7 +120,7 @@ def prepare(
     extra = capture.extra
 
     def fine(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else _on_servo_grid(bridged(values, mask), stride)
+        return None if values is None else onto_servo_grid(bridged(values, mask), stride)
 
     start = _start(capture, bench)
     full = np.column_stack([bridged(column, mask) for column in named.values()])
@@ -132,7 +132,7 @@ def prepare(
         valid=_rows_that_count(capture, bench, factor, leave_out, start),
         factor=factor,
         stride=stride,
-        commanded_m=_on_servo_grid(bridged(capture.commanded_position_m, mask), stride),
+        commanded_m=onto_servo_grid(bridged(capture.commanded_position_m, mask), stride),
         desired_m=fine(capture.desired_position_m),
         feedforward_Nm=fine(extra.get(TORQUE_FEEDFORWARD)),
         force_N=fine(extra.get(EXTERNAL_FORCE)),
@@ -383,14 +383,6 @@ def _channel(name: str, response: Response) -> FloatArray:
     if name == "motor":
         return response.motor_position_m
     return response.table_position_m - response.motor_position_m
-
-
-def _on_servo_grid(values: FloatArray, stride: int) -> FloatArray:
-    if stride == 1:
-        return np.ascontiguousarray(values)
-    coarse = np.arange(values.size, dtype=np.float64) * stride
-    fine = np.arange((values.size - 1) * stride + 1, dtype=np.float64)
-    return np.asarray(CubicSpline(coarse, values)(fine), dtype=np.float64)
 
 
 def _map_shape(records: Sequence[Record], bench: Bench) -> StaticMap | None:

@@ -15,6 +15,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.start import RELAXED, Start
+from pmac_comp.physics.signals.grid import onto_servo_grid
 
 # A command rests within this (its sum of fractions of a count is not exact); so long, and at
 # least so many samples, tell what an integrator holds.
@@ -120,19 +121,12 @@ def _beside_law_Nm(
 ) -> FloatArray:
     """Torque that the law, its integrator empty at first, does not give on a reading, N m.
 
-    ``stretch`` is the number of servo cycles per sample. Between samples a line is taken for the
-    motion, whose corners are pulses of acceleration: the law of all cycles of a sample is averaged.
+    ``stretch`` is the number of servo cycles per sample.
     """
     from pmac_comp.physics.model.kernel import law_Nm
 
-    samples = np.arange(desired_m.size)
-    cycles = np.arange(stretch * (desired_m.size - 1) + 1) / stretch
-    desired_m, motor_m = (np.interp(cycles, samples, c) for c in (desired_m, motor_m))
-    given_Nm = law_Nm(vector, desired_m, motor_m)
-    if stretch == 1:
-        return np.asarray(torque_Nm - given_Nm)
-    over_sample = given_Nm[1:].reshape(-1, stretch).mean(axis=1)
-    return np.asarray(0.5 * (torque_Nm[:-1] + torque_Nm[1:]) - over_sample)
+    desired_m, motor_m = (onto_servo_grid(c, stretch) for c in (desired_m, motor_m))
+    return np.asarray(torque_Nm - law_Nm(vector, desired_m, motor_m)[::stretch])
 
 
 def first_under_way(bench: Bench, desired_m: FloatArray, start: Start, period_s: float) -> int:
