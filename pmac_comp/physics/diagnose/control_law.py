@@ -137,6 +137,8 @@ def _factors(
 
 def _law(record: Record, vector: FloatArray, shift: int) -> _Law:
     torque = np.zeros(record.desired_m.size) if record.torque_Nm is None else record.torque_Nm
+    if record.feedforward_Nm is not None:
+        torque = torque - record.feedforward_Nm
     ts, desired, read = record.period_s, record.desired_m, record.measured_m[:, 0]
     error = desired - read
     moved = np.diff(desired, prepend=desired[0])

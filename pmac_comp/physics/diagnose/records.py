@@ -24,6 +24,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
 from pmac_comp.physics.identify.plausibility import require_positions
+from pmac_comp.physics.identify.records import EXTERNAL_FORCE, TORQUE_FEEDFORWARD
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 from pmac_comp.physics.model.resting import first_under_way, forgetting_s, start_of
 from pmac_comp.physics.model.start import RELAXED, Start
@@ -35,7 +36,6 @@ _DATE = "start_utc"
 DATED: Mapping[int, float] = MappingProxyType({-1: 0.0})
 """Start times of runs that are those of their files' dates."""
 _OVERLAP = 0.7  # of the time that runs take, more than the last of them
-_FORCE_COLUMN = "external_force_N"
 
 
 def is_dated(model: DriveModel) -> bool:
@@ -59,6 +59,8 @@ class Record:
         Motor position, then table position where there is a scale.
     torque_Nm : ndarray, shape (n,) or None
         Measured torque command.
+    feedforward_Nm : ndarray, shape (n,) or None
+        Known torque beside the control law's, in ``torque_Nm`` too.
     external_force_N : ndarray, shape (n,) or None
         Known force of the loading screws.
     valid : ndarray of bool, shape (n,)
@@ -84,6 +86,7 @@ class Record:
     desired_m: FloatArray
     measured_m: FloatArray
     torque_Nm: FloatArray | None
+    feedforward_Nm: FloatArray | None
     external_force_N: FloatArray | None
     valid: BoolArray
     factor: int
@@ -135,15 +138,12 @@ class Record:
         quantise: bool = False,
     ) -> Response:
         """Closed-loop simulation of this record's command on the servo grid."""
-        force = self.external_force_N
-        if probe_force_N is not None:
-            force = probe_force_N if force is None else force + probe_force_N
         return simulate(
             model,
             self.commanded_m,
             desired_position_m=self.desired_m,
-            torque_feedforward_Nm=probe_torque_Nm,
-            external_force_N=force,
+            torque_feedforward_Nm=_both(self.feedforward_Nm, probe_torque_Nm),
+            external_force_N=_both(self.external_force_N, probe_force_N),
             time_origin_s=self._origin_s(model),
             start=self.start,
             substeps=substeps,
@@ -233,14 +233,18 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     if with_table and capture.table_position_m is not None:
         columns.append(capture.table_position_m)
     readings = [_filled(c, capture.mask) for c in columns]
-    force = capture.extra.get(_FORCE_COLUMN)
+    force, forward = (
+        None if column is None else _filled(column, capture.mask)
+        for column in map(capture.extra.get, (EXTERNAL_FORCE, TORQUE_FEEDFORWARD))
+    )
     torque = capture.torque_command_Nm
     cycles = np.arange(stretch * (capture.n - 1) + 1) / stretch
     valid = np.interp(cycles, np.arange(capture.n), capture.mask.astype(np.float64)) > 0.999
     followed = _command(capture.desired_m, capture.mask)
     desired = on_servo_grid(followed)
     given = None if torque is None else _filled(torque, capture.mask)
-    start = start_of(bench, followed, readings[0], given, capture.sample_period_s)
+    by_law = given if given is None or forward is None else given - forward
+    start = start_of(bench, followed, readings[0], by_law, capture.sample_period_s)
     first = first_under_way(bench, desired, start, period_s)
     if given is None and start.speed_m_per_s == 0.0:
         # What an integrator holds nobody knows then, until it has forgotten it.
@@ -253,12 +257,20 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
         desired_m=desired,
         measured_m=np.column_stack([on_servo_grid(c) for c in readings]),
         torque_Nm=None if given is None else on_servo_grid(given),
+        feedforward_Nm=None if forward is None else on_servo_grid(forward),
         external_force_N=None if force is None else on_servo_grid(force),
         valid=valid,
         factor=max(1, round(1.0 / (_COARSE_Hz * period_s))),
         period_s=period_s,
         start=start,
     )
+
+
+def _both(known: FloatArray | None, probe: FloatArray | None) -> FloatArray | None:
+    """Sum of two inputs either of which may be missing."""
+    if known is None or probe is None:
+        return probe if known is None else known
+    return np.asarray(known + probe)
 
 
 def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -9,6 +9,8 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.control_law import told_of_law
 from pmac_comp.physics.diagnose.records import prepare
+from pmac_comp.physics.identify.records import TORQUE_FEEDFORWARD
+from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -67,3 +69,23 @@ def test_a_torque_that_no_gains_give_is_told_as_something_else(
     said = _said(BENCH, replace(run, torque_command_Nm=run.torque_command_Nm + push))
     assert len(said) == told
     assert all("something else acts" in line for line in said)
+
+
+def test_a_torque_that_was_added_and_captured_belongs_neither_to_law_nor_drive() -> None:
+    added_Nm = 0.4 * np.sin(40.0 * MOVE.time_s)
+    run = closed_loop_capture(
+        BENCH,
+        make_plant(BENCH, effects={}, seed=2),
+        MOVE.position_m,
+        torque_feedforward_Nm=added_Nm,
+    )
+    known = replace(run, extra={**run.extra, TORQUE_FEEDFORWARD: added_Nm})
+    assert "something else acts" in _said(BENCH, run)[0]
+    assert _said(BENCH, known) == ()
+    model = DriveModel.base(BENCH)
+    missed = []
+    for each in (known, run):
+        (record,) = prepare([each], BENCH, prefix="run")
+        motor_m = record.response(model).motor_position_m
+        missed.append(float(np.std((record.measured_m[:, 0] - motor_m)[record.valid])))
+    assert missed[0] < 0.3 * missed[1]
