@@ -112,6 +112,7 @@ def diagnose(
     records, judges = fit[: len(captures)], fit[len(captures) :]
     with processors() as executor:
         workbench = Workbench(fit, split(records, judges), executor)
+        _refuse_unjudged(workbench)
         grown = grow(workbench, start, library, rules, tell)
         tell("measuring what is left")
         told_of = Told.of(grown)
@@ -129,6 +130,23 @@ def diagnose(
 
 def _silent(text: str) -> None:
     """Progress that nobody listens to."""
+
+
+def _refuse_unjudged(bench: Workbench) -> None:
+    """What is judged where nothing moves is judged by nothing."""
+    parts = [
+        (r.usable & f, r.usable & ~f) for r, f in zip(bench.records, bench.fitting, strict=True)
+    ]
+    fitted, judged = (sum(int(np.count_nonzero(p[i])) for p in parts) for i in (0, 1))
+    if fitted and judged:
+        return
+    raise NotIdentifiable(
+        "The runs cannot be diagnosed: no sample after the first motion is left to "
+        f"{'judge by' if fitted else 'fit'}.",
+        code="PC-DIA-017",
+        hint="Without --validate two sixths of each capture are held back for judging: give "
+        "captures that move for most of their time, or more of them.",
+    )
 
 
 def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict[str, Effect]:

@@ -15,13 +15,15 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
+from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.physics.diagnose.statistics import Whitener, rows_with_past
 
-_RIDGE = 1e-10
+# Of columns of unit length; larger ones where rounding leaves columns dependent even so.
+_RIDGES = (1e-10, 1e-8, 1e-6, 1e-4)
 _PIECE = 512
 
 
@@ -130,8 +132,7 @@ class Gram:
         matrix += np.diag((np.diag(matrix) <= 0.0).astype(np.float64))
         right = total[chosen, -1] + precision * self.prior.centre[chosen]
         unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        scaled = matrix * np.outer(unit, unit) + _RIDGE * np.eye(chosen.size)
-        factor = cholesky(scaled, lower=False)
+        factor = _factor(matrix * np.outer(unit, unit))
         target = solve_triangular(factor, right * unit, trans="T")
         step = solve_triangular(factor, target) * unit
         lower, upper = self.prior.lower[chosen], self.prior.upper[chosen]
@@ -172,6 +173,21 @@ class Gram:
             self.prior.sigma,
         )
         return Gram(blocks, self.fitting, self.rows, prior)
+
+
+def _factor(scaled: FloatArray) -> FloatArray:
+    """Upper triangle whose square a matrix of unit diagonal is, but for a ridge."""
+    for ridge in _RIDGES:
+        try:
+            return np.asarray(cholesky(scaled + ridge * np.eye(scaled.shape[0]), lower=False))
+        except LinAlgError:
+            continue
+    raise NotIdentifiable(
+        "No parameter can be told from any other on these captures.",
+        code="PC-DIA-016",
+        hint="Capture motions of some millimetres in both directions; `pmac-comp capture` "
+        "proposes a campaign.",
+    )
 
 
 def _bounded(

@@ -89,6 +89,8 @@ class Remainder:
         The gap without the samples in which rounding decides the motion.
     excess_um : float
         Gap beyond the noise floor, root of the difference of squares.
+    settled_um : float
+        Gap where the judging runs are fitted as well, with nothing added.
     regions : tuple of Region
         Where the remainder lives.
     """
@@ -104,6 +106,7 @@ class Remainder:
     noise_floor_um: float
     calm: "Calm"
     excess_um: float
+    settled_um: float
     regions: tuple[Region, ...]
 
     @property
@@ -122,7 +125,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
     floor_um = noise_floor_um(grown.bench, grown.final.model, calm=True)
     gap_um = _rms_um(grown, grown.final.model)
-    excess_um, quiet_um, plain_um = _excess_um(grown, gap_um, floor_um)
+    excess_um, quiet_um, plain_um, settled_um = _excess_um(grown, gap_um, floor_um)
     p_value = corrected_p(sign_flip_p(rivals.rival_drop, seed=1), 1)
     removed = float((grown.base.blocks - grown.final.blocks).sum()) / float(
         last.rows_fit + last.rows_judge
@@ -169,6 +172,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
             ambient_m2=ambient_m2(grown.bench, grown.final.model),
         ),
         excess_um=excess_um,
+        settled_um=settled_um,
         regions=regions,
     )
 
@@ -204,17 +208,18 @@ def _material_place(grown: Grown, bench: Bench, worth_um: float) -> PlacePattern
     return pattern
 
 
-def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float, float]:
+def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, float, float, float]:
     """Gap beyond the noise floor that no choice of the grown model's parameters closes.
 
     All of it; without the worst tenth of the time, as where an axis sticks for a moment not even
-    the true model repeats itself; and all of it with nothing taken for the onset of friction.
+    the true model repeats itself; and all of it with nothing taken for the onset of friction. At
+    last the gap that such a choice leaves.
 
     Fitting runs may leave parameters open that the judging runs need; that is no missing effect.
     """
     excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
     if excess_um < max(0.3 * floor_um, _MODEL_um):
-        return excess_um, excess_um, excess_um
+        return excess_um, excess_um, excess_um, gap_um
     bench = grown.bench
     every = replace(bench, fitting=tuple(np.ones_like(mask) for mask in bench.fitting))
     settled = refit(every, evaluate(every, grown.final.model), rounds=2)
@@ -222,7 +227,7 @@ def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, flo
     whole, quiet, plain = (
         float(np.sqrt(max(0.0, min(b[i] for b in both) - floor_um**2))) for i in (0, 1, 2)
     )
-    return whole, quiet, plain
+    return whole, quiet, plain, _rms_um(grown, settled.model)
 
 
 def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float, float]:

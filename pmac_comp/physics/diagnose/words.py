@@ -17,6 +17,7 @@ from pmac_comp.physics.model.effect import Effect
 _TOLD = 0.002
 _LESS = 0.8
 _CLEARLY = 1.5  # times the noise floor
+_OPEN = 0.6  # of a gap: what other values of known parameters close more of, they leave open
 _UNCHANGED = 0.97  # of a gap: what closes less of it does not live there
 
 
@@ -158,6 +159,13 @@ def _nothing(story: Story) -> str:
         return (
             f"what is left is {times:.2g} times the noise floor, and what repeats in it (the {seen}"
             f", {first.size_um:.2g} um) is too small for a name"
+        )
+    settled_um = story.left.settled_um
+    if times > _CLEARLY and settled_um < _OPEN * story.after.position_um:
+        return (
+            f"what is left is {times:.2g} times the noise floor, but {settled_um:.3g} um where the "
+            "runs that judge are fitted as well: the others leave parameters open, and what these "
+            "runs can show is little; more of them, in both directions, would tell more"
         )
     return (
         f"what is left is {times:.2g} times the noise floor, and no effect or smooth function of "

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pmac_comp.physics.diagnose.gram import Gram, Prior, gram_of_record
+from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.physics.diagnose.gram import Gram, Prior, _factor, gram_of_record
 from pmac_comp.physics.diagnose.statistics import Whitener
 
 WHITE = Whitener(np.zeros((1, 2, 2)), np.eye(2))
@@ -92,3 +93,12 @@ def test_unusable_samples_do_not_count():
     # The sample after the gap leans on its spoiled past and is left out too.
     assert np.allclose(one, two)
     assert rows.sum() == 2 * (100 - 20 - 2)
+
+
+def test_columns_that_rounding_leaves_dependent_are_solved_and_nonsense_is_refused():
+    shaken = np.ones((3, 3)) + np.diag([0.0, -2e-9, -2e-9])
+    factor = _factor(shaken)
+    assert factor.T @ factor == pytest.approx(shaken, abs=1e-7)
+    with pytest.raises(NotIdentifiable) as refused:
+        _factor(-np.eye(2))
+    assert refused.value.code == "PC-DIA-016"

@@ -90,12 +90,14 @@ def _told(
     *,
     regions: tuple[SimpleNamespace, ...] = (),
     where: tuple[SimpleNamespace, ...] = (),
+    settled_um: float = 9.0,
 ) -> str:
     left = SimpleNamespace(
         noise_floor_um=0.1,
         visible=bool(regions),
         unexplained=False,
         excess_um=0.0,
+        settled_um=settled_um,
         calm=SimpleNamespace(left_out=0.0),
         regions=regions,
     )
@@ -126,6 +128,12 @@ def test_what_lives_in_the_torque_is_told_there():
 def test_twice_the_noise_floor_is_not_called_noise():
     assert "what is left is noise" in _told((0.12, 0.1), (0.12, 0.1), ())
     assert "2.1 times the noise floor" in _told((0.21, 0.1), (0.21, 0.1), ())
+
+
+def test_what_other_known_values_close_is_told_as_open_and_not_as_noise():
+    open_ones = _told((0.7, 0.1), (0.7, 0.1), (), settled_um=0.11)
+    assert "but 0.11 um where the runs that judge are fitted as well" in open_ones
+    assert "leave parameters open" not in _told((0.7, 0.1), (0.7, 0.1), (), settled_um=0.65)
 
 
 def test_what_is_seen_beside_nothing_missing_is_told_as_not_proved():

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import CaptureError
+from pmac_comp.base.errors import CaptureError, NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.diagnose import diagnose
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
@@ -79,3 +80,18 @@ def test_a_worn_nut_on_a_short_way_is_no_wrong_scale(axis):
         table_position_m=axis.motor_position_m / 100.0 * 0.97,
     )
     prepare([short], BENCH, prefix="run")
+
+
+def test_runs_that_move_only_where_they_are_fitted_are_refused():
+    # The last sixth moves; the second and the fifth are held back.
+    command = np.concatenate([np.zeros(5000), 1e-3 * (1.0 - np.cos(0.02 * np.arange(900)))])
+    resting = Capture(
+        time_s=BENCH.servo_period_s * np.arange(command.size),
+        commanded_position_m=command,
+        motor_position_m=command,
+        table_position_m=command,
+    )
+    with pytest.raises(NotIdentifiable) as refused:
+        diagnose([resting], BENCH)
+    assert refused.value.code == "PC-DIA-017"
+    assert "--validate" in refused.value.hint

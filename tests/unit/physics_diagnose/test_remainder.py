@@ -46,7 +46,7 @@ def test_twice_the_floor_is_unknown_whatever_might_excuse_it(
     monkeypatch.setattr(remainder, "_material_wave", lambda *a: None)
     monkeypatch.setattr(remainder, "_material_place", lambda *a: None)
     monkeypatch.setattr(
-        remainder, "_excess_um", lambda *a: (EXCUSED_um, 0.5 * EXCUSED_um, plain_um)
+        remainder, "_excess_um", lambda *a: (EXCUSED_um, 0.5 * EXCUSED_um, plain_um, gap_um)
     )
     bench: Any = None
     left = remainder_of(grown, bench)
