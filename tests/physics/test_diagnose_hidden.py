@@ -103,3 +103,16 @@ def test_no_capture_and_a_standing_axis_are_refused():
     still = Capture(time, np.zeros(4000), np.zeros(4000), table_position_m=np.zeros(4000))
     with pytest.raises(NotIdentifiable, match="does not move"):
         diagnose([still], BENCH)
+
+
+@pytest.mark.slow
+def test_five_hidden_effects_are_found_one_after_another() -> None:
+    hidden = ["lead_cyclic", "cogging", "bias_force", "external_force", "scale_subdivision"]
+    bench = load_bench("paper_x4")
+    case = make_case(bench, hidden, seed=7, seconds=3.0, quiet=True)
+    beside = ("backlash", "payload", "friction_asymmetry", "torque_ripple", "encoder_eccentricity")
+    library = {name: effect_library()[name] for name in (*hidden, *beside)}
+    found = diagnose(case.fit[:4], bench, validate=case.judge[:2], effects=library)
+    assert found.verdict == "named"
+    assert sorted(found.named) == sorted(hidden)
+    assert found.gap_after_um < 1.1 * found.noise_floor_um < 0.05 * found.gap_before_um

@@ -97,7 +97,7 @@ class Rules:
     tie_material: float = 0.015
     tie_share: float = 0.97
     leaders: int = 4
-    most_effects: int = 4
+    most_effects: int = 8
 
 
 @dataclass(frozen=True)

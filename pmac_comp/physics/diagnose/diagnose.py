@@ -149,6 +149,16 @@ def _refuse_unjudged(bench: Workbench) -> None:
     )
 
 
+def _broken_off(grown: Grown, rules: Rules) -> tuple[str, ...]:
+    """That as many effects were found as are sought, where that ended the search."""
+    if len(grown.accepted) < rules.most_effects:
+        return ()
+    return (
+        f"The search ended with {rules.most_effects} effects, as many as are sought in one "
+        "diagnosis; give the grown model as --model to look for more.",
+    )
+
+
 def _candidates(effects: Mapping[str, Effect] | None, start: DriveModel) -> dict[str, Effect]:
     """Effects that may be added: the library, less what the model already holds."""
     present = {split_name(name)[0] for name in start.effects}
@@ -231,6 +241,7 @@ def _assembled(
                     restated=findings[0].text if found.alone else "",
                 )
             ),
+            *_broken_off(grown, rules),
             *told_by_run(grown, left),
             *told(grown.final.model, claims.effects),
             *_undated(grown, left, claims),

@@ -177,16 +177,18 @@ def _nothing(story: Story) -> str:
 def _cause(name: str, story: Story) -> str:
     """Where it acts, the trace it leaves and its size."""
     effect = story.library.get(name)
-    sizes = ", ".join(_size(e) for e in story.estimates if e.name.partition(".")[0] == name)
+    beside = "these runs beside what is not claimed" if story.alone else "these runs"
+    own = (e for e in story.estimates if e.name.partition(".")[0] == name)
+    sizes = ", ".join(_size(e, beside) for e in own)
     seen = f" ({effect.where}: {effect.signature})" if effect is not None else ""
     return f"{name}{seen}: {sizes} (95 %)." if sizes else f"{name}{seen}."
 
 
-def _size(estimate: Estimate) -> str:
+def _size(estimate: Estimate, by: str = "these runs") -> str:
     bare = estimate.name.partition(".")[2]
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     if Z95 * estimate.std > abs(estimate.value) and not bare.startswith("phase"):
-        return f"{bare} is not determined by these runs"
+        return f"{bare} is not determined by {by}"
     return f"{bare} = {estimate.value:.4g} +/- {Z95 * estimate.std:.2g}{unit}"
 
 

@@ -1,11 +1,13 @@
 """Rules of the growth loop that need no data."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from pmac_comp.physics.diagnose import contenders
 from pmac_comp.physics.diagnose.acceptance import Round
+from pmac_comp.physics.diagnose.diagnose import _broken_off
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.revision import Reviser, _start
@@ -53,6 +55,7 @@ def test_the_only_effect_is_asked_whether_it_is_needed_unless_it_earned_beyond_d
 def test_a_size_that_the_runs_leave_open_is_not_told_as_a_figure(std, told):
     estimate = Estimate("friction_asymmetry.fraction", -0.3, "1", std, -1.0, 1.0)
     assert _size(estimate) == told
+    assert _size(estimate, "these") == told.replace("these runs", "these")
 
 
 def _screened(name: str, gain: float) -> SimpleNamespace:
@@ -149,6 +152,13 @@ def test_what_is_seen_beside_nothing_missing_is_told_as_not_proved():
 def test_what_a_name_leaves_beyond_the_floor_is_told():
     assert "1.8 times the noise floor" in _told((1.85, 0.1), (0.18, 0.1), ("backlash",))
     assert "times the noise floor" not in _told((1.85, 0.1), (0.11, 0.1), ("backlash",))
+
+
+def test_a_search_that_ended_with_its_last_effect_says_so():
+    found: Any = SimpleNamespace(accepted=(1, 2))
+    assert _broken_off(found, contenders.Rules()) == ()
+    (said,) = _broken_off(found, contenders.Rules(most_effects=2))
+    assert "--model" in said
 
 
 def test_what_repeats_is_not_called_noise():
