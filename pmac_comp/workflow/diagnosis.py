@@ -207,9 +207,12 @@ def _model_file(found: "Diagnosis", bench: Bench, data: Sequence[tuple[str, str]
         key = file_key(spec, rigid=model.is_rigid)
         sign = -1.0 if key == "offset_N" else 1.0
         known = spec.kind == "known"
+        value = spec.to_file(model.parameters[spec.name])
         e = intervals.get(key) or intervals.get(spec.name)
+        if e is not None and abs(e.value - value) > e.std:
+            e = None  # told of the named effects alone; beside others it has another size here
         parameters[key] = ModelParameter(
-            value=sign * spec.to_file(model.parameters[spec.name]),
+            value=sign * value,
             unit=spec.file_unit,
             std=None if e is None else e.std,
             lower95=None if e is None else e.lower95,

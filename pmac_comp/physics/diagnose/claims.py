@@ -6,7 +6,7 @@ that closes the gap only as the imitation of another is part of the model and no
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from pmac_comp.physics.diagnose.candidates import amplitude_of
 from pmac_comp.physics.diagnose.contenders import Contender, Rules
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import ONSET, imitation
+from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate, Finding
 from pmac_comp.physics.model import slots
@@ -29,6 +30,7 @@ _MOST_BESIDE = 2  # effects that are claimed beside much that has no name, whate
 _BULK = (
     0.5  # of the gap in um that an effect met: more is closed by what is there, on real data too
 )
+_ALONE_ROUNDS = 3
 _TOO_SMALL = "its size cannot be told from nothing"
 _NO_IMITATIONS = frozenset({_TOO_SMALL, ONSET})
 
@@ -122,25 +124,20 @@ def claims_of(
     return Claims(tuple(claimed), withheld, imitated)
 
 
-def sizes_alone(grown: Grown, claims: Claims) -> tuple[str, ...]:
-    """Sizes of the claimed effects before any that is not claimed came in, in words.
+def named_alone(grown: Grown, claims: Claims) -> Grown | None:
+    """The growth as if it had ended with the claimed effects.
 
-    What is not claimed stays in the model and shares with them what each alone would carry. Nothing
-    where all are claimed, or where one that is not came before.
+    What is not claimed stays in the grown model and shares with them what each alone would carry:
+    on real data Coulomb friction is 19 N alone and anything beside three of those. None where all
+    are claimed, or where one that is not came before.
     """
     first = grown.accepted[: len(claims.effects)]
     if not claims.withheld or not first or tuple(c.effect for c in first) != claims.effects:
-        return ()
-    model = first[-1].fitted.model
-    sizes = []
-    for contender in first:
-        effect, place = model.effect(contender.key)
-        spec = amplitude_of(effect.name, effect.specs(place))
-        value = spec.to_file(model.parameters[f"{effect.name}.{spec.name}"])
-        unit = spec.file_unit or spec.unit
-        text = f"{effect.name}.{spec.file_name or spec.name} = {value:.4g}"
-        sizes.append(text if unit == "1" else f"{text} {unit}")
-    return tuple(sizes)
+        return None
+    part = grown.bench.fitting_bench()
+    point = refit(part, evaluate(part, first[-1].fitted.model), rounds=_ALONE_ROUNDS)
+    final = evaluate(grown.bench, point.model)
+    return replace(grown, final=final, rounds=claims.rounds, open_SI={})
 
 
 def unreached(grown: Grown) -> frozenset[str]:

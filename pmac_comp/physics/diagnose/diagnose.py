@@ -14,7 +14,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.by_run import told_by_run
-from pmac_comp.physics.diagnose.claims import Claims, claims_of, sizes_alone, unreached
+from pmac_comp.physics.diagnose.claims import Claims, claims_of, named_alone, unreached
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
@@ -205,6 +205,9 @@ def _assembled(
     unknown = left.unexplained or claims.imitated or bool(findings)
     verdict = _verdict(named, tied, unknown=unknown)
     where = _where(grown, bench)
+    alone = named_alone(grown, claims)
+    if alone is not None:
+        estimates, _ = estimates_of(alone, Told.of(alone), rules.material)
     estimates = tuple(e for e in estimates if e.name.partition(".")[0] in claims.effects)
     experiment = _experiment(tied, left, grown, library)
     return Diagnosis(
@@ -237,7 +240,7 @@ def _assembled(
                     ruled_out(grown, library) if named else (),
                     library,
                     claims.withheld,
-                    alone=sizes_alone(grown, claims),
+                    alone=alone is not None,
                     restated=findings[0].text if found.alone else "",
                 )
             ),

@@ -70,8 +70,8 @@ class Story:
         Effects with their own words.
     withheld : Mapping of str to str
         Effects that close some of the gap and are not claimed, and why.
-    alone : sequence of str
-        Sizes of the named effects without those beside them, where they differ.
+    alone : bool
+        Whether sizes are those with the named effects alone, as others are not claimed.
     restated : str
         The one quantity of the bench file that does in place of effects, in words.
     """
@@ -87,7 +87,7 @@ class Story:
     rivals: Sequence[Rival]
     library: Mapping[str, Effect]
     withheld: Mapping[str, str]
-    alone: Sequence[str] = ()
+    alone: bool = False
     restated: str = ""
 
 
@@ -102,8 +102,8 @@ def statements_of(story: Story) -> tuple[str, ...]:
     ]
     if story.alone:
         said.append(
-            f"With the named effects alone: {', '.join(story.alone)}; beside what is not claimed, "
-            "with which they may share, the sizes are those above."
+            "The sizes are those with the named effects alone; what is not claimed would share in "
+            "them."
         )
     said.append(_worth(story))
     said += _rests(story)
@@ -177,18 +177,16 @@ def _nothing(story: Story) -> str:
 def _cause(name: str, story: Story) -> str:
     """Where it acts, the trace it leaves and its size."""
     effect = story.library.get(name)
-    beside = "these runs beside what is not claimed" if story.alone else "these runs"
-    own = (e for e in story.estimates if e.name.partition(".")[0] == name)
-    sizes = ", ".join(_size(e, beside) for e in own)
+    sizes = ", ".join(_size(e) for e in story.estimates if e.name.partition(".")[0] == name)
     seen = f" ({effect.where}: {effect.signature})" if effect is not None else ""
     return f"{name}{seen}: {sizes} (95 %)." if sizes else f"{name}{seen}."
 
 
-def _size(estimate: Estimate, by: str = "these runs") -> str:
+def _size(estimate: Estimate) -> str:
     bare = estimate.name.partition(".")[2]
     unit = "" if estimate.unit == "1" else f" {estimate.unit}"
     if Z95 * estimate.std > abs(estimate.value) and not bare.startswith("phase"):
-        return f"{bare} is not determined by {by}"
+        return f"{bare} is not determined by these runs"
     return f"{bare} = {estimate.value:.4g} +/- {Z95 * estimate.std:.2g}{unit}"
 
 

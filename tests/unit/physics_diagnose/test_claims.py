@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.claims import Claims, claims_of, sizes_alone, unreached
+from pmac_comp.physics.diagnose import claims
+from pmac_comp.physics.diagnose.claims import Claims, claims_of, named_alone, unreached
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import pulled
+from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import as_true_name, imitation, true_name
 from pmac_comp.physics.diagnose.result import Finding
 from pmac_comp.physics.model.drive import DriveModel, simulate
@@ -171,20 +173,29 @@ def test_a_corner_that_no_run_reaches_carries_no_name(place):
 
 
 @pytest.mark.parametrize(
-    ("order", "told"),
+    ("order", "ends"),
     [
-        (("payload", "cable_drag"), ("payload.mass_kg = 12 kg",)),
-        (("payload",), ()),  # all that is in the model is claimed
-        (("cable_drag", "payload"), ()),  # never fitted alone
+        (("payload", "cable_drag"), True),
+        (("payload",), False),  # all that is in the model is claimed
+        (("cable_drag", "payload"), False),  # never fitted alone
     ],
 )
-def test_sizes_of_named_effects_are_told_without_what_is_not_claimed(order, told):
+def test_sizes_of_named_effects_are_taken_without_what_is_not_claimed(monkeypatch, order, ends):
     model, accepted = DriveModel.base(BENCH), []
     for name in order:
         model = model.with_effect(name, {"mass_kg": 12.0} if name == "payload" else {})
         fitted = SimpleNamespace(model=model)
         accepted.append(SimpleNamespace(effect=name, key=name, fitted=fitted))
-    claimed: Any = tuple(SimpleNamespace(accepted=a) for a in accepted if a.effect == "payload")
+    rounds: Any = tuple(SimpleNamespace(accepted=a) for a in accepted)
+    claimed = tuple(r for r in rounds if r.accepted.effect == "payload")
     withheld = {name: "why" for name in order if name != "payload"}
-    grown: Any = SimpleNamespace(accepted=tuple(accepted))
-    assert sizes_alone(grown, Claims(claimed, withheld, imitated=False)) == told
+    bench: Any = SimpleNamespace(fitting_bench=lambda: None)
+    grown = Grown(bench, accepted[0].fitted, accepted[-1].fitted, rounds, {"payload.mass_kg": 1.0})
+    monkeypatch.setattr(claims, "evaluate", lambda _bench, m: SimpleNamespace(model=m))
+    monkeypatch.setattr(claims, "refit", lambda _part, point, rounds: point)
+    alone = named_alone(grown, Claims(claimed, withheld, imitated=False))
+    assert (alone is not None) == ends
+    if alone is not None:
+        assert alone.final.model is accepted[0].fitted.model
+        assert [c.effect for c in alone.accepted] == ["payload"]
+        assert not alone.open_SI
