@@ -134,10 +134,9 @@ def _silent(text: str) -> None:
 
 def _refuse_unjudged(bench: Workbench) -> None:
     """What is judged where nothing moves is judged by nothing."""
-    parts = [
-        (r.usable & f, r.usable & ~f) for r, f in zip(bench.records, bench.fitting, strict=True)
-    ]
-    fitted, judged = (sum(int(np.count_nonzero(p[i])) for p in parts) for i in (0, 1))
+    usable = np.concatenate([r.usable for r in bench.records])
+    fitting = np.concatenate(bench.fitting)
+    fitted, judged = np.any(usable & fitting), np.any(usable & ~fitting)
     if fitted and judged:
         return
     raise NotIdentifiable(

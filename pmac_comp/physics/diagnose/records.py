@@ -23,6 +23,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
+from pmac_comp.physics.identify.derivatives import bridged
 from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.physics.identify.records import EXTERNAL_FORCE, TORQUE_FEEDFORWARD
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
@@ -232,9 +233,9 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     columns = [capture.motor_position_m]
     if with_table and capture.table_position_m is not None:
         columns.append(capture.table_position_m)
-    readings = [_filled(c, capture.mask) for c in columns]
+    readings = [bridged(c, capture.mask) for c in columns]
     force, forward = (
-        None if column is None else _filled(column, capture.mask)
+        None if column is None else bridged(column, capture.mask)
         for column in map(capture.extra.get, (EXTERNAL_FORCE, TORQUE_FEEDFORWARD))
     )
     torque = capture.torque_command_Nm
@@ -242,7 +243,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     valid = np.interp(cycles, np.arange(capture.n), capture.mask.astype(np.float64)) > 0.999
     followed = _command(capture.desired_m, capture.mask)
     desired = on_servo_grid(followed)
-    given = None if torque is None else _filled(torque, capture.mask)
+    given = None if torque is None else bridged(torque, capture.mask)
     by_law = given if given is None or forward is None else given - forward
     start = start_of(bench, followed, readings[0], by_law, capture.sample_period_s)
     first = first_under_way(bench, desired, start, period_s)
@@ -273,22 +274,14 @@ def _both(known: FloatArray | None, probe: FloatArray | None) -> FloatArray | No
     return np.asarray(known + probe)
 
 
-def _filled(values: FloatArray, mask: BoolArray) -> FloatArray:
-    """Samples marked invalid replaced by interpolation, so that no NaN travels on."""
-    if mask.all():
-        return values
-    index = np.arange(values.size)
-    return np.asarray(np.interp(index, index[mask], values[mask]))
-
-
 def _command(values: FloatArray, mask: BoolArray) -> FloatArray:
     """The command with gaps filled; where only readings were lost it is known all the same."""
     known = np.isfinite(values)
     if mask.all() or not known.all():
-        return _filled(values, mask & known)
+        return bridged(values, mask & known)
     largest = float(np.abs(np.diff(values))[mask[1:] & mask[:-1]].max(initial=0.0))
     smooth = bool(np.abs(np.diff(values)).max(initial=0.0) <= 1.5 * largest)
-    return values if smooth else _filled(values, mask)
+    return values if smooth else bridged(values, mask)
 
 
 def _refuse_useless(capture: Capture, name: str) -> None:
