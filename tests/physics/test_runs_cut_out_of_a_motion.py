@@ -103,6 +103,14 @@ def test_a_column_left_empty_tells_nothing_of_the_start(run: Capture) -> None:
         assert _start_of(blind.slice(first, run.n)).torque_Nm == 0.0
 
 
+def test_a_few_samples_and_a_way_back_to_where_it_began_are_judged_too() -> None:
+    short = 1e-6 * np.arange(4, dtype=np.float64)
+    back = 1e-7 * np.array([0.0, 1.0, 2.0, 2.0, 1.0, 1.0, 0.0])
+    for command_m, follows in ((short, True), (back, False)):
+        start = start_of(BENCH, command_m, 0.9 * command_m, None, TS)
+        assert (start.speed_m_per_s != 0.0) == follows
+
+
 def test_identification_leaves_out_what_a_cut_made_unknown(run: Capture) -> None:
     cut = run.slice(round(0.7 / TS), run.n)
     for leave_out in ("nothing", "rest", "reversals"):

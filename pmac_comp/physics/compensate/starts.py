@@ -38,14 +38,16 @@ def with_starts(bench: Bench, loop: LoopRunner, captures: Sequence[Capture]) -> 
 
 
 def _held_Nm(bench: Bench, capture: Capture, load_Nm: float) -> float:
-    held = start_of(
+    start = start_of(
         bench,
         capture.desired_m,
         capture.motor_position_m,
         capture.torque_command_Nm,
         capture.sample_period_s,
-    ).torque_Nm
-    return held - load_Nm if held != 0.0 else 0.0
+    )
+    # In motion friction holds nothing: the loops here begin at rest.
+    rests = start.speed_m_per_s == 0.0 and start.torque_Nm != 0.0
+    return start.torque_Nm - load_Nm if rests else 0.0
 
 
 def held_at_start_Nm(capture: Capture) -> float:

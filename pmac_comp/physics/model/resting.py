@@ -107,8 +107,9 @@ def _shared_speed(
         return 0.0
     way = desired_m - desired_m[0]
     shows = np.flatnonzero(np.abs(way) >= _COUNTS * bench.motor_resolution_m)
-    last = max(int(shows[0]) if shows.size else desired_m.size - 1, _LEAST_REST)
-    follows = (motor_m[last] - motor_m[0]) / way[last] >= _SHARED
+    last = min(max(int(shows[0]), _LEAST_REST) if shows.size else way.size, way.size - 1)
+    # Times the command's way, which may be none by then: so either sign compares alike.
+    follows = (motor_m[last] - motor_m[0]) * way[last] > _SHARED * way[last] ** 2
     return float(steps[0] / period_s) if follows else 0.0
 
 

@@ -59,3 +59,10 @@ def test_a_run_that_nobody_looked_at_begins_relaxed() -> None:
     assert state_at_start(strained, 0.5) == -1.0
     assert state_at_start(strained, 1.6) == pytest.approx(-0.5)
     assert state_at_start(strained, 0.0) == 0.0
+
+
+def test_a_run_cut_out_of_a_motion_holds_nothing_by_friction() -> None:
+    run, model = run_after_an_approach()
+    cut = run.slice(run.n // 3, run.n)
+    (begun,) = with_starts(BENCH, model_loop(model), [cut])
+    assert held_at_start_Nm(begun) == 0.0
