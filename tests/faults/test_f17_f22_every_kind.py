@@ -102,6 +102,21 @@ def test_f17_another_client_acts_in_any_change(
             count_runs(1)
 
 
+@pytest.mark.parametrize(
+    "rig", [s for s in CHANGES if s.name == "law route"], ids=lambda s: s.name, indirect=True
+)
+def test_f17_a_bank_switched_amid_the_last_looks_is_found(
+    rig: ChangeBench, count_runs: Count
+) -> None:
+    """The law stops at once then: an upload that looked at it first called that done."""
+    every = requests_of(rig)
+    for k in every[-LAST_LOOKS - 4 : -2]:
+        error = with_lines_at(rig, k, ACTIONS["bank index"][0])
+        assert error is not None, k
+        assert error.left is not ControllerState.NEW, k
+        count_runs(1)
+
+
 def act_and_judge(rig: ChangeBench, every: range, k: int, action: str) -> None:
     lines, theirs = ACTIONS[action]
     error = with_lines_at(rig, k, lines)

@@ -151,19 +151,25 @@ def _done_before(context: Context, group: Journal) -> bool:
 
 
 def _require_whole(link: Link, context: Context, group: int) -> None:
-    """Every part still stands at the end: a reset in between takes the first ones away."""
+    """Every part still stands at the end: a reset in between takes the first ones away.
+
+    What was put on last is looked at last: who touches a bank switches the law off with it.
+    """
     touched: set[object] = set()
+    standing: list[Part] = []
     for part in reversed([p for p in parts_of(context) if p.journal.group == group]):
         # Some parts an upload can do without; such a one was taken back.
         if part.closing == DONE and not part.items & touched:
-            wrong = missing(link, context, part)
-            if wrong:
-                raise VerifyMismatch(
-                    f"A part of the upload does not stand at its end: {wrong}.",
-                    code="PC-REC-003",
-                    hint="Was the controller reset, or does somebody else write to it?",
-                )
+            standing.append(part)
         touched |= part.items
+    for part in reversed(standing):
+        wrong = missing(link, context, part)
+        if wrong:
+            raise VerifyMismatch(
+                f"A part of the upload does not stand at its end: {wrong}.",
+                code="PC-REC-003",
+                hint="Was the controller reset, or does somebody else write to it?",
+            )
 
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
