@@ -1,13 +1,15 @@
 """Captures that begin in the middle of a motion: the model begins with the speed of the axis."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.physics.diagnose.records import Record, prepare
 from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.model.drive import DriveModel
@@ -16,6 +18,7 @@ from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow.identification import predict_files
 
 BENCH = load_bench("paper_x4")
 TS = BENCH.servo_period_s
@@ -101,6 +104,24 @@ def test_a_column_left_empty_tells_nothing_of_the_start(run: Capture) -> None:
     for blind in (unmeasured, replace(run, torque_command_Nm=empty)):
         assert _start_of(blind) == Start()
         assert _start_of(blind.slice(first, run.n)).torque_Nm == 0.0
+
+
+def test_a_torque_that_was_added_and_captured_is_none_of_the_integrators(tmp_path: Path) -> None:
+    wave = tr.sinusoid(period_s=TS, amplitude_m=AMPLITUDE_m, frequency_Hz=FREQUENCY_Hz, cycles=3.0)
+    added_Nm = 0.5 * np.cos(9.0 * wave.time_s)
+    plant = make_plant(BENCH, effects={}, seed=3, spread=0.0)
+    pushed = closed_loop_capture(BENCH, plant, wave.position_m, torque_feedforward_Nm=added_Nm)
+    cut = replace(pushed, extra={rec.TORQUE_FEEDFORWARD: added_Nm}).slice(round(0.7 / TS), pushed.n)
+    (record,) = prepare([cut], BENCH, prefix="run")
+    assert rec.prepare(cut, BENCH).start.torque_Nm == pytest.approx(record.start.torque_Nm)
+    assert _missed_um(record)[record.valid].std(axis=0).max() < 0.3
+    model, given, out = (tmp_path / name for name in ("model.json", "run.h5", "predicted.h5"))
+    stored = {"model_version": 1, "parameters": {}, "effects": ["coulomb", "viscous"]}
+    model.write_text(json.dumps({**stored, "bench_digest": BENCH.digest}))
+    write_capture(given, cut)
+    predict_files("paper_x4", model, given, out, rounding="none")
+    missed = 1e6 * (read_capture(out).motor_position_m - cut.motor_position_m)
+    assert np.std(missed) < 1.0
 
 
 def test_a_few_samples_and_a_way_back_to_where_it_began_are_judged_too() -> None:
