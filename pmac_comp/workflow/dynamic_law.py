@@ -16,7 +16,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import LoopRunner, design_law, model_loop
+from pmac_comp.physics.compensate.design import LoopRunner, NutGap, design_law, model_loop
 from pmac_comp.physics.compensate.grip import (
     GRIP,
     gripping_law,
@@ -28,6 +28,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.unmodelled import only_turn, unmodelled
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
 
@@ -102,9 +103,7 @@ def dynamic_law(
         law = gripping
     delay_s = drive_delay_s(model)
     found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
-    # A value that is held for some cycles is half of that late on average.
-    latency_s = (LATENCY_CYCLES[route] + 0.5 * (every_cycles - 1)) * bench.servo_period_s
-    law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=latency_s)
+    law = with_turn_torque(law, found)
     law = with_constant_torque(law, loop, captures)
     said = {"turn_explained": found.explained, "grip_explained": grip}
     return replace(law, provenance={**law.provenance, **said})
@@ -143,11 +142,11 @@ def turn_errors(
     loop, delay_s = model_loop(without_turn(model)), drive_delay_s(model)
     if law.torque_limit_Nm == 0.0 and captures:  # a route without torque has not looked for it
         found = turn_torque(law, loop, (*captures, *slow), drive_delay_s=delay_s)
-        law = with_turn_torque(law, found, drive_delay_s=delay_s, latency_s=0.0)
+        law = with_turn_torque(law, found)
     if law.ripple_Nm == 0.0 and law.turn_friction_Nm == 0.0:
         return [np.zeros(run.n) for run in slow]
     turn = only_turn(law).with_values(
-        ripple_lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm
+        lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm
     )
     turn = replace(turn, every_cycles=1)
     return [_turn_error(turn, loop, run, gripping_torque(law, run)) for run in slow]
@@ -166,23 +165,28 @@ def _turn_error(
     )
 
 
-def nut_gap(model: "DriveModel") -> tuple[float, LoopRunner] | None:
-    """Half the clearance of a model's nut in m and the loop without it; None without a gap.
+def nut_gap(model: "DriveModel") -> NutGap | None:
+    """Clearance of a model's nut; None without one.
 
-    A soft zone of the nut counts as the clearance that it has beyond the stiff spring.
+    A soft zone of the nut counts as the clearance that it has beyond the stiff spring, all of it
+    taken up at the zone's edge.
     """
-    half_m, rest = 0.0, without_turn(model)
+    half_m, edge_N, rest = 0.0, 0.0, without_turn(model)
     for name in model.effects:
         bare, place = split_name(name)
         if bare == "backlash":
             half_m += 0.5 * model.parameters["backlash.gap_m"]
         elif bare == "preload_loss" and place != "beyond":
-            soft = 1.0 - model.parameters["preload_loss.stiffness_ratio"]
-            half_m += soft * model.parameters["preload_loss.half_width_m"]
+            ratio = model.parameters["preload_loss.stiffness_ratio"]
+            zone_m = model.parameters["preload_loss.half_width_m"]
+            half_m += (1.0 - ratio) * zone_m
+            edge_N = ratio * zone_m * model.kernel_vector()[slots.K_NUT]
         else:
             continue
         rest = rest.without_effect(name)
-    return (half_m, model_loop(rest)) if half_m > 0.0 else None
+    if half_m <= 0.0:
+        return None
+    return NutGap(half_m, edge_N / model.kernel_vector()[slots.M_TABLE], model_loop(rest))
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":

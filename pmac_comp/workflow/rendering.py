@@ -53,7 +53,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),
         KP=360.0 / (law.turn_m * K),
-        LR=law.ripple_lookahead_s / T,
+        GW=law.gap_width_m * K,
         TR=law.turn_friction_Nm / q,
         PR=math.degrees(law.turn_phase_rad),
         TH=law.ripple_Nm / q,

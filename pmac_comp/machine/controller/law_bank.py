@@ -32,10 +32,10 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
     e = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s
     f = e + L1 (A0 j + V0 a)                              the same L1 cycles later
-    h = |v| dn S_INV     g = (g + h f / (S0 / 5 + |f|)) / (1 + h)    flank: goes with the force
+    h = |v| dn S_INV     g = (g + h f / max(GW, |f|)) / (1 + h)      flank: goes with the force
     c = e + GH g + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
-    p = (r + LR v) KP                                     angle of the screw, degrees
+    p = (r + L1 v) KP                                     angle of the screw, degrees
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(NH p + PH)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
@@ -70,7 +70,6 @@ REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 REST_FADE_PER_CYCLE: Final = 0.01  # that of the torque
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
-FLANK_FRAC: Final = 0.2  # of S0: over this much of the elastic correction the gap is crossed
 _OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
 
 
@@ -131,11 +130,11 @@ class BankIndex(IntEnum):
     TB = 10  # DAC units per (count/SC)
     TC = 11  # DAC units
     J0 = 12  # counts per (count/SC^3)
-    L1 = 13  # SC, look-ahead of the friction states
+    L1 = 13  # SC, look-ahead of friction states, flank and angle
     JL = 14  # counts/SC^3, largest jerk that the law follows
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant
-    LR = 17  # SC, look-ahead of the angle
+    GW = 17  # counts, elastic correction at which all of GH is taken up
     TR = 18  # DAC units, friction once per turn
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
@@ -144,7 +143,7 @@ class BankIndex(IntEnum):
     TH = 23  # DAC units, cogging
     NH = 24  # orders per turn
     PH = 25  # degrees
-    GH = 26  # counts, half the clearance of the nut; with it S0 is positive
+    GH = 26  # counts, half the clearance of the nut; with it S0 and GW are positive
     SEALED = 27  # 20261 once the bank was read back
     CRC_HIGH = 28
     CRC_LOW = 29
@@ -226,7 +225,7 @@ class LawParameters:
     T_LIMIT: float = 0.0
     TK: float = 0.0
     KP: float = 0.0
-    LR: float = 0.0
+    GW: float = 0.0
     TR: float = 0.0
     PR: float = 0.0
     TH: float = 0.0
@@ -238,7 +237,8 @@ class LawParameters:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        negative = [n for n in ("S_INV", "T_INV", "T_LIMIT", "JL", "GH") if getattr(self, n) < 0.0]
+        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW")
+        negative = [n for n in sizes if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
         idle = [n for n in _OF_ACCELERATION if getattr(self, n) != 0.0]
@@ -248,9 +248,10 @@ class LawParameters:
                 code="PC-LAW-005",
                 hint="Set JL above the largest jerk of the motions, in counts per servo cycle^3.",
             )
-        if self.GH > 0.0 and self.S0 <= 0.0:
+        if self.GH > 0.0 and min(self.S0, self.GW) <= 0.0:
             raise ConfigError(
-                "GH needs a positive S0, which tells the flank of the gap.", code="PC-LAW-006"
+                "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
+                code="PC-LAW-006",
             )
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
@@ -372,10 +373,10 @@ def evaluate(
     c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
     if p.GH > 0.0:
         foreseen = c + p.L1 * (p.A0 * j + p.V0 * a)
-        goal = foreseen / (FLANK_FRAC * p.S0 + np.abs(foreseen))
+        goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         c = c + p.GH * _flank(np.abs(v) * p.S_INV, goal, start.get("g", 0.0))
     c = c + p.J0 * j
-    angle = (r + p.LR * v) * p.KP
+    angle = (r + p.L1 * v) * p.KP
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging

@@ -53,6 +53,8 @@ _TOTAL_FRAC = 0.2
 _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
+_LEAST_WIDTH_m = 0.05e-6
+_FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
 _JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
 _MOST_STEPS = 10
@@ -104,6 +106,25 @@ class LoopRunner(Protocol):
     ) -> LoopSignals:
         """Positions and torque along it."""
         ...
+
+
+@dataclass(frozen=True)
+class NutGap:
+    """Clearance of a nut.
+
+    Parameters
+    ----------
+    half_m : float
+        Half of it.
+    edge_m_per_s2 : float
+        Acceleration of the table whose force takes all of it up; 0 for play, which has no width.
+    stiff : LoopRunner
+        Loop of the model without it, which the regression starts from.
+    """
+
+    half_m: float
+    edge_m_per_s2: float
+    stiff: LoopRunner
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
@@ -209,7 +230,7 @@ def design_law(
     latency_cycles: int = 1,
     with_torque: bool = True,
     every_cycles: int = 1,
-    gap: tuple[float, LoopRunner] | None = None,
+    gap: NutGap | None = None,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
@@ -230,9 +251,8 @@ def design_law(
         Whether the route carries torque feed-forward.
     every_cycles : int
         Servo cycles between two passes of the law.
-    gap : (float, LoopRunner), optional
-        Half the nut's clearance in m and the loop of the model without it, which the regression
-        starts from.
+    gap : NutGap, optional
+        Clearance of the nut.
     motions : sequence of Trajectory, optional
         Where the coefficients are refined; ``design_motions`` if not given.
     provenance : dict, optional
@@ -246,10 +266,9 @@ def design_law(
         The model gives no finite response.
     """
     chosen = tuple(motions or design_motions(bench))
-    half_m, regular = gap or (0.0, loop)
     start = start_law(
         bench,
-        regular,
+        loop if gap is None else gap.stiff,
         chosen,
         delay_s=delay_s,
         latency_cycles=latency_cycles,
@@ -257,14 +276,21 @@ def design_law(
     )
     start = replace(
         start,
-        gap_half_m=half_m,
-        coulomb_m=start.coulomb_m if half_m == 0.0 else max(start.coulomb_m, LEAST_COULOMB_m),
         every_cycles=every_cycles,
         lookahead_s=start.lookahead_s + _held_s(bench, every_cycles),
         provenance=dict(provenance or {}),
         jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
     )
+    if gap is not None:
+        start = _taking_up(gap, start)
     return _refined(start, loop, chosen, latency_cycles, progress)
+
+
+def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
+    coulomb_m = max(law.coulomb_m, LEAST_COULOMB_m)
+    # What has no width of its own: over a part of what friction winds up.
+    width_m = max(_FLANK_FRAC * coulomb_m, law.inertia_s2 * gap.edge_m_per_s2)
+    return replace(law, gap_half_m=gap.half_m, gap_width_m=width_m, coulomb_m=coulomb_m)
 
 
 def _largest_jerk(motion: Trajectory) -> float:
@@ -291,7 +317,6 @@ def slower_law(
         law,
         every_cycles=every_cycles,
         lookahead_s=law.lookahead_s + later_s,
-        ripple_lookahead_s=law.ripple_lookahead_s + later_s,
     )
     chosen = tuple(motions or design_motions(bench))
     return _refined(start, loop, chosen, latency_cycles, None, most=_FEW_STEPS)
@@ -382,8 +407,8 @@ def _refined(
     scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if start.torque_limit_Nm > 0.0 else {})}
     lower = dict(_LOWEST)
     if start.gap_half_m > 0.0:
-        scales["gap_half_m"] = 1e-6
-        lower |= {"gap_half_m": 0.0, "coulomb_m": LEAST_COULOMB_m}
+        scales |= {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6}
+        lower |= {"gap_half_m": 0.0, "gap_width_m": _LEAST_WIDTH_m, "coulomb_m": LEAST_COULOMB_m}
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size

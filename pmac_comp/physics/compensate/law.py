@@ -12,9 +12,9 @@ the distance from the law's origin::
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
     e  = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s  elastic, as the force in the nut
     f  = e + L (A0 j + V0 a)                             the same L seconds later
-    g' = |v| (f / (|f| + S0 / 5) - g) / break-away distance
+    g' = |v| (f / max(|f|, W) - g) / break-away distance
     correction = e + G g + J0 j                         added to the command
-    q  = 2 pi (r + LR v) / turn                         angle of the screw, looking ahead
+    q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(q + PR)) t + T0 + TH sin(n q + PH)
                                                         added to the output
 
@@ -44,10 +44,11 @@ no rest winds anything.
 
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
-taken up as ``e`` passes zero, over a fifth of the friction's part, foreseen by the look-ahead as
-the motor takes its time. The flank follows the way of the command, as friction does: where the
-force turns over in the last tenths of a micrometre of a move, the guide holds the table wherever
-the nut is, and a motor that still crossed the gap would throw it.
+taken up as ``e`` passes zero, from -W to W, foreseen by the look-ahead as the motor takes its
+time. A nut that is only soft around zero force, as one without preload, takes its G up just so:
+in proportion to the force, until W is reached. The flank follows the way of the command, as
+friction does: where the force turns over in the last tenths of a micrometre of a move, the guide
+holds the table wherever the nut is, and a motor that still crossed the gap would throw it.
 """
 
 import math
@@ -60,7 +61,6 @@ from numba import njit
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
 
-FLANK_FRAC = 0.2  # of the friction's elastic part: over this the law crosses the gap
 REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
 REST_FADE_PER_CYCLE = 0.01  # of the torque's: 0.37 is left
 UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
@@ -100,16 +100,15 @@ class CompensationLaw:
         TR and PR: friction that changes once per turn.
     ripple_Nm, ripple_order, ripple_phase_rad : float
         TH, n, PH: cogging, the strongest order of it.
-    ripple_lookahead_s : float
-        LR, from latency to the torque at the shaft.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
         Clamps that the running law applies.
     valid_speed_m_per_s, valid_acceleration_m_per_s2 : float
         Range of motions that the coefficients were fitted on.
-    gap_half_m : float
-        G, half the clearance of the nut; needs a positive ``coulomb_m``, which tells the flank.
+    gap_half_m, gap_width_m : float
+        G, half the clearance of the nut, and W, the elastic correction at which all of it is taken
+        up; needs positive ``coulomb_m``, which tells the flank, and W.
     every_cycles : int
         Servo cycles between two passes of the law; 2 halves what PLC 0 costs.
     provenance : dict
@@ -138,7 +137,7 @@ class CompensationLaw:
     ripple_Nm: float = 0.0
     ripple_order: float = 0.0
     ripple_phase_rad: float = 0.0
-    ripple_lookahead_s: float = 0.0
+    gap_width_m: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -164,9 +163,11 @@ class CompensationLaw:
             )
         if self.jerk_limit_m_per_s3 <= 0.0:
             small.append("jerk_limit_m_per_s3")
-        if self.gap_half_m < 0.0 or (self.gap_half_m > 0.0 and self.coulomb_m <= 0.0):
+        flank = min(self.coulomb_m, self.gap_width_m)
+        if self.gap_half_m < 0.0 or (self.gap_half_m > 0.0 and flank <= 0.0):
             raise ModelError(
-                "A law takes up a gap only with a positive friction term, which tells the flank.",
+                "A law takes up a gap only with a positive friction term, which tells the flank, "
+                "and a width over which it does.",
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
@@ -349,10 +350,10 @@ def _evaluate(
         if p[29] > 0.0:
             f = e + p[8] * (p[0] * j + p[2] * a)
             way = abs(v) * period / p[7]
-            g = (g + way * f / (FLANK_FRAC * p[4] + abs(f))) / (1.0 + way)
+            g = (g + way * f / max(p[22], abs(f))) / (1.0 + way)
             e += p[29] * g
         correction[k] = e + p[6] * j
-        angle = 2.0 * math.pi * (r[k] + p[22] * v) / p[16]
+        angle = 2.0 * math.pi * (r[k] + p[8] * v) / p[16]
         level = p[12] + p[13] * abs(a) + p[17] * math.sin(angle + p[18])
         ripple = p[19] * math.sin(p[20] * angle + p[21])
         torque[k] = p[9] * a + p[10] * j + p[11] * v + level * t + p[14] + ripple + wound

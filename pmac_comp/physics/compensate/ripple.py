@@ -102,17 +102,14 @@ def turn_torque(
     )
 
 
-def with_turn_torque(
-    law: CompensationLaw, found: TurnTorque, *, drive_delay_s: float, latency_s: float
-) -> CompensationLaw:
-    """Law with the torque per turn, ahead by the drive's delay and the door's latency."""
+def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:
+    """Law with the torque per turn, which it looks ahead for as for friction."""
     return law.with_values(
         ripple_Nm=found.ripple_Nm,
         ripple_order=float(found.order),
         ripple_phase_rad=found.ripple_phase_rad,
         turn_friction_Nm=found.friction_Nm,
         turn_phase_rad=found.friction_phase_rad,
-        ripple_lookahead_s=drive_delay_s + latency_s,
     )
 
 

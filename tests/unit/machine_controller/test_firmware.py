@@ -101,7 +101,7 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
 LAW = LawParameters(
     A0=11.3, A1=2e-6, V0=0.0087, V1=1e-8, S0=0.93, S1=8e-7, X0=1000.0, S_INV=0.05,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
-    GH=2.5, TE=0.9, T_LIMIT=9000.0, KP=0.036, LR=3.0, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
+    GH=2.5, TE=0.9, T_LIMIT=9000.0, KP=0.036, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
 )  # fmt: skip
 
 

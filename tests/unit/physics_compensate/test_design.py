@@ -6,6 +6,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.design import (
+    NutGap,
     design_law,
     design_motions,
     model_loop,
@@ -93,7 +94,7 @@ def test_wind_up_stays_at_rest_and_the_law_holds_its_offset(law: CompensationLaw
 def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     model = DriveModel.base(BENCH).with_effect("backlash", {"gap_m": 5e-6})
     motions = design_motions(BENCH)[1:6:2]
-    gap = (2.5e-6, model_loop(DriveModel.base(BENCH)))
+    gap = NutGap(2.5e-6, 0.0, model_loop(DriveModel.base(BENCH)))
     with_gap = design_law(BENCH, model_loop(model), gap=gap, motions=motions)
     without = design_law(BENCH, model_loop(model), motions=motions)
     assert with_gap.gap_half_m == pytest.approx(2.5e-6, rel=0.25)

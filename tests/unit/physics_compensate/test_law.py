@@ -36,7 +36,7 @@ LAW = CompensationLaw(
     ripple_Nm=0.04,
     ripple_order=20.0,
     ripple_phase_rad=-1.0,
-    ripple_lookahead_s=1.6e-3,
+    gap_width_m=0.2e-6,
     torque_constant_Nm=0.01,
     origin_m=0.02,
     torque_limit_Nm=17.0,
@@ -160,7 +160,9 @@ def test_gap_is_taken_up_with_the_force_and_not_with_the_velocity() -> None:
     position = 0.02 * np.cos(2.0 * np.pi * 2.0 * t)
     law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6)
     plain = evaluate_law(law, position, PERIOD).correction_m
-    with_gap = evaluate_law(law.with_values(gap_half_m=2.5e-6), position, PERIOD).correction_m
+    with_gap = evaluate_law(
+        law.with_values(gap_half_m=2.5e-6, gap_width_m=0.2e-6), position, PERIOD
+    ).correction_m
     flank = (with_gap - plain) / 2.5e-6
     # Braking with 3.1 m/s2 at most, six times the friction: the flank turns long before the end.
     clear = (np.abs(plain) > 1e-6) & (t > 0.02)  # the flank is known once the axis moves
@@ -191,7 +193,12 @@ def flank_of(
 
 def test_nut_is_sent_across_the_gap_before_the_force_turns() -> None:
     law = CompensationLaw(
-        inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, lookahead_s=2e-3, gap_half_m=2e-6
+        inertia_s2=2e-6,
+        coulomb_m=1e-6,
+        breakaway_m=1e-6,
+        lookahead_s=2e-3,
+        gap_half_m=2e-6,
+        gap_width_m=0.2e-6,
     )
     flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
     turned = np.flatnonzero((flank[:-1] > 0.0) & (flank[1:] <= 0.0))
@@ -201,7 +208,9 @@ def test_nut_is_sent_across_the_gap_before_the_force_turns() -> None:
 
 
 def test_flank_stays_where_the_force_turns_with_the_very_end_of_a_move() -> None:
-    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6)
+    law = CompensationLaw(
+        inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6, gap_width_m=0.2e-6
+    )
     flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
     assert plain[-1] > 0.6e-6
     assert flank[-1] < -0.4
@@ -211,10 +220,20 @@ def test_flank_stays_where_the_force_turns_with_the_very_end_of_a_move() -> None
     assert flank[-1] > 0.5
 
 
-@pytest.mark.parametrize("coulomb_m", [0.0, -1e-6])
-def test_gap_without_friction_that_tells_its_flank_is_refused(coulomb_m: float) -> None:
+def test_soft_zone_is_taken_up_in_proportion_to_the_force() -> None:
+    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=0.5e-6, breakaway_m=1e-6)
+    soft = law.with_values(gap_half_m=1e-6, gap_width_m=3e-6)
+    flank, plain = flank_of(soft, acceleration_m_per_s2=4.0, s_curve_s=0.15)
+    told = np.clip(plain / 3e-6, -1.0, 1.0)
+    under_way = slice(round(0.02 / PERIOD), np.flatnonzero(np.diff(plain))[-1] - 20)
+    assert np.max(np.abs(flank - told)[under_way]) < 0.12
+    assert np.ptp(told[under_way]) > 1.9
+
+
+@pytest.mark.parametrize(("coulomb_m", "width_m"), [(0.0, 1e-7), (-1e-6, 1e-7), (1e-6, 0.0)])
+def test_gap_without_what_tells_its_flank_is_refused(coulomb_m: float, width_m: float) -> None:
     with pytest.raises(ModelError, match="flank"):
-        CompensationLaw(gap_half_m=2e-6, coulomb_m=coulomb_m)
+        CompensationLaw(gap_half_m=2e-6, coulomb_m=coulomb_m, gap_width_m=width_m)
 
 
 def test_motion_the_other_way_gives_the_opposite() -> None:

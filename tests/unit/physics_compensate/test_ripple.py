@@ -70,12 +70,12 @@ def test_friction_once_per_turn_is_found() -> None:
 def test_nothing_is_found_on_a_drive_without_ripple() -> None:
     got = found({})
     assert (got.order, got.ripple_Nm, got.friction_Nm) == (0, 0.0, 0.0)
-    assert with_turn_torque(LAW, got, drive_delay_s=DELAY_s, latency_s=0.0).ripple_Nm == 0.0
+    assert with_turn_torque(LAW, got).ripple_Nm == 0.0
 
 
 def test_the_law_sends_the_torque_ahead_of_the_angle() -> None:
     got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1.0)
-    law = with_turn_torque(LAW, got, drive_delay_s=DELAY_s, latency_s=PERIOD)
+    law = with_turn_torque(LAW.with_values(lookahead_s=DELAY_s + PERIOD), got)
     r = np.concatenate([np.zeros(50), 0.05 * PERIOD * np.arange(4000)])
     sent = evaluate_law(law, r, PERIOD).torque_Nm
     there = r + 0.05 * (DELAY_s + PERIOD)

@@ -7,10 +7,14 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.constant import TWO_STD
 from pmac_comp.physics.compensate.delay import drive_delay_s
+from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.workflow.dynamic_law import (
     constant_remarks,
+    dynamic_law,
     nut_gap,
     without_turn,
 )
@@ -42,11 +46,26 @@ def test_gap_of_a_grown_model_is_that_of_backlash_or_of_the_soft_zone() -> None:
     assert nut_gap(base) is None
     found = nut_gap(base.with_effect("backlash", {"gap_m": 5e-6}))
     assert found is not None
-    assert found[0] == pytest.approx(2.5e-6)
+    assert found.half_m == pytest.approx(2.5e-6)
+    assert found.edge_m_per_s2 == 0.0
     soft = {"half_width_m": 4e-6, "stiffness_ratio": 0.25}
     found = nut_gap(base.with_effect("preload_loss", soft))
     assert found is not None
-    assert found[0] == pytest.approx(3e-6)
+    assert found.half_m == pytest.approx(3e-6)
+    # At the edge of the zone the nut's 180 N/um carry a quarter of 4 um: the force on 122.86 kg.
+    assert found.edge_m_per_s2 == pytest.approx(180.0 / 122.86, rel=0.02)
+
+
+def test_law_of_a_nut_without_preload_follows_its_soft_zone() -> None:
+    soft = {"half_width_m": 2e-6, "stiffness_ratio": 0.4}
+    model = DriveModel.base(BENCH).with_effect("preload_loss", soft)
+    law = dynamic_law(BENCH, model, "law")
+    # The nut's spring gives 144 N there, on 122.86 kg at 2.2 um per m/s2.
+    assert law.gap_width_m == pytest.approx(144.0 / 122.86 * 2.2e-6, rel=0.25)
+    assert law.gap_half_m == pytest.approx(1.2e-6, rel=0.25)
+    slow = sinusoid(period_s=BENCH.servo_period_s, amplitude_m=0.047, frequency_Hz=0.72, cycles=2.0)
+    expected = promise(law, model_loop(model), slow, latency_cycles=1)
+    assert expected.e_r_after_um < 0.08 * expected.e_before_um
 
 
 def test_load_that_only_the_runs_know_is_said_with_its_force() -> None:

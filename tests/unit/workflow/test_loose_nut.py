@@ -26,7 +26,7 @@ def test_promise_is_made_by_the_model_with_the_gap_also_from_a_file() -> None:
     loose = loosened(MODEL, CompensationLaw(provenance=note))
     gap = nut_gap(loose)
     assert gap is not None
-    assert gap[0] == pytest.approx(1e-6)
+    assert gap.half_m == pytest.approx(1e-6)
     assert loose.parameters["coulomb.guide_N"] == 41.0
     assert loosened(loose, CompensationLaw(provenance=note)) == loose
 
