@@ -87,18 +87,36 @@ def test_f20_reset_after_any_packet_of_any_change(
     after = standing(rig.run(asked.append))
     assert after != rig.before
     for k in thinned(asked, 6, exhaustive=exhaustive):
-        bench = rig.run(lambda n, k=k: rig.card.reset() if n == k else None)  # type: ignore[misc]
-        bench.session.close()
-        bench = rig.awake()
-        result = recovery.recover(bench.link, bench.context)
-        found = standing(bench)
-        as_meant = (result.verdict is ControllerState.NEW) is not scenario.undoes
-        meant = after if as_meant else rig.before
-        wrong = differing(found, meant)
-        if result.verdict is ControllerState.DISABLED:
-            # Reset after the last look: what was there before stands, which had no tables.
-            assert "reset without SAVE" in str(result.notes), (k, result)
-            assert not wrong, (k, difference(found, meant))
-        assert not wrong, (k, result, difference(found, meant))
-        bench.session.close()
+        judge_reset(rig, after, k)
         count_runs(1)
+
+
+def test_f20_a_reset_between_the_parts_of_a_rollback_brings_nothing_back(
+    tmp_path: Path, count_runs: Count
+) -> None:
+    """What SAVE kept of the upload comes up again, parts that were taken back before included."""
+    (scenario,) = (s for s in SCENARIOS if s.undoes)
+    rig = ResetBench(tmp_path, scenario)
+    asked: list[int] = []
+    after = standing(rig.run(asked.append))
+    for k in asked[len(asked) // 2 :: 4]:
+        judge_reset(rig, after, k)
+        count_runs(1)
+
+
+def judge_reset(rig: ResetBench, after: Standing, k: int) -> None:
+    """Reset at the k-th request of the change; what ``recover`` says is what stands."""
+    bench = rig.run(lambda n: rig.card.reset() if n == k else None)
+    bench.session.close()
+    bench = rig.awake()
+    result = recovery.recover(bench.link, bench.context)
+    found = standing(bench)
+    as_meant = (result.verdict is ControllerState.NEW) is not rig.scenario.undoes
+    meant = after if as_meant else rig.before
+    wrong = differing(found, meant)
+    if result.verdict is ControllerState.DISABLED:
+        # Reset after the last look: what was there before stands, which had no tables.
+        assert "reset without SAVE" in str(result.notes), (k, result)
+        assert not wrong, (k, difference(found, meant))
+    assert not wrong, (k, result, difference(found, meant))
+    bench.session.close()

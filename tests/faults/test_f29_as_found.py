@@ -27,6 +27,7 @@ pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 BENCH = load_bench("paper")
 MOTION = "sine:amplitude_mm=0.2,frequency_Hz=5,cycles=2"
+_MOTION_s = 8.0  # what a host that died has begun runs to its end on the card
 FOREIGN = ("UNDEFINE ALL", "&1#1->500X", "&2#3->7Z", "I5190=500", "CLOSE")
 OURS = ("CLOSE", "OPEN PROG 703 CLEAR", "DWELL100", "DWELL50", "CLOSE")
 
@@ -153,7 +154,7 @@ def test_f29_after_a_kill_recover_leaves_the_card_as_found(
             with pytest.raises(LinkError):
                 desk.capture()
         desk.bench.reconnect()
-        desk.bench.clock.sleep_s(2.0)
+        desk.bench.clock.sleep_s(_MOTION_s)
         with session.open_axis("sim://", "paper") as axis:
             context = context_of(axis, desk.store)
             recovery.recover(axis.link, context)

@@ -63,6 +63,7 @@ from pmac_comp.machine.controller.transaction import (
 )
 
 _TAKING_BACK: Final = "taking back"  # of an upload that stood whole
+_MOST_LOOKS: Final = 4  # at what was taken back; more than one only where the card was reset
 
 
 @contextmanager
@@ -446,7 +447,8 @@ def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[s
     if was_done:
         # From here on less than all of it may stand: `recover` has to know.
         group.write(_TAKING_BACK)
-    for part in reversed([p for p in parts_of(context) if p.journal.group == group.group]):
+    parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
+    for part in parts:
         if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
             continue  # a reset in between may have brought back what was taken back already
         if part.items & _replaced_since(context, part):
@@ -459,8 +461,25 @@ def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[s
                     group.write(DONE)  # nothing was taken back yet
                 raise
         part.journal.write(ROLLED_BACK)
+    notes += _what_came_back(link, alone, parts)
     group.write(ROLLED_BACK)
     return tuple(dict.fromkeys(notes))  # several parts may be of one kind
+
+
+def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequence[str]:
+    """Take back again what a reset meanwhile has brought back, if the upload had been saved."""
+    notes: list[str] = []
+    own = [p for p in parts if not p.items & _replaced_since(context, p)]
+    for _ in range(_MOST_LOOKS):
+        again = [p for p in own if not missing(link, context, p)]
+        for part in again:
+            notes.append(take_back(link, context, part))
+            part.journal.write(ROLLED_BACK)
+            if not missing(link, context, part):
+                own.remove(part)  # it stands as it stood before the upload
+        if not again:
+            break
+    return notes
 
 
 def _replaced_since(context: Context, part: Part) -> set[object]:
