@@ -9,6 +9,9 @@ the screw up. Both look the same at constant speed. Under acceleration they part
 the direction of motion, the flank follows the force in the nut. So gap, guide friction and axial
 stiffness are fitted together to table minus motor alone, where torque, which shows no gap, cannot
 pull. The friction that the guide loses stays at the motor: their sum is what the torque measured.
+
+A nut without preload is soft around zero force instead of free: its lost motion grows with the
+force up to the edge of the zone. Where that leaves clearly less than play does, it is taken.
 """
 
 import math
@@ -29,14 +32,19 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 _GAP, _GUIDE = "backlash.gap_m", "coulomb.guide_N"
+_ZONE, _RATIO = "preload_loss.half_width_m", "preload_loss.stiffness_ratio"
 _MOTOR, _STIFFNESS = "coulomb.motor_Nm", "chain.axial_stiffness_N_per_m"
-_LEAST_GAP_m = 0.3e-6
+_LEAST_GAP_um = 0.3
 _LEAST_GAIN_FRAC = 0.1  # of the rms that stays without a gap: plants without one gain at most 0.01
 _SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
 _DECIMATION = 4
 _MOST_STEPS = 12
 _FACTORS = (0.05, 3.0), (0.3, 3.0)  # of guide friction and stiffness
-_MOST_GAP_um = 100.0
+# What is fitted beside these: name, SI of a unit of it, bounds in that unit.
+_Extra = tuple[tuple[str, float, tuple[float, float]], ...]
+_NOTHING: _Extra = ()
+_PLAY: _Extra = ((_GAP, 1.0 / UM_PER_M, (0.0, 100.0)),)
+_SOFT: _Extra = ((_ZONE, 1.0 / UM_PER_M, (0.05, 50.0)), (_RATIO, 1.0, (0.05, 0.95)))
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,7 @@ class Clearance:
     Parameters
     ----------
     values : Mapping of str to float
-        Gap and what changes beside it, full names, SI.
+        Gap or soft zone and what changes beside it, full names, SI.
     without_um, with_um : float
         Rms of the mechanical error that stays, with these parameters fitted without and with gap.
     """
@@ -57,14 +65,23 @@ class Clearance:
 
     @property
     def gap_m(self) -> float:
-        """Full clearance in m."""
-        return self.values[_GAP]
+        """Full clearance in m; of a soft zone what it gives beyond the stiff spring."""
+        if _GAP in self.values:
+            return self.values[_GAP]
+        return 2.0 * (1.0 - self.values[_RATIO]) * self.values[_ZONE]
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether it is a soft zone and no play."""
+        return _ZONE in self.values
 
 
 def with_clearance(model: "DriveModel", values: Mapping[str, float]) -> "DriveModel":
-    """Model with a gap in the nut and the parameters beside it (``Clearance.values``)."""
-    others = {name: value for name, value in values.items() if name != _GAP}
-    return model.with_parameters(others).with_effect("backlash", {_GAP: values[_GAP]})
+    """Model with the gap of the nut and the parameters beside it (``Clearance.values``)."""
+    own = {name: value for name, value in values.items() if name in {_GAP, _ZONE, _RATIO}}
+    others = {name: value for name, value in values.items() if name not in own}
+    effect = "backlash" if _GAP in own else "preload_loss"
+    return model.with_parameters(others).with_effect(effect, own)
 
 
 def measured_clearance(
@@ -90,12 +107,14 @@ def measured_clearance(
     runs = [run for run in runs if run.use.any()]
     if not runs or model.is_rigid or not _can_hide(model):
         return None
-    wound = _fit(model, runs, np.array([1.0, 1.0]))
-    loose = _fit(model, runs, np.array([0.6 * wound.point[0], 1.2 * wound.point[1], 1.0]))
-    gap_m = loose.point[2] / UM_PER_M
-    if gap_m < _LEAST_GAP_m or loose.rms_um > (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um:
+    wound = _fit(model, runs, [1.0, 1.0], _NOTHING)
+    loose = _fit(model, runs, [0.6 * wound.point[0], 1.2 * wound.point[1], 1.0], _PLAY)
+    gap_um = loose.point[2]
+    if gap_um < _LEAST_GAP_um or loose.rms_um > (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um:
         return None
-    return Clearance(_values(model, loose.point), wound.rms_um, loose.rms_um)
+    soft = _fit(model, runs, [*loose.point[:2], 1.5 * gap_um, 0.5], _SOFT)
+    best = soft if soft.rms_um < (1.0 - _LEAST_GAIN_FRAC) * loose.rms_um else loose
+    return Clearance(_values(model, best.point, best.extra), wound.rms_um, best.rms_um)
 
 
 def settled(capture: Capture) -> BoolArray:
@@ -128,18 +147,19 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Factors of guide friction and stiffness, gap in um where it is fitted, and what stays."""
+    """Factors of guide friction and stiffness, what is fitted beside them, and what stays."""
 
     point: FloatArray
+    extra: _Extra
     rms_um: float
 
 
-def _fit(model: "DriveModel", runs: Sequence[_Run], start: FloatArray) -> _Fit:
-    bounds = [*_FACTORS, (0.0, _MOST_GAP_um)][: start.size]
+def _fit(model: "DriveModel", runs: Sequence[_Run], start: Sequence[float], extra: _Extra) -> _Fit:
+    bounds = [*_FACTORS, *(limits for _, _, limits in extra)]
     lower, upper = (np.array(side) for side in zip(*bounds, strict=True))
 
     def residual(point: FloatArray) -> FloatArray:
-        return _rest_um(model, runs, point)
+        return _rest_um(_moved(model, point, extra), runs)
 
     solved = least_squares(
         residual,
@@ -150,12 +170,12 @@ def _fit(model: "DriveModel", runs: Sequence[_Run], start: FloatArray) -> _Fit:
         xtol=1e-3,
         ftol=1e-3,
     )
-    return _Fit(solved.x, math.sqrt(2.0 * solved.cost / len(runs)))
+    return _Fit(solved.x, extra, math.sqrt(2.0 * solved.cost / len(runs)))
 
 
-def _rest_um(model: "DriveModel", runs: Sequence[_Run], point: FloatArray) -> FloatArray:
+def _rest_um(model: "DriveModel", runs: Sequence[_Run]) -> FloatArray:
     """What a model leaves of the mechanical error, each run with the same weight."""
-    loop = model_loop(_moved(model, point))
+    loop = model_loop(model)
     parts = []
     for run in runs:
         signals = loop(run.commanded_m, None, None)
@@ -166,18 +186,18 @@ def _rest_um(model: "DriveModel", runs: Sequence[_Run], point: FloatArray) -> Fl
     return np.concatenate(parts)
 
 
-def _moved(model: "DriveModel", point: FloatArray) -> "DriveModel":
-    values = _values(model, point)
-    return with_clearance(model, values) if _GAP in values else model.with_parameters(values)
+def _moved(model: "DriveModel", point: FloatArray, extra: _Extra) -> "DriveModel":
+    values = _values(model, point, extra)
+    return with_clearance(model, values) if extra else model.with_parameters(values)
 
 
-def _values(model: "DriveModel", point: FloatArray) -> dict[str, float]:
+def _values(model: "DriveModel", point: FloatArray, extra: _Extra) -> dict[str, float]:
     own = model.parameters
     guide_N = own[_GUIDE] * float(point[0])
     per_N = model.bench.pitch_m / (2.0 * math.pi)
-    values = {
+    beside = zip(extra, point[2:].tolist(), strict=True)
+    return {
         _GUIDE: guide_N,
         _MOTOR: max(0.0, own[_MOTOR] + (own[_GUIDE] - guide_N) * per_N),
         _STIFFNESS: own[_STIFFNESS] * float(point[1]),
-    }
-    return values if point.size < 3 else {**values, _GAP: float(point[2]) / UM_PER_M}
+    } | {name: value * unit for (name, unit, _), value in beside}

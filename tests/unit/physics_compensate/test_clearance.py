@@ -66,6 +66,7 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     true = DriveModel.base(BENCH, TRUE).with_effect("backlash", {"gap_m": gap_m})
     found = measured_clearance(winding(110.0, 0.7), runs_of(true), None)
     assert found is not None
+    assert not found.is_soft
     assert found.gap_m == pytest.approx(gap_m, rel=0.1)
     assert found.values["coulomb.guide_N"] == pytest.approx(45.0, rel=0.2)
     assert found.values["chain.axial_stiffness_N_per_m"] == pytest.approx(
@@ -78,6 +79,19 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     lost_Nm = (110.0 - found.values["coulomb.guide_N"]) * BENCH.pitch_m / (2.0 * np.pi)
     start_Nm = winding(110.0, 0.7).parameters["coulomb.motor_Nm"]
     assert loose.parameters["coulomb.motor_Nm"] == pytest.approx(start_Nm + lost_Nm)
+
+
+def test_nut_without_preload_is_told_from_play() -> None:
+    zone = {"half_width_m": 2e-6, "stiffness_ratio": 0.4}
+    true = DriveModel.base(BENCH, TRUE).with_effect("preload_loss", zone)
+    found = measured_clearance(winding(90.0, 0.8), runs_of(true), None)
+    assert found is not None
+    assert found.is_soft
+    assert found.values["preload_loss.half_width_m"] == pytest.approx(2e-6, rel=0.2)
+    assert found.gap_m == pytest.approx(2.4e-6, rel=0.2)
+    soft = with_clearance(winding(90.0, 0.8), found.values)
+    assert soft.parameters["preload_loss.stiffness_ratio"] == pytest.approx(0.4, rel=0.2)
+    assert "backlash" not in soft.effects
 
 
 @pytest.mark.parametrize(("guide_N", "stiffness"), [(45.0, 1.0), (70.0, 0.85)])

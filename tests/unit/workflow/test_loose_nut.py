@@ -42,5 +42,17 @@ def test_nothing_found_changes_and_says_nothing() -> None:
 def test_person_reads_what_was_found_and_who_names_it() -> None:
     (text,) = clearance_remarks(CompensationLaw(provenance=clearance_note(FOUND)))
     assert "2.00 um" in text
+    assert "as a gap does" in text
     assert "0.22 um rms" in text
     assert "diagnose" in text
+
+
+def test_soft_nut_is_said_as_such() -> None:
+    zone = {"preload_loss.half_width_m": 2e-6, "preload_loss.stiffness_ratio": 0.4}
+    note = clearance_note(Clearance(zone, 0.43, 0.18))
+    (text,) = clearance_remarks(CompensationLaw(provenance=note))
+    assert "2.40 um" in text
+    assert "soft around zero force" in text
+    gap = nut_gap(loosened(MODEL, CompensationLaw(provenance=note)))
+    assert gap is not None
+    assert gap.half_m == pytest.approx(1.2e-6)
