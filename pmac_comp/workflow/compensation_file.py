@@ -217,5 +217,6 @@ def _bad(path: Path, reason: str) -> ConfigError:
     return ConfigError(
         f"{path} is not a compensation file: {reason}.",
         code="PC-DEP-002",
-        hint="`pmac-comp compensate` writes compensation files.",
+        hint="`pmac-comp compensate` writes compensation files; one that another version wrote is "
+        "computed again.",
     )
