@@ -320,6 +320,9 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     out["friction torque Nm"] = law.torque_coulomb_Nm
     out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
     out["look-ahead ms"] = law.lookahead_s * 1e3
+    if law.gap_half_m > 0.0:
+        out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
+        out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
     return out
 
 

@@ -33,6 +33,7 @@ from pmac_comp.workflow.tables import tables_of
 _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
 _SIXTEENTHS = 16.0
+_SPECIAL = frozenset({"GH", "GW", "TR", "TH"})  # coefficients of a law that many drives do without
 
 _COLUMNS = ("quantity", "old", "new", "unit")
 
@@ -203,7 +204,13 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
         ("torque, per speed", "TB", torque / m * period, "Nm/(m/s)"),
         ("torque, friction", "TC", torque, "Nm"),
         ("torque, constant", "T0", torque, "Nm"),
+        ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
+        ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),
+        ("torque, friction per turn", "TR", torque, "Nm"),
+        ("torque, cogging", "TH", torque, "Nm"),
     ]
+    # What not every drive has is shown where either law has it.
+    shown = [row for row in units if row[1] not in _SPECIAL or _has(row[1], old, new)]
     return [
         (
             name,
@@ -211,8 +218,12 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
             getattr(new, key) * factor,
             unit,
         )
-        for name, key, factor, unit in units
+        for name, key, factor, unit in shown
     ]
+
+
+def _has(key: str, *laws: LawParameters | None) -> bool:
+    return any(law is not None and getattr(law, key) != 0.0 for law in laws)
 
 
 def reference_motion(bench: Bench) -> tr.Trajectory:

@@ -190,7 +190,8 @@ class CompensationLaw:
     def largest_correction_m(self) -> float:
         """Largest correction within the law's range of speeds and accelerations, m."""
         fast = abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
-        return fast + abs(self.viscous_s) * self.valid_speed_m_per_s + abs(self.coulomb_m)
+        fast += abs(self.viscous_s) * self.valid_speed_m_per_s
+        return fast + abs(self.coulomb_m) + self.gap_half_m
 
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""

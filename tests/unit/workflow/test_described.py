@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -11,6 +12,9 @@ from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.workflow import computing
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compensate_files, describe
+from pmac_comp.workflow.difference import law_rows
+from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.scales import Scales
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
@@ -52,3 +56,27 @@ def test_a_table_is_described_without_a_law_that_it_does_not_carry() -> None:
     static = {name for name in told if name in table}
     assert static == set(table)
     assert not any("per " in name and "lead" not in name for name in table)
+
+
+def test_clearance_that_a_law_takes_up_is_told() -> None:
+    law = friction_law()
+    told = describe(BENCH, Compensation("law", law, None))
+    assert "clearance of the nut um" not in told
+    loose = law.with_values(gap_half_m=1.2e-6, gap_width_m=2.4e-6)
+    more = describe(BENCH, Compensation("law", loose, None))
+    assert more["clearance of the nut um"] == pytest.approx(2.4)
+    assert more["taken up over um (each side)"] == pytest.approx(2.4)
+    largest = "largest correction um"
+    assert more[largest] == pytest.approx(told[largest] + 1.2)
+
+
+def test_only_what_either_law_has_stands_in_the_difference() -> None:
+    scales = Scales.of(BENCH)
+    axis: Any = SimpleNamespace(scales=scales)
+    law = friction_law()
+    loose = law.with_values(gap_half_m=1.2e-6, gap_width_m=2.4e-6)
+    old, new = law_parameters(law, scales), law_parameters(loose, scales)
+    name = "law, clearance of the nut"
+    assert name not in {row[0] for row in law_rows(axis, old, old)}
+    (row,) = (row for row in law_rows(axis, new, old) if row[0] == name)
+    assert row[1:] == (pytest.approx(2.4, rel=1e-6), 0.0, "um")
