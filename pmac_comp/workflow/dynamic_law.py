@@ -101,8 +101,7 @@ def dynamic_law(
         law = designed(model, loop, noted)
     else:
         law = gripping
-    delay_s = drive_delay_s(model)
-    found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
+    found = turn_torque(law, loop, captures, drive_delay_s=drive_delay_s(model))
     law = with_turn_torque(law, found)
     law = with_constant_torque(law, loop, captures)
     said = {"turn_explained": found.explained, "grip_explained": grip}
@@ -172,6 +171,7 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     taken up at the zone's edge.
     """
     half_m, edge_N, rest = 0.0, 0.0, without_turn(model)
+    chain = model.kernel_vector()
     for name in model.effects:
         bare, place = split_name(name)
         if bare == "backlash":
@@ -180,13 +180,13 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
             ratio = model.parameters["preload_loss.stiffness_ratio"]
             zone_m = model.parameters["preload_loss.half_width_m"]
             half_m += (1.0 - ratio) * zone_m
-            edge_N = ratio * zone_m * model.kernel_vector()[slots.K_NUT]
+            edge_N = ratio * zone_m * chain[slots.K_NUT]
         else:
             continue
         rest = rest.without_effect(name)
     if half_m <= 0.0:
         return None
-    return NutGap(half_m, edge_N / model.kernel_vector()[slots.M_TABLE], model_loop(rest))
+    return NutGap(half_m, edge_N / chain[slots.M_TABLE], model_loop(rest))
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":

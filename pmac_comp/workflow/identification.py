@@ -272,10 +272,9 @@ def _start(bench: Bench, given: _Inputs) -> Start:
         return RELAXED
     desired_m = given.commanded_m if given.desired_m is None else given.desired_m
     period_s = float(np.median(np.diff(given.time_s)))
-    by_law_Nm = given.torque_Nm
-    if by_law_Nm is not None and given.feedforward_Nm is not None:
-        by_law_Nm = by_law_Nm - given.feedforward_Nm
-    return start_of(bench, desired_m, given.motor_m, by_law_Nm, period_s)
+    return start_of(
+        bench, desired_m, given.motor_m, given.torque_Nm, period_s, added_Nm=given.feedforward_Nm
+    )
 
 
 def _inputs(command: Path) -> _Inputs:

@@ -244,8 +244,7 @@ def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool)
     followed = _command(capture.desired_m, capture.mask)
     desired = on_servo_grid(followed)
     given = None if torque is None else bridged(torque, capture.mask)
-    by_law = given if given is None or forward is None else given - forward
-    start = start_of(bench, followed, readings[0], by_law, capture.sample_period_s)
+    start = start_of(bench, followed, readings[0], given, capture.sample_period_s, added_Nm=forward)
     first = first_under_way(bench, desired, start, period_s)
     if given is None and start.speed_m_per_s == 0.0:
         # What an integrator holds nobody knows then, until it has forgotten it.

@@ -141,13 +141,15 @@ def prepare(
 
 
 def _start(capture: Capture, bench: Bench) -> Start:
-    torque_Nm = capture.torque_command_Nm
-    if torque_Nm is None or EXTERNAL_FORCE in capture.extra:
+    if capture.torque_command_Nm is None or EXTERNAL_FORCE in capture.extra:
         return RELAXED
-    by_law_Nm = torque_Nm - capture.extra.get(TORQUE_FEEDFORWARD, 0.0)
-    desired_m = bridged(capture.desired_m, capture.mask)
-    motor_m, held_Nm = (bridged(c, capture.mask) for c in (capture.motor_position_m, by_law_Nm))
-    return start_of(bench, desired_m, motor_m, held_Nm, capture.sample_period_s)
+    columns = (capture.desired_m, capture.motor_position_m, capture.torque_command_Nm)
+    desired_m, motor_m, torque_Nm = (bridged(c, capture.mask) for c in columns)
+    added = capture.extra.get(TORQUE_FEEDFORWARD)
+    added_Nm = None if added is None else bridged(added, capture.mask)
+    return start_of(
+        bench, desired_m, motor_m, torque_Nm, capture.sample_period_s, added_Nm=added_Nm
+    )
 
 
 def response_of(

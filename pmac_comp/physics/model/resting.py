@@ -43,6 +43,8 @@ def start_of(
     motor_m: FloatArray,
     torque_Nm: FloatArray | None,
     period_s: float,
+    *,
+    added_Nm: FloatArray | None = None,
 ) -> Start:
     """State of controller and axis when a run begins.
 
@@ -64,6 +66,8 @@ def start_of(
         Measured torque command.
     period_s : float
         Sample period.
+    added_Nm : ndarray, shape (n,), or None
+        Captured part of that torque which was added to what the control law gave.
 
     Returns
     -------
@@ -71,6 +75,8 @@ def start_of(
     """
     if not np.ptp(motor_m) and np.ptp(desired_m):
         return RELAXED  # a column left empty, as of a run that is to be foretold
+    if torque_Nm is not None and added_Nm is not None:
+        torque_Nm = torque_Nm - added_Nm
     vector = DriveModel.base(bench).kernel_vector()
     left = np.flatnonzero(np.abs(desired_m - desired_m[0]) > _REST_m)
     first = slice(0, max(round(_REST_s / period_s), _LEAST_REST))

@@ -41,6 +41,9 @@ LAW = CompensationLaw(
     origin_m=0.02,
     torque_limit_Nm=17.0,
 )
+LOOSE = CompensationLaw(
+    inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6, gap_width_m=0.2e-6
+)
 SINE = sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=2.0, cycles=3.0, centre_m=0.1)
 
 
@@ -158,11 +161,8 @@ def test_turn_that_was_foreseen_and_did_not_come_is_taken_back() -> None:
 def test_gap_is_taken_up_with_the_force_and_not_with_the_velocity() -> None:
     t = np.arange(0.0, 1.0, PERIOD)
     position = 0.02 * np.cos(2.0 * np.pi * 2.0 * t)
-    law = CompensationLaw(inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6)
-    plain = evaluate_law(law, position, PERIOD).correction_m
-    with_gap = evaluate_law(
-        law.with_values(gap_half_m=2.5e-6, gap_width_m=0.2e-6), position, PERIOD
-    ).correction_m
+    plain = evaluate_law(LOOSE.with_values(gap_half_m=0.0), position, PERIOD).correction_m
+    with_gap = evaluate_law(LOOSE.with_values(gap_half_m=2.5e-6), position, PERIOD).correction_m
     flank = (with_gap - plain) / 2.5e-6
     # Braking with 3.1 m/s2 at most, six times the friction: the flank turns long before the end.
     clear = (np.abs(plain) > 1e-6) & (t > 0.02)  # the flank is known once the axis moves
@@ -192,14 +192,7 @@ def flank_of(
 
 
 def test_nut_is_sent_across_the_gap_before_the_force_turns() -> None:
-    law = CompensationLaw(
-        inertia_s2=2e-6,
-        coulomb_m=1e-6,
-        breakaway_m=1e-6,
-        lookahead_s=2e-3,
-        gap_half_m=2e-6,
-        gap_width_m=0.2e-6,
-    )
+    law = LOOSE.with_values(lookahead_s=2e-3)
     flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
     turned = np.flatnonzero((flank[:-1] > 0.0) & (flank[1:] <= 0.0))
     force = np.flatnonzero((plain[:-1] > 0.0) & (plain[1:] <= 0.0))
@@ -208,14 +201,11 @@ def test_nut_is_sent_across_the_gap_before_the_force_turns() -> None:
 
 
 def test_flank_stays_where_the_force_turns_with_the_very_end_of_a_move() -> None:
-    law = CompensationLaw(
-        inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6, gap_width_m=0.2e-6
-    )
-    flank, plain = flank_of(law, acceleration_m_per_s2=4.0, s_curve_s=0.015)
+    flank, plain = flank_of(LOOSE, acceleration_m_per_s2=4.0, s_curve_s=0.015)
     assert plain[-1] > 0.6e-6
     assert flank[-1] < -0.4
     # A slower end has way enough.
-    flank, plain = flank_of(law, acceleration_m_per_s2=1.0, s_curve_s=0.1)
+    flank, plain = flank_of(LOOSE, acceleration_m_per_s2=1.0, s_curve_s=0.1)
     assert plain[-1] > 0.6e-6
     assert flank[-1] > 0.5
 
