@@ -21,6 +21,7 @@ _LEAST_OF_PRIOR = 1e-2  # counted as information, so that the equations can be s
 _DISAGREE = 3.0
 _FEW_RUNS = 4
 _NO_PRIOR = 1e-12
+_ROUNDING = float(np.finfo(np.float64).eps)
 _BASE = ("chain", "coulomb", "viscous")
 
 
@@ -49,19 +50,20 @@ def covariance_of(problem: Problem, theta: FloatArray, final: Normal) -> FloatAr
 
 def _between_runs(problem: Problem, final: Normal) -> FloatArray:
     """Variances of the parameters from the scatter of whole runs, shape (p,); few runs: none."""
-    inverse = np.linalg.inv(final.hessian + np.diag(problem.weight))
     runs = np.unique(final.runs)
     if runs.size < _FEW_RUNS:
-        return np.zeros(inverse.shape[0])
-    pulls = np.stack([inverse @ final.scores[final.runs == run].sum(axis=0) for run in runs])
+        return np.zeros(problem.weight.size)
+    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
+    pulls = np.stack([root @ root.T @ final.scores[final.runs == run].sum(axis=0) for run in runs])
     pulls = pulls - pulls.mean(axis=0)
     return np.asarray(runs.size / (runs.size - 1) * np.sum(pulls**2, axis=0))
 
 
 def _sandwich(problem: Problem, theta: FloatArray, final: Normal) -> FloatArray:
     prior = np.diag(problem.weight)
-    inverse = np.asarray(np.linalg.inv(final.hessian + prior), dtype=np.float64)
-    scores = _jackknifed(final, inverse)
+    root, unroot = root_of_inverse(final.hessian + prior)
+    inverse = root @ root.T
+    scores = _jackknifed(final, root, unroot)
     meat = scores.T @ scores + final.prior_scores
     covariance = inverse @ (meat + prior) @ inverse
     if final.steady is not None:
@@ -82,7 +84,7 @@ def tempered(problem: Problem, final: Normal) -> Normal:
     """
     p = final.gradient.size
     prior = np.diag(problem.weight)
-    scores = _jackknifed(final, np.asarray(np.linalg.inv(final.hessian + prior)))
+    scores = _jackknifed(final, *root_of_inverse(final.hessian + prior))
     least = _LEAST_OF_PRIOR * prior + 1e-9 * np.diag(np.diag(final.hessian))
     root = np.linalg.cholesky(final.hessian + least)
     seen = solve_triangular(root, scores.T, lower=True)
@@ -123,16 +125,28 @@ def _shift_on_steady_rows(
     return shift
 
 
-def _jackknifed(final: Normal, inverse: FloatArray) -> FloatArray:
+def root_of_inverse(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R' the inverse of a symmetric matrix, and R^-T; shape (p, p) each.
+
+    An inverse by elimination of two parameters that hardly part is not positive definite in the
+    last digits. Here it is by construction: directions below the matrix's own rounding count as
+    that.
+    """
+    size = np.sqrt(np.diag(information))
+    scaled = information / np.outer(size, size)
+    known, turn = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    width = np.sqrt(np.maximum(known, _ROUNDING * known.size * known[-1]))
+    return turn / np.outer(size, width), np.outer(size, width) * turn
+
+
+def _jackknifed(final: Normal, root: FloatArray, unroot: FloatArray) -> FloatArray:
     """Block scores enlarged by what each block pulls the estimate to itself, shape (b, p).
 
     Source: cluster-robust covariance CR3 (Bell and McCaffrey 2002), the jackknife over blocks.
     """
-    root = np.linalg.cholesky(inverse)
     enlarged = []
     for hessian, score in zip(final.block_hessians, final.scores, strict=True):
         share, turn = np.linalg.eigh(root.T @ hessian @ root)
         factor = 1.0 / (1.0 - np.clip(share, 0.0, _MAX_LEVERAGE))
-        weights = solve_triangular(root, turn * factor, lower=True, trans="T")
-        enlarged.append(weights @ (turn.T @ (root.T @ score)))
+        enlarged.append(unroot @ (turn * factor) @ (turn.T @ (root.T @ score)))
     return np.stack(enlarged)

@@ -13,6 +13,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.covariance import root_of_inverse
 from pmac_comp.physics.identify.normal_equations import BLOCK_s
 from pmac_comp.physics.identify.output_error import Fit
 from pmac_comp.physics.identify.persistence import file_key
@@ -132,8 +133,8 @@ def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
     if len(index) < len(names):
         return False
     # What the runs excite decides, not what the model misfits: that widens the intervals instead.
-    excited = np.linalg.inv(fit.information + np.diag(fit.prior)) * np.outer(fit.scales, fit.scales)
-    std = float(np.sqrt(excited[np.ix_(index, index)].sum()))
+    root, _ = root_of_inverse(fit.information + np.diag(fit.prior))
+    std = float(np.linalg.norm(fit.scales[index] @ root[index]))
     # A value that something unnamed has pushed to nothing is no less determined than it was before.
     size = max(
         sum(abs(fit.model.parameters[name]) for name in names),

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.covariance import covariance_of, tempered
+from pmac_comp.physics.identify.covariance import covariance_of, root_of_inverse, tempered
 from pmac_comp.physics.identify.normal_equations import (
     Normal,
     channel_costs,
@@ -357,11 +356,11 @@ def _bounded_step(
 ) -> FloatArray:
     """Gauss-Newton step within the bounds: clipping a free step would break tied sums."""
     low, high = problem.bounds
-    lower = np.linalg.cholesky(matrix)
-    target = solve_triangular(lower, gradient, lower=True)
+    root, unroot = root_of_inverse(matrix)
+    target = root.T @ gradient
     margin = 1e-12
     found = lsq_linear(
-        lower.T, target, bounds=(low - theta - margin, high - theta + margin), method="bvls"
+        unroot.T, target, bounds=(low - theta - margin, high - theta + margin), method="bvls"
     )
     return np.asarray(found.x)
 
