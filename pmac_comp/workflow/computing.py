@@ -306,9 +306,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         "per acceleration um/(m/s2)": law.inertia_s2 * UM_PER_M,
         "per speed um/(m/s)": law.viscous_s * UM_PER_M,
         "friction um (each side)": law.coulomb_m * UM_PER_M,
-        "change along the travel %/m": 100.0
-        * law.inertia_per_m_s2_per_m
-        / max(abs(law.inertia_s2), 1e-12),
+        "change along the travel %/m": 100.0 * law.compliance_slope_per_m,
         "largest correction um": law.largest_correction_m * UM_PER_M,
         "clamp um": law.amplitude_limit_m * UM_PER_M,
         "valid to m/s": law.valid_speed_m_per_s,
@@ -323,6 +321,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     if law.gap_half_m > 0.0:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
+        out["taken up with a lag of ms"] = law.gap_lag_s * 1e3
     return out
 
 

@@ -33,7 +33,8 @@ from pmac_comp.workflow.tables import tables_of
 _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
 _SIXTEENTHS = 16.0
-_SPECIAL = frozenset({"GH", "GW", "TR", "TH"})  # coefficients of a law that many drives do without
+# Coefficients of a law that many drives do without.
+_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH"})
 
 _COLUMNS = ("quantity", "old", "new", "unit")
 
@@ -207,6 +208,7 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
         ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
         ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),
         ("torque, friction per turn", "TR", torque, "Nm"),
+        ("torque, while the nut crosses", "TG", torque, "Nm"),
         ("torque, cogging", "TH", torque, "Nm"),
     ]
     # What not every drive has is shown where either law has it.

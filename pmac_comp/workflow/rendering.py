@@ -35,14 +35,13 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
     K = 1.0 / scales.motor_m_per_ct
     T = scales.period_s
     q = scales.torque_Nm_per_dac
+    pass_s = law.every_cycles * T
     return LawParameters(
         A0=law.inertia_s2 / T**2,
-        A1=law.inertia_per_m_s2_per_m / (T**2 * K),
         V0=law.viscous_s / T,
-        V1=law.viscous_per_m_s_per_m / (T * K),
         S0=law.coulomb_m * K,
-        S1=law.coulomb_per_m,
-        X0=law.origin_m * K,
+        C0=1.0 - law.compliance_slope_per_m * law.origin_m,
+        C1=law.compliance_slope_per_m / K,
         S_INV=1.0 / (law.breakaway_m * K),
         J0=law.jerk_s3 / T**3,
         L1=law.lookahead_s / T,
@@ -53,8 +52,8 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),
         KP=360.0 / (law.turn_m * K),
-        GW=law.gap_width_m * K,
         TR=law.turn_friction_Nm / q,
+        NR=law.turn_order,
         PR=math.degrees(law.turn_phase_rad),
         TH=law.ripple_Nm / q,
         NH=law.ripple_order,
@@ -63,6 +62,9 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         T0=law.torque_constant_Nm / q,
         T_LIMIT=law.torque_limit_Nm / q,
         GH=law.gap_half_m * K,
+        GW=law.gap_width_m * K,
+        GL=pass_s / (law.gap_lag_s + pass_s),
+        TG=law.gap_torque_Nm / q,
     )
 
 

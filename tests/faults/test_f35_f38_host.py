@@ -140,9 +140,9 @@ def test_f36_what_cannot_be_said_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 @given(st.floats(min_value=1e-7, max_value=1e6))
 def test_f36_the_card_reads_and_prints_what_was_meant(value: float) -> None:
     bench = shared_bench()
-    law = LawParameters(A1=value, JL=1.0)
-    bench.link.command(f"P7011={plain(law.A1)}")
-    assert nine_digits(float(bench.link.query("P7011")[0])) == nine_digits(law.A1)
+    law = LawParameters(C1=value)
+    bench.link.command(f"P7011={plain(law.C1)}")
+    assert nine_digits(float(bench.link.query("P7011")[0])) == nine_digits(law.C1)
 
 
 _shared: list[CardBench] = []

@@ -25,18 +25,20 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
 
-    x = r - X0           v = dr                                   (differences over dn cycles)
+    v = dr                                                (differences over dn cycles)
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
-    e = (A0 + A1 x) a + (V0 + V1 x) v + (S0 + S1 x) s
+    e = (C0 + C1 r) (A0 a + V0 v + S0 s)
     f = e + L1 (A0 j + V0 a)                              the same L1 cycles later
     h = |v| dn S_INV     g = (g + h f / max(GW, |f|)) / (1 + h)      flank: goes with the force
-    c = e + GH g + J0 j
+    b = g - l            l = l + GL b                     flank as the motor changes it, and behind
+    c = e + GH l + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = (r + L1 v) KP                                     angle of the screw, degrees
-    q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(p + PR)) t + T0 + TH sin(NH p + PH)
+    q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(NR p + PR)) t + T0 + TH sin(NH p + PH)
+        + TG b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -69,8 +71,9 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 REST_FADE_PER_CYCLE: Final = 0.01  # that of the torque
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
+_CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
-_OF_ACCELERATION: Final = ("A0", "A1", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
+_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
 
 
 class Index(IntEnum):
@@ -118,12 +121,12 @@ class BankIndex(IntEnum):
     """Offsets within a bank."""
 
     A0 = 0  # counts per (count/SC^2)
-    A1 = 1  # the same per count of position
+    C1 = 1  # 1/counts, change of the compliance along the travel
     V0 = 2  # counts per (count/SC)
-    V1 = 3
+    GL = 3  # share of the way to a new flank that the motor goes in a pass
     S0 = 4  # counts
-    S1 = 5  # counts per count of position
-    X0 = 6  # counts, origin of x
+    TG = 5  # DAC units while the nut crosses its clearance
+    C0 = 6  # compliance at position zero, relative to where A0, V0 and S0 hold
     KP = 7  # degrees of the screw per count (I15 = 0)
     S_INV = 8  # 1/counts, inverse of the break-away distance of s
     TJ = 9  # DAC units per (count/SC^2)
@@ -135,7 +138,7 @@ class BankIndex(IntEnum):
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant
     GW = 17  # counts, elastic correction at which all of GH is taken up
-    TR = 18  # DAC units, friction once per turn
+    TR = 18  # DAC units, friction per turn
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
     T_LIMIT = 21  # DAC units, largest torque feed-forward
@@ -144,9 +147,9 @@ class BankIndex(IntEnum):
     NH = 24  # orders per turn
     PH = 25  # degrees
     GH = 26  # counts, half the clearance of the nut; with it S0 and GW are positive
-    SEALED = 27  # 20261 once the bank was read back
-    CRC_HIGH = 28
-    CRC_LOW = 29
+    NR = 27  # orders per turn of TR
+    SEALED = 28  # 20261 once the bank was read back
+    CRC = 29
 
 
 @dataclass(frozen=True)
@@ -192,9 +195,9 @@ class LawBlock:
 
 
 def bank_crc(values: Sequence[float]) -> int:
-    """CRC-32 of the first 27 values of a bank in nine-digit text."""
+    """Low 29 bits, nine digits, of the CRC-32 of a bank's coefficients in nine-digit text."""
     text = " ".join(nine_digits(value) for value in values[: BankIndex.SEALED])
-    return zlib.crc32(text.encode("ascii"))
+    return zlib.crc32(text.encode("ascii")) & _CRC_MASK
 
 
 @dataclass(frozen=True)
@@ -206,12 +209,10 @@ class LawParameters:
     """
 
     A0: float = 0.0
-    A1: float = 0.0
     V0: float = 0.0
-    V1: float = 0.0
     S0: float = 0.0
-    S1: float = 0.0
-    X0: float = 0.0
+    C0: float = 1.0
+    C1: float = 0.0
     S_INV: float = 0.0
     TJ: float = 0.0
     TB: float = 0.0
@@ -225,13 +226,16 @@ class LawParameters:
     T_LIMIT: float = 0.0
     TK: float = 0.0
     KP: float = 0.0
-    GW: float = 0.0
     TR: float = 0.0
+    NR: float = 1.0
     PR: float = 0.0
     TH: float = 0.0
     NH: float = 0.0
     PH: float = 0.0
     GH: float = 0.0
+    GW: float = 0.0
+    GL: float = 1.0
+    TG: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
@@ -253,6 +257,11 @@ class LawParameters:
                 "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
                 code="PC-LAW-006",
             )
+        if not 0.0 < self.GL <= 1.0:
+            raise ConfigError(
+                f"GL = {self.GL} is not a share of the way to the new flank above 0 and up to 1.",
+                code="PC-LAW-007",
+            )
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """The 30 values of a bank, with seal and checksum unless ``sealed`` is False."""
@@ -261,8 +270,7 @@ class LawParameters:
             bank[BankIndex[item.name]] = getattr(self, item.name)
         if sealed:
             crc = bank_crc(bank)
-            bank[BankIndex.SEALED] = SEAL
-            bank[BankIndex.CRC_HIGH], bank[BankIndex.CRC_LOW] = crc >> 16, crc & 0xFFFF
+            bank[BankIndex.SEALED], bank[BankIndex.CRC] = SEAL, crc
         return tuple(bank)
 
     @classmethod
@@ -276,8 +284,7 @@ class LawParameters:
         """
         if len(values) != BANK_SIZE or values[BankIndex.SEALED] != SEAL:
             raise VerifyMismatch("The bank is not sealed.", code="PC-LAW-010")
-        crc = (int(values[BankIndex.CRC_HIGH]) << 16) | int(values[BankIndex.CRC_LOW])
-        if crc != bank_crc(values):
+        if int(values[BankIndex.CRC]) != bank_crc(values):
             raise VerifyMismatch(
                 "The checksum of the bank does not fit its values.",
                 code="PC-LAW-011",
@@ -294,29 +301,13 @@ class LawParameters:
 
     @property
     def digest(self) -> int:
-        """CRC-32 that the sealed bank carries."""
+        """Checksum that the sealed bank carries."""
         return bank_crc(self.values(sealed=False))
 
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = (
-            "A0",
-            "A1",
-            "V0",
-            "V1",
-            "S0",
-            "S1",
-            "J0",
-            "TJ",
-            "TK",
-            "TB",
-            "TC",
-            "T0",
-            "TR",
-            "TE",
-            "TH",
-        )
+        names = ("A0", "V0", "S0", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG")
         return all(getattr(self, name) == 0.0 for name in names)
 
 
@@ -369,17 +360,19 @@ def evaluate(
     rests = np.abs(v) < _STILL_ct
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
     t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), REST_FADE_PER_CYCLE)
-    x = r - p.X0
-    c = (p.A0 + p.A1 * x) * a + (p.V0 + p.V1 * x) * v + (p.S0 + p.S1 * x) * s
+    angle = (r + p.L1 * v) * p.KP
+    level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
+    cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
+    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
+    c = (p.C0 + p.C1 * r) * (p.A0 * a + p.V0 * v + p.S0 * s)
     if p.GH > 0.0:
         foreseen = c + p.L1 * (p.A0 * j + p.V0 * a)
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
-        c = c + p.GH * _flank(np.abs(v) * p.S_INV, goal, start.get("g", 0.0))
+        flank = _flank(np.abs(v) * p.S_INV, goal, start.get("g", 0.0))
+        lagged, behind = _lagged(flank, p.GL, start.get("g", 0.0))
+        c = c + p.GH * lagged
+        q = q + p.TG * behind
     c = c + p.J0 * j
-    angle = (r + p.L1 * v) * p.KP
-    level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(angle + p.PR))
-    cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
-    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     return LawOutput(
         correction_ct=gain * np.clip(c, -clamp_ct, clamp_ct),
         torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),
@@ -421,3 +414,14 @@ def _flank(way: FloatArray, goal: FloatArray, start: float) -> FloatArray:
         value = (value + step * wanted) / (1.0 + step)
         state[k] = value
     return state
+
+
+def _lagged(goal: FloatArray, share: float, start: float) -> tuple[FloatArray, FloatArray]:
+    """State that goes a share of the way to its goal in each pass, and how far it was behind."""
+    state, behind = np.empty_like(goal), np.empty_like(goal)
+    value = start
+    for k, wanted in enumerate(goal.tolist()):
+        behind[k] = wanted - value
+        value += share * behind[k]
+        state[k] = value
+    return state, behind

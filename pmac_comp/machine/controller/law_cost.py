@@ -17,7 +17,7 @@ def operation_count(
     body = lines if lines is not None else law_program(LawBlock(), 1).lines
     skipped = set(_SKIPPED)
     skipped |= set() if gap else {"IF(P7186>0)"}
-    skipped |= set() if per_turn else {"IF(P7187>0)"}
+    skipped |= set() if per_turn else {"IF(P7188>0)"}
     return sum(_operations(line) for line in _pass(body, skipped))
 
 

@@ -64,11 +64,9 @@ _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 # Free coefficients with the size of a typical change.
 _OFFSET_SCALES = {
     "inertia_s2": 2e-6,
-    "inertia_per_m_s2_per_m": 2e-6,
     "viscous_s": 4e-6,
-    "viscous_per_m_s_per_m": 4e-6,
     "coulomb_m": 1e-6,
-    "coulomb_per_m": 1e-6,
+    "compliance_slope_per_m": 1.0,
     "jerk_s3": 1e-9,
     "breakaway_m": 1e-5,
 }
@@ -81,7 +79,15 @@ _TORQUE_SCALES = {
     "torque_breakaway_m": 1e-5,
     "torque_constant_Nm": 0.02,
 }
-_LOWEST = {"breakaway_m": 0.5e-6, "torque_breakaway_m": 0.5e-6}
+_GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
+_GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
+_LOWEST = {
+    "breakaway_m": 0.5e-6,
+    "torque_breakaway_m": 0.5e-6,
+    "gap_half_m": 0.0,
+    "gap_width_m": _LEAST_WIDTH_m,
+    "gap_lag_s": 0.0,
+}
 
 
 @dataclass(frozen=True)
@@ -290,7 +296,13 @@ def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
     coulomb_m = max(law.coulomb_m, LEAST_COULOMB_m)
     # What has no width of its own: over a part of what friction winds up.
     width_m = max(_FLANK_FRAC * coulomb_m, law.inertia_s2 * gap.edge_m_per_s2)
-    return replace(law, gap_half_m=gap.half_m, gap_width_m=width_m, coulomb_m=coulomb_m)
+    return replace(
+        law,
+        gap_half_m=gap.half_m,
+        gap_width_m=width_m,
+        gap_lag_s=law.lookahead_s,  # the motor crosses no sooner than it answers
+        coulomb_m=coulomb_m,
+    )
 
 
 def _largest_jerk(motion: Trajectory) -> float:
@@ -357,11 +369,9 @@ def start_law(
     ahead_s = nominal_delay_s(bench) if delay_s is None else delay_s
     law = CompensationLaw(
         inertia_s2=float(offset[0]),
-        inertia_per_m_s2_per_m=float(offset[1]),
         viscous_s=float(offset[2]),
-        viscous_per_m_s_per_m=float(offset[3]),
         coulomb_m=float(offset[4]),
-        coulomb_per_m=float(offset[5]),
+        compliance_slope_per_m=float(offset[1] / offset[0]) if offset[0] > 0.0 else 0.0,
         breakaway_m=_START_BREAKAWAY_m,
         lookahead_s=latency_cycles * period + ahead_s,
         origin_m=bench.mid_travel_m,
@@ -404,11 +414,12 @@ def _refined(
     *,
     most: int = _MOST_STEPS,
 ) -> CompensationLaw:
-    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if start.torque_limit_Nm > 0.0 else {})}
+    has_gap, has_torque = start.gap_half_m > 0.0, start.torque_limit_Nm > 0.0
+    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
     lower = dict(_LOWEST)
-    if start.gap_half_m > 0.0:
-        scales |= {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6}
-        lower |= {"gap_half_m": 0.0, "gap_width_m": _LEAST_WIDTH_m, "coulomb_m": LEAST_COULOMB_m}
+    if has_gap:
+        scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
+        lower["coulomb_m"] = LEAST_COULOMB_m
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size

@@ -24,14 +24,7 @@ from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 
 _LEAST_GAIN_FRAC = 0.05  # of the unexplained rms: less than this is not worth a change
 _LEAST_GRIP_FRAC = 0.01  # the same of another break-away distance: it acts at reversals only
-_TERMS = (
-    "inertia_s2",
-    "inertia_per_m_s2_per_m",
-    "viscous_s",
-    "viscous_per_m_s_per_m",
-    "coulomb_m",
-    "coulomb_per_m",
-)
+_TERMS = ("inertia_s2", "viscous_s", "coulomb_m", "compliance_slope_per_m")
 
 
 def trimmed_law(
@@ -114,7 +107,7 @@ def _run(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap
 
 
 def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit:
-    """Regression on acceleration, speed and friction, alone and times position.
+    """Regression on acceleration, speed, friction, and on the law's elastic error times position.
 
     Friction of another break-away distance than the model's leaves the difference of the two
     states, besides what changes of the terms' sizes explain.
@@ -126,9 +119,10 @@ def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit
         x = run.motor_m - law.origin_m
         s = friction_state(v, breakaway_m, run.period_s, run.start)
         own = friction_state(v, law.breakaway_m, run.period_s, run.start)
-        level = law.coulomb_m + law.coulomb_per_m * x
-        terms = np.column_stack([a, a * x, v, v * x, s, s * x])[run.use]
-        rest = run.rest_m - (level * (own - s))[run.use]
+        along = 1.0 + law.compliance_slope_per_m * x
+        elastic = law.inertia_s2 * a + law.viscous_s * v + law.coulomb_m * s
+        terms = np.column_stack([along * a, along * v, along * s, x * elastic])[run.use]
+        rest = run.rest_m - (along * law.coulomb_m * (own - s))[run.use]
         columns.append(terms - terms.mean(axis=0))
         rests.append(rest - rest.mean())
     matrix, rest = np.concatenate(columns), np.concatenate(rests)

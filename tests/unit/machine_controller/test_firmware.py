@@ -99,7 +99,7 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
 
 
 LAW = LawParameters(
-    A0=11.3, A1=2e-6, V0=0.0087, V1=1e-8, S0=0.93, S1=8e-7, X0=1000.0, S_INV=0.05,
+    A0=11.3, V0=0.0087, S0=0.93, C0=0.9, C1=3e-6, S_INV=0.05, NR=2.0, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, KP=0.036, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
 )  # fmt: skip
@@ -282,7 +282,8 @@ def test_files_move_to_another_block_and_motor() -> None:
 
 def test_cost_of_the_law_is_counted() -> None:
     operations = law_cost.operation_count()
-    assert 60 < operations < 140
+    assert operations > 60
+    assert law_cost.law_cost_us(80.0) < 442.0  # a law with everything fits into a servo period
     assert law_cost.law_cost_us(80.0) == pytest.approx(3.0 * operations)
     assert law_cost.law_cost_us(160.0) == pytest.approx(1.5 * operations)
     # What a law does not have is passed over, at the price of a test.

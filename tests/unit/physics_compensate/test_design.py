@@ -40,7 +40,7 @@ def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> Non
     assert law.viscous_s == pytest.approx(3.83e-6, rel=0.10)
     assert law.coulomb_m == pytest.approx(0.93e-6, rel=0.15)
     # Slope of the inertial coefficient along the screw: 1.82 um per m/s2 and m.
-    assert law.inertia_per_m_s2_per_m == pytest.approx(1.82e-6, rel=0.10)
+    assert law.compliance_slope_per_m == pytest.approx(1.82 / 2.2, rel=0.10)
 
 
 def test_law_looks_ahead_by_what_lies_between_its_pass_and_the_shaft() -> None:

@@ -16,27 +16,28 @@ BENCH = load_bench("paper")
 PERIOD = BENCH.servo_period_s
 LAW = CompensationLaw(
     inertia_s2=2.2e-6,
-    inertia_per_m_s2_per_m=1.8e-6,
     viscous_s=3.8e-6,
-    viscous_per_m_s_per_m=3.4e-6,
     coulomb_m=0.9e-6,
-    coulomb_per_m=0.8e-6,
+    compliance_slope_per_m=0.8,
     jerk_s3=1e-9,
     breakaway_m=5e-6,
     lookahead_s=1.8e-3,
     jerk_limit_m_per_s3=40.0,
     gap_half_m=2.5e-6,
+    gap_width_m=0.2e-6,
+    gap_lag_s=1.5e-3,
+    gap_torque_Nm=-0.2,
     torque_inertia_Nm_s2_per_m=0.01,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_viscous_Nm_s_per_m=0.1,
     torque_coulomb_Nm=0.5,
     torque_load_Nm_s2_per_m=0.005,
     turn_friction_Nm=0.1,
+    turn_order=3.0,
     turn_phase_rad=0.7,
     ripple_Nm=0.04,
     ripple_order=20.0,
     ripple_phase_rad=-1.0,
-    gap_width_m=0.2e-6,
     torque_constant_Nm=0.01,
     origin_m=0.02,
     torque_limit_Nm=17.0,
@@ -220,6 +221,31 @@ def test_soft_zone_is_taken_up_in_proportion_to_the_force() -> None:
     assert np.ptp(told[under_way]) > 1.9
 
 
+def test_motor_crosses_with_a_lag_and_its_torque_ends_with_the_crossing() -> None:
+    slow = LOOSE.with_values(gap_lag_s=2e-3, gap_torque_Nm=-0.2, torque_limit_Nm=10.0)
+    sharp, _ = flank_of(LOOSE, acceleration_m_per_s2=4.0, s_curve_s=0.015)
+    lagged, _ = flank_of(slow, acceleration_m_per_s2=4.0, s_curve_s=0.015)
+    turned = [np.flatnonzero((f[:-1] > 0.0) & (f[1:] <= 0.0))[0] for f in (sharp, lagged)]
+    # A first-order lag is half-way, from one flank to the other, after ln 2 of it.
+    assert (turned[1] - turned[0]) * PERIOD == pytest.approx(2e-3 * np.log(2.0), abs=1.5 * PERIOD)
+    position = 0.02 * np.sin(2.0 * np.pi * 2.0 * np.arange(0.0, 1.0, PERIOD))
+    torque = evaluate_law(slow, position, PERIOD).torque_Nm
+    correction = evaluate_law(slow, position, PERIOD).correction_m
+    follows = np.diff(correction) * slow.gap_torque_Nm * torque[1:]
+    crossing = (np.abs(torque) > 0.02) & (np.arange(torque.size) > 50)  # it began with a jerk
+    assert 0.001 < np.mean(crossing) < 0.1
+    assert np.min(torque) > -0.4 - 1e-9  # of a whole gap, from -1 to 1
+    assert np.all(follows[crossing[1:]] > 0.0)
+
+
+def test_elastic_error_grows_along_the_screw_by_one_slope() -> None:
+    law = LAW.with_values(gap_half_m=0.0, jerk_s3=0.0, origin_m=0.1)
+    here = evaluate_law(law, SINE.position_m, PERIOD).correction_m
+    flat = evaluate_law(law.with_values(compliance_slope_per_m=0.0), SINE.position_m, PERIOD)
+    along = 1.0 + 0.8 * (SINE.position_m - 0.1)
+    np.testing.assert_allclose(here, along * flat.correction_m, atol=1e-15)
+
+
 @pytest.mark.parametrize(("coulomb_m", "width_m"), [(0.0, 1e-7), (-1e-6, 1e-7), (1e-6, 0.0)])
 def test_gap_without_what_tells_its_flank_is_refused(coulomb_m: float, width_m: float) -> None:
     with pytest.raises(ModelError, match="flank"):
@@ -233,9 +259,7 @@ def test_motion_the_other_way_gives_the_opposite() -> None:
     up = evaluate_law(law, SINE.position_m - 0.1, PERIOD)
     down = evaluate_law(
         law.with_values(
-            inertia_per_m_s2_per_m=-law.inertia_per_m_s2_per_m,
-            viscous_per_m_s_per_m=-law.viscous_per_m_s_per_m,
-            coulomb_per_m=-law.coulomb_per_m,
+            compliance_slope_per_m=-law.compliance_slope_per_m,
         ),
         -(SINE.position_m - 0.1),
         PERIOD,

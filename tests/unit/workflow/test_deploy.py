@@ -25,9 +25,8 @@ from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
 LAW = friction_law(
-    inertia_per_m_s2_per_m=1.8e-6,
     viscous_s=3.7e-6,
-    coulomb_per_m=0.8e-6,
+    compliance_slope_per_m=0.8,
     lookahead_s=1.8e-3,
     torque_jerk_Nm_s3_per_m=9e-4,
     torque_coulomb_Nm=0.45,
