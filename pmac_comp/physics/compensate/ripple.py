@@ -1,7 +1,11 @@
-"""Torque that repeats with the turn of the screw, found in captures: cogging and nut friction.
+"""Torque that repeats with the turn of the screw, found in captures: cogging and friction.
 
 What lives here: the order of the cogging from steady runs, and the amplitudes from all runs. What
 may not: the model's fit, controllers.
+
+Cogging pushes whichever way the motor turns. A motor whose torque constant ripples, or teeth that
+grip, give a wave that changes its sign with the friction: it has the order of the cogging or is the
+nut's, once per turn. The larger of these two is taken.
 
 A model without these effects misses the motor's position by what the loop lets through of them.
 What it would let through of a known torque is simulated, so the amplitudes come out of a linear
@@ -30,6 +34,7 @@ _LEAST_ORDER = 3  # below, friction per turn and lead wobble live
 _PROBE_Nm = 0.02  # torque whose effect is simulated
 _LEAST_GAIN_FRAC = 0.003  # of the residual's power: a part that explains less is left out
 _DECIMATION = 3
+_COGGING, _ONCE, _AGAIN = slice(0, 2), slice(2, 4), slice(4, 6)  # columns of the regression
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,9 @@ class TurnTorque:
     ripple_Nm, ripple_phase_rad : float
         Amplitude and phase of ``sin(order angle + phase)``.
     friction_Nm, friction_phase_rad : float
-        The same of the friction that changes once per turn, times the direction.
+        The same of friction, times the direction.
+    friction_order : int
+        Order of that per turn.
     explained : float
         Share of what the model left of the motor's position that these explain.
     """
@@ -53,6 +60,7 @@ class TurnTorque:
     ripple_phase_rad: float
     friction_Nm: float
     friction_phase_rad: float
+    friction_order: int
     explained: float
 
 
@@ -81,25 +89,42 @@ def turn_torque(
     parts = [_responses(law, loop, c, order, drive_delay_s)[::_DECIMATION] for c in captures]
     matrix = np.concatenate(parts)
     rest = np.concatenate([r[::_DECIMATION] for r in rests])
+    # The wave of friction once per turn, or of the cogging's order: what explains more.
+    wave = max((_ONCE, _AGAIN), key=lambda pair: _gain_frac(matrix, rest, pair))
+    matrix[:, _AGAIN if wave == _ONCE else _ONCE] = 0.0
     found = _regression(matrix, rest)
-    without = float(np.sum((rest - matrix @ found) ** 2))
-    gains: list[float] = []
-    for pair in (slice(0, 2), slice(2, 4)):
-        fewer = matrix.copy()
-        fewer[:, pair] = 0.0
-        left = float(np.sum((rest - fewer @ _regression(fewer, rest)) ** 2))
-        gains.append((left - without) / max(float(np.sum(rest**2)), 1e-30))
-    cosine, sine, turn_cosine, turn_sine = (float(value) for value in found[:4])
-    ripple = order > 0 and gains[0] > _LEAST_GAIN_FRAC
-    turn = gains[1] > _LEAST_GAIN_FRAC
+    gains = [_gain_frac(matrix, rest, pair) for pair in (_COGGING, wave)]
+    gains = [gain if gain > _LEAST_GAIN_FRAC else 0.0 for gain in gains]
+    ripple_Nm, ripple_phase_rad = _wave(found[_COGGING], gains[0])
+    friction_Nm, friction_phase_rad = _wave(found[wave], gains[1])
     return TurnTorque(
-        order=order if ripple else 0,
-        ripple_Nm=math.hypot(cosine, sine) if ripple else 0.0,
-        ripple_phase_rad=math.atan2(cosine, sine) if ripple else 0.0,
-        friction_Nm=math.hypot(turn_cosine, turn_sine) if turn else 0.0,
-        friction_phase_rad=math.atan2(turn_cosine, turn_sine) if turn else 0.0,
-        explained=ripple * gains[0] + turn * gains[1],
+        order=order if ripple_Nm else 0,
+        ripple_Nm=ripple_Nm,
+        ripple_phase_rad=ripple_phase_rad,
+        friction_Nm=friction_Nm,
+        friction_phase_rad=friction_phase_rad,
+        friction_order=order if wave == _AGAIN else 1,
+        explained=sum(gains),
     )
+
+
+def _gain_frac(matrix: FloatArray, rest: FloatArray, pair: slice) -> float:
+    """Share of the residual's power that two columns explain beyond all others."""
+    fewer = matrix.copy()
+    fewer[:, pair] = 0.0
+    left, without = (
+        float(np.sum((rest - columns @ _regression(columns, rest)) ** 2))
+        for columns in (fewer, matrix)
+    )
+    return (left - without) / max(float(np.sum(rest**2)), 1e-30)
+
+
+def _wave(found: FloatArray, gain_frac: float) -> tuple[float, float]:
+    """Amplitude and phase of a sine from its cosine and sine parts; nothing without a gain."""
+    if gain_frac <= 0.0:
+        return 0.0, 0.0
+    cosine, sine = (float(part) for part in found)
+    return math.hypot(cosine, sine), math.atan2(cosine, sine)
 
 
 def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:
@@ -109,6 +134,7 @@ def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw
         ripple_order=float(found.order),
         ripple_phase_rad=found.ripple_phase_rad,
         turn_friction_Nm=found.friction_Nm,
+        turn_order=float(found.friction_order),
         turn_phase_rad=found.friction_phase_rad,
     )
 
@@ -175,6 +201,8 @@ def _responses(
         np.sin(order * angle) if order else np.zeros_like(r),
         state * np.cos(angle),
         state * np.sin(angle),
+        state * np.cos(order * angle) if order else np.zeros_like(r),
+        state * np.sin(order * angle) if order else np.zeros_like(r),
         # What else friction may have that the model has not, so that it is not put on the turn.
         state,
         state * np.exp(-np.abs(v) / 5e-3),

@@ -67,6 +67,16 @@ def test_friction_once_per_turn_is_found() -> None:
     assert got.friction_Nm == pytest.approx(0.05, rel=0.15)
 
 
+def test_torque_that_ripples_with_its_size_is_found_as_a_wave_of_friction() -> None:
+    got = found({"torque_ripple": {"amplitude_Nm": 0.8, "order_per_rev": 10.0, "phase_rad": 0.4}})
+    assert got.friction_order == 10
+    # Of 0.8 N m at rated torque what friction, nearly all of the torque here, has of that.
+    friction_Nm = 0.45 + 45.0 * BENCH.lead_m_per_rad
+    assert got.friction_Nm == pytest.approx(0.8 * friction_Nm / 6.37, rel=0.15)
+    assert got.ripple_Nm < 0.2 * got.friction_Nm
+    assert got.explained > 0.3
+
+
 def test_nothing_is_found_on_a_drive_without_ripple() -> None:
     got = found({})
     assert (got.order, got.ripple_Nm, got.friction_Nm) == (0, 0.0, 0.0)
@@ -74,7 +84,7 @@ def test_nothing_is_found_on_a_drive_without_ripple() -> None:
 
 
 def test_the_law_sends_the_torque_ahead_of_the_angle() -> None:
-    got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1.0)
+    got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1, 1.0)
     law = with_turn_torque(LAW.with_values(lookahead_s=DELAY_s + PERIOD), got)
     r = np.concatenate([np.zeros(50), 0.05 * PERIOD * np.arange(4000)])
     sent = evaluate_law(law, r, PERIOD).torque_Nm
