@@ -53,9 +53,15 @@ _TOTAL_FRAC = 0.2
 _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
-_LEAST_WIDTH_m = 0.05e-6
+# A model knows when the force turns to the sample, a drive's friction does not: narrower, down to
+# where the model likes it best, leaves a tenth more of plants.
+_LEAST_WIDTH_m = 0.3e-6
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
+# A move counts twice: its steps of the jerk ring the drive and send the nut across its gap, which
+# is what limits a law, and there are more sinusoids.
+_MOVE_COUNTS = 2.0
+_STEP_FRAC = 0.5  # of the largest jerk within a sample: that of a sinusoid is smooth
 _JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
 _MOST_STEPS = 10
 _FEW_STEPS = 4  # from a start that is nearly right
@@ -179,8 +185,8 @@ def model_loop(model: "DriveModel") -> LoopRunner:
 def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     """Motions over the usable range of a bench on which the coefficients are refined.
 
-    Sinusoids from slow to the acceleration limit and two jerk-limited trapezoids, at three places
-    of the travel. Verification motions are drawn elsewhere.
+    Sinusoids from slow to the acceleration limit and jerk-limited trapezoids, fast and slow, hard
+    and soft, at places over the travel. Verification motions are drawn elsewhere.
     """
     period = bench.servo_period_s
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
@@ -201,12 +207,12 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
             dwell_s=0.05,
         )
 
-    def move(fraction: float, place: float) -> Trajectory:
+    def move(fast: float, hard: float, place: float) -> Trajectory:
         return trapezoid(
             period_s=period,
             distance_m=0.2 * span,
-            speed_m_per_s=0.8 * fraction * speed,
-            acceleration_m_per_s2=min(5.0, acceleration) * fraction,
+            speed_m_per_s=0.8 * fast * speed,
+            acceleration_m_per_s2=min(5.0, acceleration) * hard,
             s_curve_s=0.015,
             start_m=middle + place * span,
             dwell_s=0.1,
@@ -218,8 +224,10 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
         sine(0.010, 5.0, 0.0, 5.0),
         sine(0.025, 2.0, 0.25, 3.0),
         sine(0.050, 0.8, 0.0, 2.0),
-        move(1.0, -0.3),
-        move(0.5, 0.1),
+        move(1.0, 1.0, -0.3),
+        move(0.5, 0.5, 0.1),
+        move(0.7, 0.35, 0.2),
+        move(0.5, 0.8, -0.4),
     )
 
 
@@ -473,4 +481,11 @@ def _errors(
     residual = signals.table_position_m - signals.motor_position_m + sent.correction_m
     total = signals.table_position_m - motion.position_m
     both = np.concatenate([(residual - residual[0]) / aims[0], (total - total[0]) / aims[1]])
-    return np.asarray(both[::_DECIMATION] / math.sqrt(motion.n))
+    counts = _MOVE_COUNTS if _has_steps(motion) else 1.0
+    return np.asarray(both[::_DECIMATION] * (counts / math.sqrt(motion.n)))
+
+
+def _has_steps(motion: Trajectory) -> bool:
+    """Whether the jerk of a motion steps."""
+    jerk = np.diff(motion.position_m, 3)
+    return _largest(np.diff(jerk)) > _STEP_FRAC * _largest(jerk)
