@@ -4,8 +4,8 @@ What lives here: the regression of what the model leaves of the measured mechani
 terms that the law has anyway. What may not: the model's fit, controllers.
 
 A model whose stiffness profile differs from the machine's leaves an error proportional to
-acceleration, speed or direction, and to their products with position. The law has those terms, so
-they are taken over; what they do not explain stays for ``diagnose``.
+acceleration, speed or direction, and to their sum times position. The law has those terms, so they
+are taken over; what they do not explain stays for ``diagnose``.
 """
 
 from collections.abc import Sequence
