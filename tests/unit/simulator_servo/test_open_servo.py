@@ -5,6 +5,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.controller.law_bank import BANK_SIZE, SEAL, BankIndex
 from pmac_comp.simulator import kernel_servo as ks
 from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator.open_servo import read_open_servo, translate_open_servo
@@ -163,9 +164,10 @@ def test_shipped_algorithm_carries_the_rest_of_the_pid(make_servo, settings, all
 
 
 def load_bank(servo, values, *, bank=0, sealed=True):
-    for offset in range(30):
+    values = {BankIndex.C0: 1.0, **values}
+    for offset in range(BANK_SIZE):
         servo.variables.write("P", 7010 + 30 * bank + offset, values.get(offset, 0.0))
-    servo.variables.write("P", 7010 + 30 * bank + 27, 20261.0 if sealed else 0.0)
+    servo.variables.write("P", 7010 + 30 * bank + BankIndex.SEALED, SEAL if sealed else 0.0)
     head = {1: bank, 2: 1.0, 4: 60.0, 5: -1.0, 6: 0.002, 7: 1.0}
     for offset, value in head.items():
         servo.variables.write("P", 7000 + offset, value)
@@ -173,7 +175,7 @@ def load_bank(servo, values, *, bank=0, sealed=True):
 
 def test_shipped_law_offsets_the_command_by_its_terms(make_servo):
     servo = with_servo(make_servo, SHIPPED)
-    load_bank(servo, {2: 0.2, 21: 3000.0})  # 0.2 counts per (count/SC)
+    load_bank(servo, {BankIndex.V0: 0.2, BankIndex.T_LIMIT: 3000.0})  # 0.2 counts per (count/SC)
     servo.enable(1)
     servo.run(2000)
     assert p(servo, 7000) == 20262
@@ -197,7 +199,7 @@ def test_shipped_law_offsets_the_command_by_its_terms(make_servo):
 
 def test_unsealed_bank_is_not_used(make_servo):
     servo = with_servo(make_servo, SHIPPED)
-    load_bank(servo, {2: 0.2, 21: 3000.0}, sealed=False)
+    load_bank(servo, {BankIndex.V0: 0.2, BankIndex.T_LIMIT: 3000.0}, sealed=False)
     servo.enable(1)
     servo.jog(1, 1)
     servo.run(500)
@@ -220,7 +222,7 @@ def test_task_time_grows_with_the_algorithm(make_servo):
 
 def test_law_clamps_and_survives_kill_and_enable(make_servo):
     servo = with_servo(make_servo, SHIPPED)
-    load_bank(servo, {2: 50.0, 21: 3000.0})
+    load_bank(servo, {BankIndex.V0: 50.0, BankIndex.T_LIMIT: 3000.0})
     servo.variables.write("P", 7004, 5.0)
     servo.enable(1)
     servo.run(1000)
