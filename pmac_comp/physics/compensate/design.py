@@ -57,6 +57,7 @@ LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
 # where the model likes it best, leaves a tenth more of plants.
 _LEAST_WIDTH_m = 0.3e-6
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
+_CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
 # A move counts twice: its steps of the jerk ring the drive and send the nut across its gap, which
 # is what limits a law, and there are more sinusoids.
@@ -309,6 +310,7 @@ def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
         gap_half_m=gap.half_m,
         gap_width_m=width_m,
         gap_lag_s=law.lookahead_s,  # the motor crosses no sooner than it answers
+        gap_torque_Nm=-_CROSSING_FRAC * law.torque_coulomb_Nm,
         coulomb_m=coulomb_m,
     )
 
