@@ -368,10 +368,11 @@ def evaluate(
     if p.GH > 0.0:
         foreseen = c + p.L1 * (p.A0 * j + p.V0 * a)
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
-        flank = _flank(np.abs(v) * p.S_INV, goal, start.get("g", 0.0))
-        lagged, behind = _lagged(flank, p.GL, start.get("g", 0.0))
+        first, passed = start.get("g", 0.0), np.abs(v) * p.S_INV
+        flank = _towards(goal, passed / (1.0 + passed), first)
+        lagged = _towards(flank, np.full_like(flank, p.GL), first)
         c = c + p.GH * lagged
-        q = q + p.TG * behind
+        q = q + p.TG * (flank - np.concatenate([[first], lagged[:-1]]))
     c = c + p.J0 * j
     return LawOutput(
         correction_ct=gain * np.clip(c, -clamp_ct, clamp_ct),
@@ -406,22 +407,11 @@ def _fading_state(
     return state
 
 
-def _flank(way: FloatArray, goal: FloatArray, start: float) -> FloatArray:
-    """State that follows a goal along the way, in break-away distances."""
-    state = np.empty_like(way)
+def _towards(goal: FloatArray, share: FloatArray, start: float) -> FloatArray:
+    """State that goes a share of the way to its goal in each pass."""
+    state = np.empty_like(goal)
     value = start
-    for k, (step, wanted) in enumerate(zip(way.tolist(), goal.tolist(), strict=True)):
-        value = (value + step * wanted) / (1.0 + step)
+    for k, (wanted, part) in enumerate(zip(goal.tolist(), share.tolist(), strict=True)):
+        value += part * (wanted - value)
         state[k] = value
     return state
-
-
-def _lagged(goal: FloatArray, share: float, start: float) -> tuple[FloatArray, FloatArray]:
-    """State that goes a share of the way to its goal in each pass, and how far it was behind."""
-    state, behind = np.empty_like(goal), np.empty_like(goal)
-    value = start
-    for k, wanted in enumerate(goal.tolist()):
-        behind[k] = wanted - value
-        value += share * behind[k]
-        state[k] = value
-    return state, behind

@@ -90,10 +90,12 @@ def turn_torque(
     matrix = np.concatenate(parts)
     rest = np.concatenate([r[::_DECIMATION] for r in rests])
     # The wave of friction once per turn, or of the cogging's order: what explains more.
-    wave = max((_ONCE, _AGAIN), key=lambda pair: _gain_frac(matrix, rest, pair))
-    matrix[:, _AGAIN if wave == _ONCE else _ONCE] = 0.0
+    once, again = _without(matrix, _AGAIN), _without(matrix, _ONCE)
+    matrix, wave = (again, _AGAIN) if _left(again, rest) < _left(once, rest) else (once, _ONCE)
     found = _regression(matrix, rest)
-    gains = [_gain_frac(matrix, rest, pair) for pair in (_COGGING, wave)]
+    least, whole = _left(matrix, rest), max(float(np.sum(rest**2)), 1e-30)
+    # Share of the residual's power that a wave explains beyond all else.
+    gains = [(_left(_without(matrix, pair), rest) - least) / whole for pair in (_COGGING, wave)]
     gains = [gain if gain > _LEAST_GAIN_FRAC else 0.0 for gain in gains]
     ripple_Nm, ripple_phase_rad = _wave(found[_COGGING], gains[0])
     friction_Nm, friction_phase_rad = _wave(found[wave], gains[1])
@@ -108,15 +110,15 @@ def turn_torque(
     )
 
 
-def _gain_frac(matrix: FloatArray, rest: FloatArray, pair: slice) -> float:
-    """Share of the residual's power that two columns explain beyond all others."""
+def _without(matrix: FloatArray, pair: slice) -> FloatArray:
     fewer = matrix.copy()
     fewer[:, pair] = 0.0
-    left, without = (
-        float(np.sum((rest - columns @ _regression(columns, rest)) ** 2))
-        for columns in (fewer, matrix)
-    )
-    return (left - without) / max(float(np.sum(rest**2)), 1e-30)
+    return fewer
+
+
+def _left(matrix: FloatArray, rest: FloatArray) -> float:
+    """Sum of squares that a regression leaves."""
+    return float(np.sum((rest - matrix @ _regression(matrix, rest)) ** 2))
 
 
 def _wave(found: FloatArray, gain_frac: float) -> tuple[float, float]:
