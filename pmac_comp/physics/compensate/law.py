@@ -304,12 +304,8 @@ def friction_state(
     speed_m_per_s: FloatArray, breakaway_m: float, period_s: float, start: float = 0.0
 ) -> FloatArray:
     """Direction of a motion as its friction has it: follows distance, holds at rest."""
-    state = np.empty_like(speed_m_per_s)
-    value = start
-    for k, step in enumerate((speed_m_per_s * period_s / breakaway_m).tolist()):
-        value = _followed(value, step)
-        state[k] = value
-    return state
+    states: FloatArray = _friction_states(speed_m_per_s * period_s / breakaway_m, start)
+    return states
 
 
 def delayed(values: FloatArray, cycles: int) -> FloatArray:
@@ -324,6 +320,16 @@ def delayed(values: FloatArray, cycles: int) -> FloatArray:
 def _followed(state: float, way: float) -> float:
     """Friction state after a way, implicit Euler: holds at standstill, never overshoots."""
     return (state + way) / (1.0 + abs(way))
+
+
+@njit(cache=True, nogil=True)
+def _friction_states(way: FloatArray, start: float) -> FloatArray:
+    state = np.empty_like(way)
+    value = start
+    for k in range(way.size):
+        value = _followed(value, way[k])
+        state[k] = value
+    return state
 
 
 @njit(cache=True, nogil=True)
