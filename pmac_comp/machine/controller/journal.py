@@ -98,15 +98,19 @@ class Journal:
 
     def entries(self) -> list[Entry]:
         """Intact entries in order; reading stops at the first damaged line."""
-        if not self.path.exists():
+        return [_entry(body) for body in self._intact_bodies()]
+
+    def _intact_bodies(self) -> list[bytes]:
+        try:
+            lines = self.path.read_bytes().split(b"\n")
+        except FileNotFoundError:
             return []
-        found: list[Entry] = []
-        for line in self.path.read_bytes().split(b"\n"):
+        found: list[bytes] = []
+        for line in lines:
             crc, _, body = line.partition(b" ")
-            if not body or crc != f"{zlib.crc32(body):08x}".encode():
+            if not body or crc != b"%08x" % zlib.crc32(body):
                 break
-            data = json.loads(body)
-            found.append(Entry(str(data.pop("step")), data))
+            found.append(body)
         return found
 
     def last(self, step: str) -> Entry | None:
@@ -131,9 +135,17 @@ class Journal:
 
     @property
     def is_open(self) -> bool:
-        """Whether a transaction was begun and neither finished nor rolled back."""
-        steps = [entry.step for entry in self.entries()]
-        return bool(steps) and steps[-1] not in CLOSING
+        """Whether a transaction was begun and neither finished nor rolled back.
+
+        Every change asks it of all journals before it: only the last line is taken apart.
+        """
+        bodies = self._intact_bodies()
+        return bool(bodies) and _entry(bodies[-1]).step not in CLOSING
+
+
+def _entry(body: bytes) -> Entry:
+    data = json.loads(body)
+    return Entry(str(data.pop("step")), data)
 
 
 def _append(fd: int, line: bytes, when: Sync) -> None:

@@ -345,9 +345,9 @@ def _number_of(name: str) -> int:
 
 def is_torn(journal: Journal) -> bool:
     """Whether a change, or an upload of several, got far enough to need settling and was not."""
-    entries = journal.entries()
-    if not entries or entries[-1].step in CLOSING:
+    if not journal.is_open:
         return False
+    entries = journal.entries()
     begun = entries[0].data.get("kind") == ChangeKind.GROUP.value
     return begun or any(entry.step == "intent" for entry in entries)
 

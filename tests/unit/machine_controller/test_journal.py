@@ -1,0 +1,43 @@
+"""What the lines of a journal say after damage: nothing that is half-changed looks settled."""
+
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.transaction import is_torn
+
+STEPS = ("begin", "intent", "written", "done")
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Journal:
+    journal = Journal(tmp_path / "a.journal")
+    for step in STEPS:
+        journal.write(step, {"kind": "tables"})
+    return journal
+
+
+def test_a_closed_journal_is_neither_open_nor_torn(journal: Journal) -> None:
+    assert not journal.is_open
+    assert not is_torn(journal)
+
+
+def test_a_missing_journal_is_not_open(tmp_path: Path) -> None:
+    assert not Journal(tmp_path / "none.journal").is_open
+
+
+@pytest.mark.parametrize("kept", range(1, len(STEPS)))
+def test_a_journal_is_open_up_to_its_closing_line(journal: Journal, kept: int) -> None:
+    lines = journal.path.read_bytes().splitlines(keepends=True)
+    journal.path.write_bytes(b"".join(lines[:kept]))
+    assert journal.is_open
+    assert is_torn(journal) is (kept > 1)  # without an intent nothing was changed
+
+
+def test_a_damaged_byte_before_the_closing_line_leaves_it_open(journal: Journal) -> None:
+    whole = journal.path.read_bytes()
+    first = whole.index(b"\n") + 1
+    for place in range(first, len(whole) - 1):
+        journal.path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert journal.is_open, place
