@@ -177,7 +177,7 @@ def _from_mapping(data: dict[str, Any]) -> Compensation:
     known = {f.name for f in fields(CompensationLaw)}
     unknown = set(data["law"]) - known
     if unknown:
-        raise KeyError(f"unknown law coefficient(s) {sorted(unknown)}")
+        raise ValueError(f"unknown law coefficient(s) {sorted(unknown)}")
     lead = data.get("lead")
     return Compensation(
         route=str(data["route"]),

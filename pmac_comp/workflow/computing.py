@@ -112,13 +112,13 @@ def compute_compensation(
     Raises
     ------
     ConfigError
-        ``cam`` or ``program`` without a motion.
+        ``cam`` or ``program`` without a motion, ``table`` without slow runs.
     NotIdentifiable
         The slow runs give no map, or one of a part of the travel only.
     """
     check_route(route)
     check_options(bench, route, motion, every_cycles)
-    check_slow_runs(bench, slow, whole_travel=limit is Limit.REFUSE)
+    check_slow_runs(bench, route, slow, whole_travel=limit is Limit.REFUSE)
     begun = with_starts(bench, model_loop(without_turn(model)), (*captures, *slow))
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
@@ -395,8 +395,6 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
     """What the tables take away and what not, for people."""
     lead = compensation.lead
     if lead is None:
-        if compensation.route == "table":
-            return ["without slow runs (--slow) there is no table: this file corrects nothing"]
         return []
     mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
     if compensation.backlash:

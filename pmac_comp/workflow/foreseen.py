@@ -84,14 +84,24 @@ def check_uncompensated(bench: Bench, captures: Sequence[Capture], names: Sequen
             )
 
 
-def check_slow_runs(bench: Bench, slow: Sequence[Capture], *, whole_travel: bool) -> None:
+def check_slow_runs(
+    bench: Bench, route: str, slow: Sequence[Capture], *, whole_travel: bool
+) -> None:
     """Refuse slow runs that give no map, or one of a part of the travel only.
 
     Raises
     ------
     NotIdentifiable
         They do.
+    ConfigError
+        There are none, and the route is nothing but their map.
     """
+    if route == "table" and not slow:
+        raise ConfigError(
+            "Without slow runs there is no table, and the route table carries nothing else.",
+            code="PC-DEP-015",
+            hint="Give the runs of `capture --campaign lead` with --slow, or use another route.",
+        )
     if slow:
         lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench))
         if whole_travel:

@@ -14,6 +14,7 @@ from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow import computing
 from pmac_comp.workflow.campaigns import lead_motions
+from pmac_comp.workflow.compensation_file import ROUTES
 from pmac_comp.workflow.computing import compensate_files, compute_compensation
 from pmac_comp.workflow.foreseen import (
     check_amplitude,
@@ -64,9 +65,21 @@ def test_slow_runs_of_a_part_of_the_travel_are_refused_first(route: str) -> None
 
 
 def test_slow_runs_that_reach_and_those_to_be_limited_pass() -> None:
-    check_slow_runs(BENCH, [slow_run()], whole_travel=True)
-    check_slow_runs(BENCH, [slow_run(0.5)], whole_travel=False)
-    check_slow_runs(BENCH, [], whole_travel=True)
+    for route in ROUTES:
+        check_slow_runs(BENCH, route, [slow_run()], whole_travel=True)
+        check_slow_runs(BENCH, route, [slow_run(0.5)], whole_travel=False)
+        if route != "table":
+            check_slow_runs(BENCH, route, [], whole_travel=True)
+
+
+@pytest.mark.usefixtures("nothing_computed")
+def test_a_table_without_slow_runs_is_refused_first(tmp_path: Path) -> None:
+    out = tmp_path / "c.json"
+    with pytest.raises(ConfigError, match="no table") as refused:
+        compensate_files("paper", Path("m.json"), out, route="table")
+    assert refused.value.code == "PC-DEP-015"
+    assert "--slow" in refused.value.hint
+    assert not out.exists()
 
 
 @pytest.mark.usefixtures("nothing_computed")
