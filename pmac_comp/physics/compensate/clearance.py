@@ -35,7 +35,9 @@ _GAP, _GUIDE = "backlash.gap_m", "coulomb.guide_N"
 _ZONE, _RATIO = "preload_loss.half_width_m", "preload_loss.stiffness_ratio"
 _MOTOR, _STIFFNESS = "coulomb.motor_Nm", "chain.axial_stiffness_N_per_m"
 _LEAST_GAP_um = 0.3
-_LEAST_GAIN_FRAC = 0.1  # of the rms that stays without a gap: plants without one gain at most 0.01
+_LEAST_GAIN_FRAC = 0.05  # of the rms that stays without: plants without gap gain at most 0.01
+_SOFT_GAIN_FRAC = 0.1  # of the rms that stays with play
+_LEAST_ZONE_um, _WIDER = 1.5, 2.5  # where the fit of a soft zone begins at least, and again
 _SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
 _DECIMATION = 4
 _MOST_STEPS = 12
@@ -109,12 +111,16 @@ def measured_clearance(
         return None
     wound = _fit(model, runs, [1.0, 1.0], _NOTHING)
     loose = _fit(model, runs, [0.6 * wound.point[0], 1.2 * wound.point[1], 1.0], _PLAY)
-    gap_um = loose.point[2]
-    if gap_um < _LEAST_GAP_um or loose.rms_um > (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um:
-        return None
-    soft = _fit(model, runs, [*loose.point[:2], 1.5 * gap_um, 0.5], _SOFT)
-    best = soft if soft.rms_um < (1.0 - _LEAST_GAIN_FRAC) * loose.rms_um else loose
-    return Clearance(_values(model, best.point, best.extra), wound.rms_um, best.rms_um)
+    # A wide zone is hardly play: it is looked for where no play is found, too.
+    narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[2])
+    zones_um = narrow_um, _WIDER * narrow_um  # each ends in a place of its own
+    starts = ([*loose.point[:2], zone_um, 0.5] for zone_um in zones_um)
+    tried = [_fit(model, runs, start, _SOFT) for start in starts]
+    soft = min(tried, key=lambda fit: fit.rms_um)
+    best = soft if soft.rms_um < (1.0 - _SOFT_GAIN_FRAC) * loose.rms_um else loose
+    found = Clearance(_values(model, best.point, best.extra), wound.rms_um, best.rms_um)
+    is_told = best.rms_um <= (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um
+    return found if is_told and found.gap_m * UM_PER_M >= _LEAST_GAP_um else None
 
 
 def settled(capture: Capture) -> BoolArray:

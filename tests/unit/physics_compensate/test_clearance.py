@@ -81,16 +81,17 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     assert loose.parameters["coulomb.motor_Nm"] == pytest.approx(start_Nm + lost_Nm)
 
 
-def test_nut_without_preload_is_told_from_play() -> None:
-    zone = {"half_width_m": 2e-6, "stiffness_ratio": 0.4}
+@pytest.mark.parametrize(("half_m", "ratio"), [(2e-6, 0.4), (5e-6, 0.6)])
+def test_nut_without_preload_is_told_from_play(half_m: float, ratio: float) -> None:
+    zone = {"half_width_m": half_m, "stiffness_ratio": ratio}
     true = DriveModel.base(BENCH, TRUE).with_effect("preload_loss", zone)
     found = measured_clearance(winding(90.0, 0.8), runs_of(true), None)
     assert found is not None
     assert found.is_soft
-    assert found.values["preload_loss.half_width_m"] == pytest.approx(2e-6, rel=0.2)
-    assert found.gap_m == pytest.approx(2.4e-6, rel=0.2)
+    assert found.values["preload_loss.half_width_m"] == pytest.approx(half_m, rel=0.2)
+    assert found.gap_m == pytest.approx(2.0 * (1.0 - ratio) * half_m, rel=0.2)
     soft = with_clearance(winding(90.0, 0.8), found.values)
-    assert soft.parameters["preload_loss.stiffness_ratio"] == pytest.approx(0.4, rel=0.2)
+    assert soft.parameters["preload_loss.stiffness_ratio"] == pytest.approx(ratio, rel=0.2)
     assert "backlash" not in soft.effects
 
 
