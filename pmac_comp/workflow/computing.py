@@ -348,7 +348,7 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
         own, whole = min(history), history[0]
         likely_um = math.sqrt(own * joined_um(own, typical_um, own, whole))
         out[f"{aim} error after um rms, promised"] = likely_um
-        out[f"{aim} error after um rms, at most"] = joined_um(own, most_um, own, whole)
+        out[f"{aim} error after um rms, at most"] = own + most_um
     if compensation.route == "cam":
         return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
     drawn = draw_motion(compensation, bench)

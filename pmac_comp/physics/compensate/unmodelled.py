@@ -9,10 +9,14 @@ carries friction across. A promise therefore reaches from the model's word alone
 largest rest of the captures on top, and names the middle of both in proportion. By how much the
 model's errors are off in size, in the captures, widens it on either side.
 
-What the model lacks runs with what it has: friction that is a little larger adds to the error of
-friction itself. Where a compensation takes the model's error away, that is gone, and what is left
-of both adds in squares; where it leaves the error as it was, both add plainly. So the share of the
-model's error that stays stands for how far both run together.
+The upper end adds plainly: in the worst case what the model lacks runs with what the law leaves.
+In squares, 13 of 348 promises of the law for simulated drives with two to four effects that the
+model does not hold were missed by up to 14 %; plainly none, by the same runs.
+
+In the middle, what the model lacks runs with what it has: friction that is a little larger adds to
+the error of friction itself. Where a compensation takes the model's error away, that is gone, and
+what is left of both adds in squares; where it leaves the error as it was, both add plainly. So the
+share of the model's error that stays stands for how far both run together.
 """
 
 import math
@@ -200,7 +204,7 @@ def widened(promise: MotionPromise, rest: Unmodelled | None) -> dict[str, float]
         own, whole = float(out[f"{name}_um"]), float(out[f"{before}_um"])
         out[f"{name}_um"] = math.sqrt(own * joined_um(own, typical, own, whole))
         out[f"{name}_lower_um"] = own * (1.0 - off)
-        out[f"{name}_upper_um"] = joined_um(own * (1.0 + off), most, own, whole)
+        out[f"{name}_upper_um"] = own * (1.0 + off) + most
     return out
 
 

@@ -74,11 +74,11 @@ def test_a_promise_without_captures_is_the_models_and_else_wider() -> None:
     assert wide["model_e_r_after_um"] == 0.2
     assert wide["e_r_after_um"] == pytest.approx(math.sqrt(0.2 * joined_um(0.2, 0.2, 0.2, 3.0)))
     assert wide["total_after_lower_um"] < wide["total_after_um"] < wide["total_after_upper_um"]
-    assert wide["total_after_upper_um"] == pytest.approx(joined_um(0.6, 2.0, 0.6, 12.0))
+    assert wide["total_after_upper_um"] == pytest.approx(0.6 + 2.0)
     assert wide["total_after_lower_um"] == pytest.approx(0.6)
     off = widened(PROMISE, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0), (0.1, 0.2)))
     assert off["total_after_lower_um"] == pytest.approx(0.48)
-    assert off["total_after_upper_um"] == pytest.approx(joined_um(0.72, 2.0, 0.6, 12.0))
+    assert off["total_after_upper_um"] == pytest.approx(0.72 + 2.0)
 
 
 def test_rest_adds_plainly_to_an_error_that_stays_and_in_squares_to_one_that_goes() -> None:
@@ -87,8 +87,8 @@ def test_rest_adds_plainly_to_an_error_that_stays_and_in_squares_to_one_that_goe
     assert joined_um(3.0, 4.0, 0.0, 12.0) == pytest.approx(5.0)
     assert joined_um(3.0, 4.0, 0.0, 0.0) == pytest.approx(7.0)
     barely = MotionPromise(3.0, 2.9, 10.0, 9.9, 12.0, 11.9)
-    most = widened(barely, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0)))["total_after_upper_um"]
-    assert math.hypot(11.9, 2.0) + 1.5 < most < 11.9 + 2.0
+    middle = widened(barely, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0)))["total_after_um"]
+    assert math.sqrt(11.9 * math.hypot(11.9, 1.0)) + 0.4 < middle < math.sqrt(11.9 * (11.9 + 1.0))
 
 
 def test_the_models_word_is_on_its_own_law() -> None:
