@@ -14,6 +14,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.clearance import given_m
 from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import LoopRunner, NutGap, design_law, model_loop
@@ -179,7 +180,7 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
         elif bare == "preload_loss" and place != "beyond":
             ratio = model.parameters["preload_loss.stiffness_ratio"]
             zone_m = model.parameters["preload_loss.half_width_m"]
-            half_m += (1.0 - ratio) * zone_m
+            half_m += given_m(zone_m, ratio)
             edge_N = ratio * zone_m * chain[slots.K_NUT]
         else:
             continue

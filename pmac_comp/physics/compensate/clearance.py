@@ -70,12 +70,17 @@ class Clearance:
         """Full clearance in m; of a soft zone what it gives beyond the stiff spring."""
         if _GAP in self.values:
             return self.values[_GAP]
-        return 2.0 * (1.0 - self.values[_RATIO]) * self.values[_ZONE]
+        return 2.0 * given_m(self.values[_ZONE], self.values[_RATIO])
 
     @property
     def is_soft(self) -> bool:
         """Whether it is a soft zone and no play."""
         return _ZONE in self.values
+
+
+def given_m(half_width_m: float, stiffness_ratio: float) -> float:
+    """What a soft zone of the nut gives at its edge beyond the stiff spring, m, on one flank."""
+    return (1.0 - stiffness_ratio) * half_width_m
 
 
 def with_clearance(model: "DriveModel", values: Mapping[str, float]) -> "DriveModel":
