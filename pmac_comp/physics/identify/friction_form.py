@@ -8,6 +8,7 @@ Coulomb and viscous friction stay the base. A form is added only if it predicts 
 of the same captures clearly better, and the result says so.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -42,6 +43,7 @@ _STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for 
 _NO_ZONE_m = 0.0
 _SIGNIFICANT = 3.0  # standard deviations
 _SUSPECT = 1.9  # misfit after reversals over elsewhere; Coulomb friction alone gives 1.5 to 1.8
+_BEYOND_STEPS = 2.0  # of their rms; what the right model leaves is below it
 _SEGMENT_s = 0.8  # held out and fitted by turns
 _BLOCK_s = 0.4
 _CLEARLY, _RATHER = 3.0, 1.0  # standard errors of the mean over blocks
@@ -193,10 +195,17 @@ class _Trial:
         )
 
     def suspects(self, found: Identification) -> bool:
-        """Whether the misfit of table minus motor grows around reversals."""
+        """Whether the misfit of table minus motor around reversals asks for another friction.
+
+        It does where it grows there, or where it is more than the steps of the sensors make: what
+        else a model lacks, as torque ripple, can hide by its own misfit that it grows.
+        """
         records = [rec.prepare(capture, self.bench) for capture in self.captures]
         levels = share_after_reversals(records, found.residuals)
-        return levels is not None and levels[1] > _SUSPECT * levels[0]
+        if levels is None:
+            return False
+        steps_m = math.hypot(self.bench.motor_resolution_m, self.bench.scale_resolution_m or 0.0)
+        return levels[1] > min(_SUSPECT * levels[0], _BEYOND_STEPS * steps_m / math.sqrt(12.0))
 
     def errors(self, found: Identification) -> FloatArray:
         """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""
@@ -227,12 +236,12 @@ def identify_with_friction(
     """``identify``, with the form of friction chosen by what the captures show.
 
     The base model is fitted first, to within the noise. Where it leaves clearly more around
-    reversals than elsewhere, presliding at guide, nut and motor with Stribeck friction is fitted to
-    alternate stretches of the captures and judged, like the base model, by table minus motor on the
-    other stretches; then the same with memory at the guide. Where nothing comes of it, Coulomb
-    friction that sets in over some tenths of a micrometre is tried in the same way. What is clearly
-    better, without the parts that came out as nothing, is fitted to everything. Otherwise the fit
-    of the base model goes on to its end.
+    reversals than elsewhere, or than the sensors' steps make, presliding at guide, nut and motor
+    with Stribeck friction is fitted to alternate stretches of the captures and judged, like the
+    base model, by table minus motor on the other stretches; then the same with memory at the guide.
+    Where nothing comes of it, Coulomb friction that sets in over some tenths of a micrometre is
+    tried in the same way. What is clearly better, without the parts that came out as nothing, is
+    fitted to everything. Otherwise the fit of the base model goes on to its end.
 
     Parameters
     ----------
