@@ -90,10 +90,11 @@ def turn_torque(
     matrix = np.concatenate(parts)
     rest = np.concatenate([r[::_DECIMATION] for r in rests])
     # The wave of friction once per turn, or of the cogging's order: what explains more.
-    once, again = _without(matrix, _AGAIN), _without(matrix, _ONCE)
-    matrix, wave = (again, _AGAIN) if _left(again, rest) < _left(once, rest) else (once, _ONCE)
+    both = (_ONCE, _without(matrix, _AGAIN)), (_AGAIN, _without(matrix, _ONCE))
+    tried = [(_left(columns, rest), wave, columns) for wave, columns in both]
+    least, wave, matrix = min(tried, key=lambda one: one[0])
     found = _regression(matrix, rest)
-    least, whole = _left(matrix, rest), max(float(np.sum(rest**2)), 1e-30)
+    whole = max(float(np.sum(rest**2)), 1e-30)
     # Share of the residual's power that a wave explains beyond all else.
     gains = [(_left(_without(matrix, pair), rest) - least) / whole for pair in (_COGGING, wave)]
     gains = [gain if gain > _LEAST_GAIN_FRAC else 0.0 for gain in gains]

@@ -8,7 +8,6 @@ Coulomb and viscous friction stay the base. A form is added only if it predicts 
 of the same captures clearly better, and the result says so.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import identify, share_after_reversals
 from pmac_comp.physics.identify.output_error import Stages
+from pmac_comp.physics.identify.problem import step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 
@@ -204,8 +204,8 @@ class _Trial:
         levels = share_after_reversals(records, found.residuals)
         if levels is None:
             return False
-        steps_m = math.hypot(self.bench.motor_resolution_m, self.bench.scale_resolution_m or 0.0)
-        return levels[1] > min(_SUSPECT * levels[0], _BEYOND_STEPS * steps_m / math.sqrt(12.0))
+        steps_m = step_floors(self.bench)["difference"]
+        return levels[1] > min(_SUSPECT * levels[0], _BEYOND_STEPS * steps_m)
 
     def errors(self, found: Identification) -> FloatArray:
         """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""

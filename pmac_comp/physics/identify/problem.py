@@ -142,6 +142,16 @@ class Problem:
         ]
 
 
+def step_floors(bench: Bench) -> dict[str, float]:
+    """Rms that the steps of the sensors make: torque in N m, motor and table minus motor in m."""
+    step_m = bench.scale_resolution_m or bench.motor_resolution_m
+    return {
+        "torque": bench.drive.torque_per_dac_Nm / np.sqrt(12.0),
+        "motor": bench.motor_resolution_m / np.sqrt(12.0),
+        "difference": np.hypot(step_m, bench.motor_resolution_m) / np.sqrt(12.0),
+    }
+
+
 def problem_of(
     records: Sequence[Record],
     nuisance: Sequence[FloatArray],
@@ -162,12 +172,6 @@ def problem_of(
     scales = np.array([abs(spec.scale) for spec in specs])
     centre = np.array([spec.nominal for spec in specs]) / scales
     weight = np.array([_prior_information(spec) for spec in specs]) * scales**2
-    step_m = bench.scale_resolution_m or bench.motor_resolution_m
-    floors = {
-        "torque": bench.drive.torque_per_dac_Nm / np.sqrt(12.0),
-        "motor": bench.motor_resolution_m / np.sqrt(12.0),
-        "difference": np.hypot(step_m, bench.motor_resolution_m) / np.sqrt(12.0),
-    }
     return Problem(
         records,
         [thinned(columns, r.factor) for r, columns in zip(records, nuisance, strict=True)],
@@ -176,7 +180,7 @@ def problem_of(
         scales,
         centre,
         weight,
-        floors,
+        step_floors(bench),
         bench.motor_resolution_m,
         executor,
         steady,
