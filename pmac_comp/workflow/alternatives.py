@@ -21,7 +21,12 @@ from pmac_comp.base.errors import NonFinite
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, Controller
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import design_law, model_loop, without_static
+from pmac_comp.physics.compensate.design import (
+    design_law,
+    load_torque_Nm,
+    model_loop,
+    without_static,
+)
 from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.physics.model import slots as s
@@ -340,7 +345,13 @@ def _learning(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeR
 def _law(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
     period = plant.bench.servo_period_s
     delay_s = drive_delay_s(plant)
-    law = design_law(plant.bench, model_loop(plant), delay_s=delay_s, latency_cycles=0)
+    law = design_law(
+        plant.bench,
+        model_loop(plant),
+        delay_s=delay_s,
+        latency_cycles=0,
+        load_Nm=load_torque_Nm(plant),
+    )
     way = Way(
         plant,
         correction_m=lambda r: evaluate_law(law, r, period).correction_m,

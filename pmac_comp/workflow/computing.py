@@ -119,7 +119,7 @@ def compute_compensation(
     check_route(route)
     check_options(bench, route, motion, every_cycles)
     check_slow_runs(bench, route, slow, whole_travel=limit is Limit.REFUSE)
-    begun = with_starts(bench, model_loop(without_turn(model)), (*captures, *slow))
+    begun = with_starts(without_turn(model), (*captures, *slow))
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
         clearance = found_clearance(bench, model, slow, captures)
@@ -322,6 +322,8 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
         out["taken up with a lag of ms"] = law.gap_lag_s * 1e3
+    if law.gap_load_m != 0.0:
+        out["load on the nut, as its elastic error um"] = law.gap_load_m * UM_PER_M
     return out
 
 

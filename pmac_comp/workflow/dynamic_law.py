@@ -17,7 +17,13 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import given_m
 from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import LoopRunner, NutGap, design_law, model_loop
+from pmac_comp.physics.compensate.design import (
+    LoopRunner,
+    NutGap,
+    design_law,
+    load_torque_Nm,
+    model_loop,
+)
 from pmac_comp.physics.compensate.grip import (
     GRIP,
     gripping_law,
@@ -82,6 +88,7 @@ def dynamic_law(
             with_torque=route in TORQUE_ROUTES,
             every_cycles=every_cycles,
             gap=nut_gap(model),
+            load_Nm=load_torque_Nm(model),
             provenance={**(provenance or {}), **noted},
             progress=progress,
         )
@@ -171,10 +178,13 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     A soft zone of the nut counts as the clearance that it has beyond the stiff spring, all of it
     taken up at the zone's edge.
     """
-    half_m, edge_N, rest = 0.0, 0.0, without_turn(model)
+    half_m, edge_N, load_N, rest = 0.0, 0.0, 0.0, without_turn(model)
     chain = model.kernel_vector()
     for name in model.effects:
         bare, place = split_name(name)
+        if bare == "bias_force":
+            load_N = model.parameters["bias_force.force_N"]
+            continue
         if bare == "backlash":
             half_m += 0.5 * model.parameters["backlash.gap_m"]
         elif bare == "preload_loss" and place != "beyond":
@@ -187,7 +197,8 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
         rest = rest.without_effect(name)
     if half_m <= 0.0:
         return None
-    return NutGap(half_m, edge_N / chain[slots.M_TABLE], model_loop(rest))
+    mass_kg = chain[slots.M_TABLE]
+    return NutGap(half_m, edge_N / mass_kg, load_N / mass_kg, model_loop(rest))
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":

@@ -57,9 +57,10 @@ def clearance_remarks(law: CompensationLaw) -> list[str]:
         return []
     found = Clearance(**noted)
     like = "of a nut that is soft around zero force" if found.is_soft else "as a gap does"
+    pressed = f", pressed to one side by {found.load_N:+.0f} N" if found.load_N != 0.0 else ""
     return [
         f"slow and fast runs show a lost motion of {found.gap_m * UM_PER_M:.2f} um that turns with "
-        f"the force in the nut, {like}, and that the model does not hold: with it "
+        f"the force in the nut{pressed}, {like}, and that the model does not hold: with it "
         f"{found.with_um:.2f} um rms of the mechanical error of the runs stay, without it "
         f"{found.without_um:.2f}. The law takes it up; `pmac-comp diagnose` tells what it is"
     ]

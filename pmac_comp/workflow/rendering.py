@@ -36,6 +36,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
     T = scales.period_s
     q = scales.torque_Nm_per_dac
     pass_s = law.every_cycles * T
+    degrees_per_ct = 360.0 / (law.turn_m * K)
     return LawParameters(
         A0=law.inertia_s2 / T**2,
         V0=law.viscous_s / T,
@@ -51,12 +52,11 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),
-        KP=360.0 / (law.turn_m * K),
         TR=law.turn_friction_Nm / q,
-        NR=law.turn_order,
+        NR=law.turn_order * degrees_per_ct,
         PR=math.degrees(law.turn_phase_rad),
         TH=law.ripple_Nm / q,
-        NH=law.ripple_order,
+        NH=law.ripple_order * degrees_per_ct,
         PH=math.degrees(law.ripple_phase_rad),
         T_INV=1.0 / (law.torque_breakaway_m * K),
         T0=law.torque_constant_Nm / q,
@@ -64,6 +64,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         GH=law.gap_half_m * K,
         GW=law.gap_width_m * K,
         GL=pass_s / (law.gap_lag_s + pass_s),
+        GB=law.gap_load_m * K,
         TG=law.gap_torque_Nm / q,
     )
 

@@ -30,13 +30,13 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
-    e = (C0 + C1 r) (A0 a + V0 v + S0 s)
-    f = e + L1 (A0 j + V0 a)                              the same L1 cycles later
+    e = A0 a + V0 v + S0 s
+    f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
     h = |v| dn S_INV     g = (g + h f / max(GW, |f|)) / (1 + h)      flank: goes with the force
     b = g - l            l = l + GL b                     flank as the motor changes it, and behind
-    c = e + GH l + J0 j
+    c = (C0 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
-    p = (r + L1 v) KP                                     angle of the screw, degrees
+    p = r + L1 v                                          place of the screw
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(NR p + PR)) t + T0 + TH sin(NH p + PH)
         + TG b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
@@ -71,6 +71,7 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 REST_FADE_PER_CYCLE: Final = 0.01  # that of the torque
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
+_LAYOUT: Final = 2  # of a bank: the checksum begins with it, so that another layout's does not fit
 _CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
@@ -127,7 +128,7 @@ class BankIndex(IntEnum):
     S0 = 4  # counts
     TG = 5  # DAC units while the nut crosses its clearance
     C0 = 6  # compliance at position zero, relative to where A0, V0 and S0 hold
-    KP = 7  # degrees of the screw per count (I15 = 0)
+    GB = 7  # counts, elastic correction of the constant load that the nut carries
     S_INV = 8  # 1/counts, inverse of the break-away distance of s
     TJ = 9  # DAC units per (count/SC^2)
     TB = 10  # DAC units per (count/SC)
@@ -144,10 +145,10 @@ class BankIndex(IntEnum):
     T_LIMIT = 21  # DAC units, largest torque feed-forward
     TK = 22  # DAC units per (count/SC^3), undoes delay and current loop
     TH = 23  # DAC units, cogging
-    NH = 24  # orders per turn
+    NH = 24  # degrees per count (I15 = 0)
     PH = 25  # degrees
     GH = 26  # counts, half the clearance of the nut; with it S0 and GW are positive
-    NR = 27  # orders per turn of TR
+    NR = 27  # degrees per count, of TR
     SEALED = 28  # 20261 once the bank was read back
     CRC = 29
 
@@ -197,7 +198,7 @@ class LawBlock:
 def bank_crc(values: Sequence[float]) -> int:
     """Low 29 bits, nine digits, of the CRC-32 of a bank's coefficients in nine-digit text."""
     text = " ".join(nine_digits(value) for value in values[: BankIndex.SEALED])
-    return zlib.crc32(text.encode("ascii")) & _CRC_MASK
+    return zlib.crc32(text.encode("ascii"), _LAYOUT) & _CRC_MASK
 
 
 @dataclass(frozen=True)
@@ -225,9 +226,8 @@ class LawParameters:
     TE: float = 0.0
     T_LIMIT: float = 0.0
     TK: float = 0.0
-    KP: float = 0.0
     TR: float = 0.0
-    NR: float = 1.0
+    NR: float = 0.0
     PR: float = 0.0
     TH: float = 0.0
     NH: float = 0.0
@@ -235,6 +235,7 @@ class LawParameters:
     GH: float = 0.0
     GW: float = 0.0
     GL: float = 1.0
+    GB: float = 0.0
     TG: float = 0.0
 
     def __post_init__(self) -> None:
@@ -288,7 +289,8 @@ class LawParameters:
             raise VerifyMismatch(
                 "The checksum of the bank does not fit its values.",
                 code="PC-LAW-011",
-                hint="Upload the law again; somebody wrote into the block.",
+                hint="Upload the law again; somebody wrote into the block, or another version of "
+                "pmac-comp did.",
             )
         try:
             return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
@@ -360,18 +362,20 @@ def evaluate(
     rests = np.abs(v) < _STILL_ct
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
     t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), REST_FADE_PER_CYCLE)
-    angle = (r + p.L1 * v) * p.KP
+    angle = r + p.L1 * v
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
-    c = (p.C0 + p.C1 * r) * (p.A0 * a + p.V0 * v + p.S0 * s)
+    elastic = p.A0 * a + p.V0 * v + p.S0 * s
+    c = (p.C0 + p.C1 * r) * elastic
     if p.GH > 0.0:
-        foreseen = c + p.L1 * (p.A0 * j + p.V0 * a)
+        foreseen = p.GB + elastic + p.L1 * (p.A0 * j + p.V0 * a)
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
-        first, passed = start.get("g", 0.0), np.abs(v) * p.S_INV
+        held = p.GB / max(p.GW, abs(p.GB))
+        first, passed = start.get("g", held), np.abs(v) * p.S_INV
         flank = _towards(goal, passed / (1.0 + passed), first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)
-        c = c + p.GH * lagged
+        c = c + p.GH * (lagged - held)
         q = q + p.TG * (flank - np.concatenate([[first], lagged[:-1]]))
     c = c + p.J0 * j
     return LawOutput(

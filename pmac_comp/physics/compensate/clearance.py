@@ -12,6 +12,10 @@ pull. The friction that the guide loses stays at the motor: their sum is what th
 
 A nut without preload is soft around zero force instead of free: its lost motion grows with the
 force up to the edge of the zone. Where that leaves clearly less than play does, it is taken.
+
+A weight or a slanted axis presses the nut on one flank: it leaves that one late, or never. Where
+the torque of the captures shows a constant load, its share at the table is fitted too; the rest of
+it acts on the motor, where it moves no flank.
 """
 
 import math
@@ -25,6 +29,7 @@ from scipy.optimize import least_squares
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.constant import constant_torque
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.lead import LeadMap
 
@@ -32,11 +37,14 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 _GAP, _GUIDE = "backlash.gap_m", "coulomb.guide_N"
+_LOAD = "bias_force.force_N"
 _ZONE, _RATIO = "preload_loss.half_width_m", "preload_loss.stiffness_ratio"
 _MOTOR, _STIFFNESS = "coulomb.motor_Nm", "chain.axial_stiffness_N_per_m"
 _LEAST_GAP_um = 0.3
 _LEAST_GAIN_FRAC = 0.05  # of the rms that stays without: plants without gap gain at most 0.01
 _SOFT_GAIN_FRAC = 0.1  # of the rms that stays with play
+_LOAD_GAIN_FRAC = 0.05  # of the rms that stays without a load on the nut
+_LEAST_LOAD_FRAC = 0.1  # of what friction and constant load need together
 _LEAST_ZONE_um, _WIDER = 1.5, 2.5  # where the fit of a soft zone begins at least, and again
 _SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
 _DECIMATION = 4
@@ -47,6 +55,7 @@ _Extra = tuple[tuple[str, float, tuple[float, float]], ...]
 _NOTHING: _Extra = ()
 _PLAY: _Extra = ((_GAP, 1.0 / UM_PER_M, (0.0, 100.0)),)
 _SOFT: _Extra = ((_ZONE, 1.0 / UM_PER_M, (0.05, 50.0)), (_RATIO, 1.0, (0.05, 0.95)))
+_LOAD_SHARE = (0.0, 1.5)  # of the load that the torque shows: the nut has losses
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,8 @@ class Clearance:
     Parameters
     ----------
     values : Mapping of str to float
-        Gap or soft zone and what changes beside it, full names, SI.
+        Gap or soft zone, the load on the nut where it has one, and what changes beside them, full
+        names, SI.
     without_um, with_um : float
         Rms of the mechanical error that stays, with these parameters fitted without and with gap.
     """
@@ -73,6 +83,11 @@ class Clearance:
         return 2.0 * given_m(self.values[_ZONE], self.values[_RATIO])
 
     @property
+    def load_N(self) -> float:
+        """Constant load that presses the nut on one flank, N; positive resists positive motion."""
+        return self.values.get(_LOAD, 0.0)
+
+    @property
     def is_soft(self) -> bool:
         """Whether it is a soft zone and no play."""
         return _ZONE in self.values
@@ -86,9 +101,10 @@ def given_m(half_width_m: float, stiffness_ratio: float) -> float:
 def with_clearance(model: "DriveModel", values: Mapping[str, float]) -> "DriveModel":
     """Model with the gap of the nut and the parameters beside it (``Clearance.values``)."""
     own = {name: value for name, value in values.items() if name in {_GAP, _ZONE, _RATIO}}
-    others = {name: value for name, value in values.items() if name not in own}
+    others = {name: value for name, value in values.items() if name not in {*own, _LOAD}}
     effect = "backlash" if _GAP in own else "preload_loss"
-    return model.with_parameters(others).with_effect(effect, own)
+    loose = model.with_parameters(others).with_effect(effect, own)
+    return loose.with_effect("bias_force", {_LOAD: values[_LOAD]}) if _LOAD in values else loose
 
 
 def measured_clearance(
@@ -115,14 +131,11 @@ def measured_clearance(
     if not runs or model.is_rigid or not _can_hide(model):
         return None
     wound = _fit(model, runs, [1.0, 1.0], _NOTHING)
-    loose = _fit(model, runs, [0.6 * wound.point[0], 1.2 * wound.point[1], 1.0], _PLAY)
-    # A wide zone is hardly play: it is looked for where no play is found, too.
-    narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[2])
-    zones_um = narrow_um, _WIDER * narrow_um  # each ends in a place of its own
-    starts = ([*loose.point[:2], zone_um, 0.5] for zone_um in zones_um)
-    tried = [_fit(model, runs, start, _SOFT) for start in starts]
-    soft = min(tried, key=lambda fit: fit.rms_um)
-    best = soft if soft.rms_um < (1.0 - _SOFT_GAIN_FRAC) * loose.rms_um else loose
+    best = _gap_fit(model, runs, wound, _NOTHING)
+    load_N = _load_N(model, captures)
+    if load_N != 0.0:
+        loaded = _gap_fit(model, runs, wound, ((_LOAD, load_N, _LOAD_SHARE),))
+        best = loaded if loaded.rms_um < (1.0 - _LOAD_GAIN_FRAC) * best.rms_um else best
     found = Clearance(_values(model, best.point, best.extra), wound.rms_um, best.rms_um)
     is_told = best.rms_um <= (1.0 - _LEAST_GAIN_FRAC) * wound.rms_um
     return found if is_told and found.gap_m * UM_PER_M >= _LEAST_GAP_um else None
@@ -132,6 +145,33 @@ def settled(capture: Capture) -> BoolArray:
     """Samples of a run after which it is known on which flank the nut is."""
     steps = np.abs(np.diff(capture.commanded_position_m))
     return capture.mask & (np.concatenate([[0.0], np.cumsum(steps)]) > _SETTLED_m)
+
+
+def _gap_fit(model: "DriveModel", runs: Sequence["_Run"], wound: "_Fit", load: _Extra) -> "_Fit":
+    """Play, or a soft zone where that leaves clearly less."""
+    pressed = [1.0] * len(load)
+    start = [0.6 * wound.point[0], 1.2 * wound.point[1], 1.0, *pressed]
+    loose = _fit(model, runs, start, _PLAY + load)
+    # A wide zone is hardly play: it is looked for where no play is found, too.
+    narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[2])
+    zones_um = narrow_um, _WIDER * narrow_um  # each ends in a place of its own
+    starts = ([*loose.point[:2], zone_um, 0.5, *loose.point[3:]] for zone_um in zones_um)
+    tried = [_fit(model, runs, start, _SOFT + load) for start in starts]
+    soft = min(tried, key=lambda fit: fit.rms_um)
+    return soft if soft.rms_um < (1.0 - _SOFT_GAIN_FRAC) * loose.rms_um else loose
+
+
+def _load_N(model: "DriveModel", captures: Sequence[Capture]) -> float:
+    """Constant load as a force at the table that torque shows beyond the model; 0 for none."""
+    if "bias_force" in model.effects:
+        return 0.0
+    found = constant_torque(model_loop(model), captures)
+    if found is None:
+        return 0.0
+    force_N = found.torque_Nm / model.bench.lead_m_per_rad
+    least_N = _LEAST_LOAD_FRAC * (abs(force_N) + model.parameters[_GUIDE])
+    is_known = abs(found.torque_Nm) > found.two_std_Nm and abs(force_N) > least_N
+    return force_N if is_known else 0.0
 
 
 def _can_hide(model: "DriveModel") -> bool:

@@ -88,6 +88,7 @@ _TORQUE_SCALES = {
 }
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
+_GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
 _LOWEST = {
     "breakaway_m": 0.5e-6,
     "torque_breakaway_m": 0.5e-6,
@@ -107,7 +108,10 @@ class LoopSignals:
 
 
 class LoopRunner(Protocol):
-    """Closed loop: of command, desired position, torque added, and what friction held before."""
+    """Closed loop: of command, desired position, torque added, and what friction held before.
+
+    It begins at rest: what holds a constant load of the model is added to what friction held.
+    """
 
     def __call__(
         self,
@@ -131,12 +135,15 @@ class NutGap:
         Half of it.
     edge_m_per_s2 : float
         Acceleration of the table whose force takes all of it up; 0 for play, which has no width.
+    load_m_per_s2 : float
+        Acceleration of the table whose force is the constant load on the nut.
     stiff : LoopRunner
         Loop of the model without it, which the regression starts from.
     """
 
     half_m: float
     edge_m_per_s2: float
+    load_m_per_s2: float
     stiff: LoopRunner
 
 
@@ -150,11 +157,24 @@ def without_static(model: "DriveModel") -> "DriveModel":
     return model
 
 
+def load_torque_Nm(model: "DriveModel") -> float:
+    """Torque in N m that holds the constant load of a model."""
+    force_N = model.parameters["bias_force.force_N"] if "bias_force" in model.effects else 0.0
+    return force_N * model.bench.lead_m_per_rad
+
+
+def beside_load(torque_Nm: FloatArray | None, load_Nm: float) -> FloatArray | None:
+    """Torque added to a loop whose integrator holds the load at first, less what it sends of it."""
+    if torque_Nm is None or load_Nm == 0.0:
+        return torque_Nm
+    return torque_Nm - min(max(float(torque_Nm[0]), min(load_Nm, 0.0)), max(load_Nm, 0.0))
+
+
 def model_loop(model: "DriveModel") -> LoopRunner:
     """Closed loop of a drive model's dynamics: of command, desired position and torque."""
     from pmac_comp.physics.model.drive import simulate
 
-    dynamic = without_static(model)
+    dynamic, held_Nm = without_static(model), load_torque_Nm(model)
 
     def run(
         commanded: FloatArray,
@@ -167,8 +187,8 @@ def model_loop(model: "DriveModel") -> LoopRunner:
             dynamic,
             commanded,
             desired_position_m=desired,
-            torque_feedforward_Nm=torque,
-            start=Start(resting_Nm),
+            torque_feedforward_Nm=beside_load(torque, held_Nm),
+            start=Start(held_Nm + resting_Nm),
         )
         if response.table_position_m is None:
             raise ModelError(
@@ -246,6 +266,7 @@ def design_law(
     with_torque: bool = True,
     every_cycles: int = 1,
     gap: NutGap | None = None,
+    load_Nm: float = 0.0,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
@@ -268,6 +289,8 @@ def design_law(
         Servo cycles between two passes of the law.
     gap : NutGap, optional
         Clearance of the nut.
+    load_Nm : float
+        Torque that holds the constant load of the model: a law with torque sends it.
     motions : sequence of Trajectory, optional
         Where the coefficients are refined; ``design_motions`` if not given.
     provenance : dict, optional
@@ -296,6 +319,8 @@ def design_law(
         provenance=dict(provenance or {}),
         jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
     )
+    if with_torque:
+        start = replace(start, torque_constant_Nm=load_Nm)
     if gap is not None:
         start = _taking_up(gap, start)
     return _refined(start, loop, chosen, latency_cycles, progress)
@@ -309,6 +334,7 @@ def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
         law,
         gap_half_m=gap.half_m,
         gap_width_m=width_m,
+        gap_load_m=law.inertia_s2 * gap.load_m_per_s2,
         gap_lag_s=law.lookahead_s,  # the motor crosses no sooner than it answers
         gap_torque_Nm=-_CROSSING_FRAC * law.torque_coulomb_Nm,
         coulomb_m=coulomb_m,
@@ -429,6 +455,7 @@ def _refined(
     lower = dict(_LOWEST)
     if has_gap:
         scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
+        scales |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
         lower["coulomb_m"] = LEAST_COULOMB_m
     names = list(scales)
     size = np.array([scales[name] for name in names])
@@ -482,7 +509,9 @@ def _errors(
     signals = loop(motion.position_m, desired, sent.torque_Nm)
     residual = signals.table_position_m - signals.motor_position_m + sent.correction_m
     total = signals.table_position_m - motion.position_m
-    both = np.concatenate([(residual - residual[0]) / aims[0], (total - total[0]) / aims[1]])
+    # Where the nut stood before the run began, or where the load let it, is no error of the law.
+    residual = residual - residual.mean()
+    both = np.concatenate([residual / aims[0], (total - total[0]) / aims[1]])
     counts = _MOVE_COUNTS if _has_steps(motion) else 1.0
     return np.asarray(both[::_DECIMATION] * (counts / math.sqrt(motion.n)))
 

@@ -10,11 +10,11 @@ the distance from the law's origin::
     p  = r + L v + L (L + T)/2 v'                       place expected L seconds later
     s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
-    e  = (1 + K x) (A0 a + V0 v + S0 s)                 elastic, as the force in the nut
-    f  = e + L (A0 j + V0 a)                            the same L seconds later
+    e  = A0 a + V0 v + S0 s                             elastic, as the force in the nut
+    f  = B + e + L (A0 j + V0 a)                        with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
-    correction = e + G h + J0 j                         added to the command
+    correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(m q + PR)) t + T0 + TH sin(n q + PH)
              + TG (g - h)                               added to the output
@@ -50,7 +50,10 @@ no rest winds anything.
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
 taken up as ``e`` passes zero, from -W to W, foreseen by the look-ahead as the motor takes its
-time. A nut that is only soft around zero force, as one without preload, takes its G up just so:
+time. A weight or a slanted axis loads the nut at rest already: B, the elastic correction of that
+load, shifts where the flank changes, and h0 = B / max(|B|, W) is the flank that the load holds,
+where ``g`` and ``h`` begin; a load that nothing overcomes leaves no gap to take up. A nut that is
+only soft around zero force, as one without preload, takes its G up just so:
 in proportion to the force, until W is reached. The flank follows the way of the command, as
 friction does: where the force turns over in the last tenths of a micrometre of a move, the guide
 holds the table wherever the nut is, and a motor that still crossed the gap would throw it.
@@ -119,6 +122,8 @@ class CompensationLaw:
         up; needs positive ``coulomb_m``, which tells the flank, and W.
     gap_lag_s, gap_torque_Nm : float
         M and TG: with which lag it is taken up, and the torque meanwhile.
+    gap_load_m : float
+        B, elastic correction of the constant load that the nut carries.
     every_cycles : int
         Servo cycles between two passes of the law; 2 halves what PLC 0 costs.
     provenance : dict
@@ -150,6 +155,7 @@ class CompensationLaw:
     gap_width_m: float = 0.0
     gap_lag_s: float = 0.0
     gap_torque_Nm: float = 0.0
+    gap_load_m: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -323,6 +329,12 @@ def _followed(state: float, way: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _flank(force: float, width: float) -> float:
+    """Flank from -1 to 1 that a force holds; it and the width by the correction they make, m."""
+    return force / max(width, abs(force))
+
+
+@njit(cache=True, nogil=True)
 def _friction_states(way: FloatArray, start: float) -> FloatArray:
     state = np.empty_like(way)
     value = start
@@ -339,20 +351,20 @@ def _evaluate(
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
     torque_constant, torque_breakaway, turn, turn_friction, turn_order, turn_phase = p[12:18]
-    ripple, ripple_order, ripple_phase, gap_half, gap_width, gap_lag, gap_torque, origin = p[18:26]
+    ripple, ripple_order, ripple_phase = p[18:21]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, origin = p[21:27]
     n = r.size
     seen = output.size == n
-    beyond = wound = 0.0
-    correction = np.empty(n)
-    torque = np.empty(n)
-    v = a = s = t = g = h = rest = 0.0
+    correction, torque = np.empty(n), np.empty(n)
+    v = a = s = t = rest = beyond = wound = 0.0
+    held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
+    g = h = held
     ahead = r[0]
     for k in range(n):
         v1 = v
         v = (r[k] - r[k - 1]) / period if k > 0 else 0.0
         place = r[k] + lookahead * (v + 0.5 * (lookahead + period) * (v - v1) / period)
-        step = place - ahead
-        ahead = place
+        step, ahead = place - ahead, place
         j = min(max(((v - v1) / period - a) / period, -limit), limit)
         a += j * period
         if abs(v) * period < _STILL_m:
@@ -376,15 +388,15 @@ def _evaluate(
         level += turn_friction * math.sin(turn_order * angle + turn_phase)
         sent = torque_inertia * a + torque_jerk * j + torque_viscous * v + level * t
         sent += torque_constant + ripple * math.sin(ripple_order * angle + ripple_phase) + wound
-        e = (1.0 + slope * (r[k] - origin)) * (inertia * a + viscous * v + coulomb * s)
+        e = inertia * a + viscous * v + coulomb * s
+        correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
-            f = e + lookahead * (inertia * j + viscous * a)
+            f = gap_load + e + lookahead * (inertia * j + viscous * a)
             way = abs(v) * period / breakaway
-            g = (g + way * f / max(gap_width, abs(f))) / (1.0 + way)
+            g = (g + way * _flank(f, gap_width)) / (1.0 + way)
             behind = g - h
             h += behind * period / (gap_lag + period)
-            e += gap_half * h
+            correction[k] += gap_half * (h - held)
             sent += gap_torque * behind
-        correction[k] = e + jerk * j
         torque[k] = sent
     return correction, torque

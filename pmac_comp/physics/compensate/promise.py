@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals, without_static
+from pmac_comp.physics.compensate.design import (
+    LoopRunner,
+    LoopSignals,
+    beside_load,
+    load_torque_Nm,
+    without_static,
+)
 from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evaluate_law
 from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.metrics import centred_rms_um
@@ -83,7 +89,7 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
     """
     from pmac_comp.physics.model.drive import simulate
 
-    dynamic = without_static(model)
+    dynamic, held_Nm = without_static(model), load_torque_Nm(model)
     rounds = model.bench.encoder.extension == "none"
 
     def run(
@@ -97,8 +103,8 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
             dynamic,
             commanded,
             desired_position_m=desired,
-            torque_feedforward_Nm=torque,
-            start=Start(resting_Nm),
+            torque_feedforward_Nm=beside_load(torque, held_Nm),
+            start=Start(held_Nm + resting_Nm),
             quantise=rounds,
         )
         return LoopSignals(

@@ -8,36 +8,39 @@ so would be taken for something that the drive has and the model lacks.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import constant_torque
-from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.model.resting import start_of
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 _RESTING = "resting_torque_Nm"  # attribute of a capture in memory, not of its file
 
 
-def with_starts(bench: Bench, loop: LoopRunner, captures: Sequence[Capture]) -> list[Capture]:
-    """Captures that know with what torque the loop of a model has to begin them.
+def with_starts(model: "DriveModel", captures: Sequence[Capture]) -> list[Capture]:
+    """Captures that know with what torque of friction the loop of a model has to begin them.
 
     Parameters
     ----------
-    bench : Bench
-        Gives the control law, and with it what of the torque the integrator holds.
-    loop : LoopRunner
-        Closed loop of the model; a constant load that it lacks is no friction.
+    model : DriveModel
+        Its control law tells what of the torque the integrator holds; a constant load, its own or
+        one that it lacks, is no friction.
     captures : sequence of Capture
         Runs without compensation.
     """
-    constant = constant_torque(loop, captures)
-    load_Nm = 0.0 if constant is None else constant.torque_Nm
-    return [c.with_attributes(**{_RESTING: _held_Nm(bench, c, load_Nm)}) for c in captures]
+    constant = constant_torque(model_loop(model), captures)
+    whole_Nm = load_torque_Nm(model) + (0.0 if constant is None else constant.torque_Nm)
+    return [c.with_attributes(**{_RESTING: _held_Nm(model.bench, c, whole_Nm)}) for c in captures]
 
 
-def _held_Nm(bench: Bench, capture: Capture, load_Nm: float) -> float:
+def _held_Nm(bench: Bench, capture: Capture, constant_Nm: float) -> float:
     start = start_of(
         bench,
         capture.desired_m,
@@ -47,7 +50,7 @@ def _held_Nm(bench: Bench, capture: Capture, load_Nm: float) -> float:
     )
     # In motion friction holds nothing: the loops here begin at rest.
     rests = start.speed_m_per_s == 0.0 and start.torque_Nm != 0.0
-    return start.torque_Nm - load_Nm if rests else 0.0
+    return start.torque_Nm - constant_Nm if rests else 0.0
 
 
 def held_at_start_Nm(capture: Capture) -> float:

@@ -367,7 +367,8 @@ def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArra
     """Bristles that hold the torque with which a run begins, and the chain wound up between them.
 
     An axis that came to rest is held back by its friction, all at the same share of its level; what
-    a bias or a cable pulls is not. Where it moves already, friction has its full level.
+    a bias or a cable pulls is not. Where it moves already, friction has its full level. A load that
+    the guide cannot hold rests on a flank of the nut's clearance.
     """
     rho = par[s.LEAD]
     motor, nut = par[s.MOTOR + s.LEVEL], par[s.NUT + s.LEVEL]
@@ -398,6 +399,19 @@ def _strained(par: FloatArray, z: FloatArray, force: FloatArray, slip: FloatArra
     z[1] -= wound
     z[2] += shift
     z[3] += shift - rho * wound - pull / par[s.K_NUT]
+    if abs(load) > guide:
+        z[3] -= _given(par, pull)
+
+
+@_part
+def _given(par: FloatArray, pull: float) -> float:
+    """What play and soft zone give under a force in the nut, m."""
+    given = math.copysign(par[s.GAP_HALF], pull)
+    if par[s.SOFT_HALF] > 0.0:
+        loss = 1.0 - par[s.SOFT_RATIO]
+        inside = loss * abs(pull) / (par[s.SOFT_RATIO] * par[s.K_NUT])
+        given += math.copysign(min(inside, loss * par[s.SOFT_HALF]), pull)
+    return given
 
 
 @_part

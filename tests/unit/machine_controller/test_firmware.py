@@ -99,9 +99,9 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
 
 
 LAW = LawParameters(
-    A0=11.3, V0=0.0087, S0=0.93, C0=0.9, C1=3e-6, S_INV=0.05, NR=2.0, GL=0.3, TG=-35.0,
+    A0=11.3, V0=0.0087, S0=0.93, C0=0.9, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
-    GH=2.5, TE=0.9, T_LIMIT=9000.0, KP=0.036, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=20.0, PH=-70.0,
+    GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
 )  # fmt: skip
 
 
@@ -234,6 +234,23 @@ def test_an_unsealed_bank_is_never_taken_over(tmp_path: Path) -> None:
         bench.card.run_cycles(30)
         assert abs(bench.card.variables.read_i(129)) <= 200
     assert bench.p(7003) == 0.0
+
+
+def test_the_old_law_ends_the_ramp_where_the_new_bank_is_not_sealed(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    run_with_law(bench, LAW)
+    sent = [bench.p(7109)]
+    assert abs(sent[0]) > 0.2
+    bench.link.command("P7001=1-P7001")
+    for _ in range(600):
+        bench.card.run_cycles(1)
+        assert bench.p(7168) == pytest.approx(1.0 / LAW.S_INV)
+        assert bench.p(7175) == pytest.approx(1.0 / LAW.T_INV)
+        sent.append(bench.p(7109))
+    assert bench.p(7113) == -1.0
+    assert abs(sent[-1]) < abs(sent[0])
+    assert np.max(np.abs(np.diff(sent))) < 0.05
 
 
 @pytest.mark.parametrize("name", ["motion_sine.pmc", "motion_trapezoid.pmc", "motion_pvt.pmc"])

@@ -1,5 +1,7 @@
 """A gap that the model does not hold, found beside what it hides behind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,7 @@ def runs_of(model: DriveModel) -> list[Capture]:
                 run.commanded_position_m,
                 steps(run.motor_position_m, BENCH.motor_resolution_m),
                 table_position_m=steps(run.table_position_m + 7e-6, BENCH.scale_resolution_m),
+                torque_command_Nm=run.torque_command_Nm,
             )
         )
     return found
@@ -45,6 +48,11 @@ def runs_of(model: DriveModel) -> list[Capture]:
 
 def steps(position_m: FloatArray, size_m: float | None) -> FloatArray:
     return np.round(position_m / (size_m or 1e-9)) * (size_m or 1e-9)
+
+
+def shifted(run: Capture, torque_Nm: float) -> Capture:
+    assert run.torque_command_Nm is not None
+    return replace(run, torque_command_Nm=run.torque_command_Nm + torque_Nm)
 
 
 def winding(guide_N: float, stiffness: float) -> DriveModel:
@@ -79,6 +87,29 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     lost_Nm = (110.0 - found.values["coulomb.guide_N"]) * BENCH.pitch_m / (2.0 * np.pi)
     start_Nm = winding(110.0, 0.7).parameters["coulomb.motor_Nm"]
     assert loose.parameters["coulomb.motor_Nm"] == pytest.approx(start_Nm + lost_Nm)
+
+
+@pytest.mark.parametrize("force_N", [150.0, -60.0])
+def test_load_that_presses_the_nut_on_one_flank_is_found_with_the_gap(force_N: float) -> None:
+    loaded = DriveModel.base(BENCH, TRUE).with_effect("bias_force", {"force_N": force_N})
+    true = loaded.with_effect("backlash", {"gap_m": 4e-6})
+    found = measured_clearance(winding(70.0, 0.9), runs_of(true), None)
+    assert found is not None
+    assert found.gap_m == pytest.approx(4e-6, rel=0.1)
+    assert found.values["bias_force.force_N"] == pytest.approx(force_N, rel=0.1)
+    whole = with_clearance(winding(70.0, 0.9), found.values)
+    assert {"backlash", "bias_force"} <= set(whole.effects)
+    assert whole.parameters["bias_force.force_N"] == found.values["bias_force.force_N"]
+
+
+def test_load_of_the_motor_presses_no_nut() -> None:
+    # An offset of the output, or a weight on a belt of the motor's.
+    true = DriveModel.base(BENCH, TRUE).with_effect("backlash", {"gap_m": 4e-6})
+    runs = [shifted(run, 0.2) for run in runs_of(true)]
+    found = measured_clearance(winding(70.0, 0.9), runs, None)
+    assert found is not None
+    assert found.gap_m == pytest.approx(4e-6, rel=0.1)
+    assert "bias_force.force_N" not in found.values
 
 
 @pytest.mark.parametrize(("half_m", "ratio"), [(2e-6, 0.4), (5e-6, 0.6)])

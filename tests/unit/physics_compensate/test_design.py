@@ -1,5 +1,7 @@
 """The law from a model: start by closed forms, refinement through the loop, the promise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,14 @@ from pmac_comp.physics.compensate.design import (
     NutGap,
     design_law,
     design_motions,
+    load_torque_Nm,
     model_loop,
     slower_law,
     start_law,
 )
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.promise import promise
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 
@@ -94,7 +98,7 @@ def test_wind_up_stays_at_rest_and_the_law_holds_its_offset(law: CompensationLaw
 def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     model = DriveModel.base(BENCH).with_effect("backlash", {"gap_m": 5e-6})
     motions = design_motions(BENCH)[1:6:2]
-    gap = NutGap(2.5e-6, 0.0, model_loop(DriveModel.base(BENCH)))
+    gap = NutGap(2.5e-6, 0.0, 0.0, model_loop(DriveModel.base(BENCH)))
     with_gap = design_law(BENCH, model_loop(model), gap=gap, motions=motions)
     without = design_law(BENCH, model_loop(model), motions=motions)
     assert with_gap.gap_half_m == pytest.approx(2.5e-6, rel=0.25)
@@ -105,6 +109,36 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     )
     new, old = (promise(law, model_loop(model), motion) for law in (with_gap, without))
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
+
+
+def test_gap_under_a_load_is_taken_up_where_the_load_is_overcome() -> None:
+    load = {"force_N": 80.0}
+    stiff = DriveModel.base(BENCH).with_effect("bias_force", load)
+    model = stiff.with_effect("backlash", {"gap_m": 5e-6})
+    motions = design_motions(BENCH)[1:6:2]
+    table_kg = model.kernel_vector()[slots.M_TABLE]
+    blind = NutGap(2.5e-6, 0.0, 0.0, model_loop(stiff))
+    seeing = replace(blind, load_m_per_s2=80.0 / table_kg)
+    laws = [design_law(BENCH, model_loop(model), gap=g, motions=motions) for g in (seeing, blind)]
+    assert laws[0].gap_load_m > 0.5e-6
+    assert laws[1].gap_load_m == 0.0
+    motion = sinusoid(
+        period_s=BENCH.servo_period_s, amplitude_m=0.012, frequency_Hz=1.9, cycles=3.0
+    )
+    new, old = (promise(law, model_loop(model), motion) for law in laws)
+    assert new.e_r_after_um < 0.7 * old.e_r_after_um
+
+
+def test_loop_of_a_loaded_axis_begins_at_rest_whoever_holds_the_load() -> None:
+    stiff = DriveModel.base(BENCH).with_effect("bias_force", {"force_N": 150.0})
+    still = np.zeros(400)
+    held_Nm = load_torque_Nm(stiff)
+    assert held_Nm == pytest.approx(150.0 * BENCH.lead_m_per_rad)
+    for model in (stiff, stiff.with_effect("backlash", {"gap_m": 4e-6})):
+        for sent in (None, np.zeros(400), np.full(400, held_Nm)):
+            got = model_loop(model)(still, None, sent)
+            moved = [np.ptp(got.motor_position_m), np.ptp(got.table_position_m)]
+            assert max(moved) < 0.05e-6
 
 
 def test_route_without_torque_sends_none() -> None:

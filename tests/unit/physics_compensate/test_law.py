@@ -238,6 +238,26 @@ def test_motor_crosses_with_a_lag_and_its_torque_ends_with_the_crossing() -> Non
     assert np.all(follows[crossing[1:]] > 0.0)
 
 
+def test_load_shifts_the_force_at_which_the_flank_changes() -> None:
+    position = 0.02 * np.cos(2.0 * np.pi * 2.0 * np.arange(0.0, 1.0, PERIOD))
+    loaded = LOOSE.with_values(gap_load_m=3e-6)
+    plain = evaluate_law(LOOSE.with_values(gap_half_m=0.0), position, PERIOD).correction_m
+    taken = evaluate_law(loaded, position, PERIOD).correction_m - plain
+    flank = 1.0 + taken / LOOSE.gap_half_m  # the load holds the upper one, where it begins
+    clear = (np.abs(plain + 3e-6) > 1e-6) & (np.arange(position.size) > 50)
+    assert np.all(np.sign(flank[clear]) == np.sign(plain[clear] + 3e-6))
+    # Braking alone does not lift the load: only the hardest acceleration downwards does.
+    assert 0.1 < np.mean(flank[clear] < 0.0) < 0.4
+
+
+def test_load_that_nothing_lifts_leaves_no_gap_to_take_up() -> None:
+    position = 0.02 * np.cos(2.0 * np.pi * 2.0 * np.arange(0.0, 1.0, PERIOD))
+    plain = evaluate_law(LOOSE.with_values(gap_half_m=0.0), position, PERIOD)
+    heavy = evaluate_law(LOOSE.with_values(gap_load_m=-50e-6), position, PERIOD)
+    assert np.allclose(heavy.correction_m, plain.correction_m, atol=1e-15)
+    assert np.allclose(heavy.torque_Nm, plain.torque_Nm, atol=1e-12)
+
+
 def test_elastic_error_grows_along_the_screw_by_one_slope() -> None:
     law = LAW.with_values(gap_half_m=0.0, jerk_s3=0.0, origin_m=0.1)
     here = evaluate_law(law, SINE.position_m, PERIOD).correction_m

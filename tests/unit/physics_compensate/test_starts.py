@@ -34,7 +34,7 @@ def run_after_an_approach() -> tuple[Capture, DriveModel]:
 def test_what_friction_held_is_parted_from_the_load_and_not_counted_against_the_model() -> None:
     run, model = run_after_an_approach()
     loop = model_loop(model)
-    (begun,) = with_starts(BENCH, loop, [run])
+    (begun,) = with_starts(model, [run])
     held = held_at_start_Nm(begun)
     # The integrator wound against friction, and against the load beside it.
     assert run.torque_command_Nm is not None
@@ -64,5 +64,5 @@ def test_a_run_that_nobody_looked_at_begins_relaxed() -> None:
 def test_a_run_cut_out_of_a_motion_holds_nothing_by_friction() -> None:
     run, model = run_after_an_approach()
     cut = run.slice(run.n // 3, run.n)
-    (begun,) = with_starts(BENCH, model_loop(model), [cut])
+    (begun,) = with_starts(model, [cut])
     assert held_at_start_Nm(begun) == 0.0

@@ -7,6 +7,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.clearance import Clearance
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.loose_nut import (
@@ -56,3 +57,14 @@ def test_soft_nut_is_said_as_such() -> None:
     gap = nut_gap(loosened(MODEL, CompensationLaw(provenance=note)))
     assert gap is not None
     assert gap.half_m == pytest.approx(1.2e-6)
+
+
+def test_load_that_presses_the_nut_stays_with_the_law_and_is_said() -> None:
+    loaded = {**FOUND.values, "bias_force.force_N": -60.0}
+    note = json.loads(json.dumps(clearance_note(Clearance(loaded, 1.1, 0.4))))
+    (text,) = clearance_remarks(CompensationLaw(provenance=note))
+    assert "pressed to one side by -60 N" in text
+    gap = nut_gap(loosened(MODEL, CompensationLaw(provenance=note)))
+    assert gap is not None
+    mass_kg = MODEL.kernel_vector()[slots.M_TABLE]
+    assert gap.load_m_per_s2 == pytest.approx(-60.0 / mass_kg)
