@@ -66,6 +66,7 @@ PLANTS: dict[str, Effects | None] = {
     },
     "loose": {"backlash": {"gap_um": 2.0}},  # unnamed: neither model nor bench file knows of it
     "worn": {"backlash": {"gap_um": 4.0}},
+    "hung": {"backlash": {"gap_um": 4.0}, "bias_force": {"force_N": 150.0}},  # the same, hanging
 }
 ROUTES = ("law", "servo", "table", "cam", "program")
 
