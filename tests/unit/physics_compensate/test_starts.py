@@ -51,6 +51,13 @@ def test_what_friction_held_is_parted_from_the_load_and_not_counted_against_the_
     assert left_um(begun) < 0.5 * left_um(run)
 
 
+def test_a_load_that_the_model_holds_is_no_friction_either() -> None:
+    run, model = run_after_an_approach()
+    (without,) = with_starts(model, [run])
+    (own,) = with_starts(model.with_effect("bias_force", {"force_N": FORCE_N}), [run])
+    assert held_at_start_Nm(own) == pytest.approx(held_at_start_Nm(without), abs=0.01)
+
+
 def test_a_run_that_nobody_looked_at_begins_relaxed() -> None:
     run, _ = run_after_an_approach()
     assert held_at_start_Nm(run) == 0.0
