@@ -59,11 +59,13 @@ def test_correction_is_minus_the_quasi_static_error_where_friction_is_settled() 
     assert np.max(np.abs(got - want)[settled]) < 0.1e-6
 
 
-def test_law_in_counts_gives_the_same_correction_and_torque() -> None:
+@pytest.mark.parametrize("load_m", [0.0, -0.7e-6])
+def test_law_in_counts_gives_the_same_correction_and_torque(load_m: float) -> None:
     scales = Scales.of(BENCH)
-    here = evaluate_law(LAW, SINE.position_m, PERIOD)
+    law = LAW.with_values(gap_load_m=load_m)
+    here = evaluate_law(law, SINE.position_m, PERIOD)
     there = evaluate(
-        law_parameters(LAW, scales), SINE.position_m / scales.motor_m_per_ct, clamp_ct=60.0
+        law_parameters(law, scales), SINE.position_m / scales.motor_m_per_ct, clamp_ct=60.0
     )
     back_m = there.correction_ct * scales.motor_m_per_ct
     # The bank holds nine digits and ten decimals, and a gap is steep where the flank turns.
