@@ -317,6 +317,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
     out["friction torque Nm"] = law.torque_coulomb_Nm
     out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
+    out["friction torque fades at rest 1/s"] = law.rest_fade_per_s
     out["look-ahead ms"] = law.lookahead_s * 1e3
     if law.gap_half_m > 0.0:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M

@@ -20,6 +20,7 @@ from pmac_comp.workflow.scales import Scales
 _ENTRY_PER_CT = 16.0  # table entries are in 1/16 count (Software Reference Manual p. 303)
 _MOST_ENTRIES = 4000
 _SPARE_ENTRIES = 8
+_LEAST_AT_ZERO = 0.02  # of the compliance at the law's origin
 _KNOTS_PER_TURN_FRAC = 0.05
 CAM_RUN_UP_CYCLES = 16  # the time motor reaches its speed before the motion starts, and after it
 _CAM_SPACING_CYCLES = 4  # of cam entries: linear between them is 0.6 % off at 20 Hz
@@ -30,19 +31,20 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
     """Law of a bank in counts and servo cycles (SC).
 
     With K counts per m, T the servo period and q the torque of a DAC unit, a quantity per
-    (m/s2) becomes one per (count/SC^2) by 1/(K T^2), and a correction in m becomes counts by K.
+    (m/s2) becomes one per (count/SC^2) by 1/(K T^2), and a correction in m becomes counts by K. The
+    elastic terms and what they are held against are those at position zero.
     """
     K = 1.0 / scales.motor_m_per_ct
     T = scales.period_s
     q = scales.torque_Nm_per_dac
     pass_s = law.every_cycles * T
     degrees_per_ct = 360.0 / (law.turn_m * K)
+    zero = _at_position_zero(law)
     return LawParameters(
-        A0=law.inertia_s2 / T**2,
-        V0=law.viscous_s / T,
-        S0=law.coulomb_m * K,
-        C0=1.0 - law.compliance_slope_per_m * law.origin_m,
-        C1=law.compliance_slope_per_m / K,
+        A0=zero * law.inertia_s2 / T**2,
+        V0=zero * law.viscous_s / T,
+        S0=zero * law.coulomb_m * K,
+        C1=law.compliance_slope_per_m / zero / K,
         S_INV=1.0 / (law.breakaway_m * K),
         J0=law.jerk_s3 / T**3,
         L1=law.lookahead_s / T,
@@ -62,11 +64,32 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         T0=law.torque_constant_Nm / q,
         T_LIMIT=law.torque_limit_Nm / q,
         GH=law.gap_half_m * K,
-        GW=law.gap_width_m * K,
+        GW=zero * law.gap_width_m * K,
         GL=pass_s / (law.gap_lag_s + pass_s),
-        GB=law.gap_load_m * K,
+        GB=zero * law.gap_load_m * K,
+        RF=law.rest_fade_per_s * T,
         TG=law.gap_torque_Nm / q,
     )
+
+
+def _at_position_zero(law: CompensationLaw) -> float:
+    """Compliance at position zero over that at the law's origin.
+
+    Raises
+    ------
+    ConfigError
+        There is no screw at position zero.
+    """
+    zero = 1.0 - law.compliance_slope_per_m * law.origin_m
+    if zero < _LEAST_AT_ZERO:
+        raise ConfigError(
+            f"The compliance of the screw, {law.compliance_slope_per_m:+.3g} 1/m of that at "
+            f"{law.origin_m * MM_PER_M:.0f} mm, is {zero:.2g} of it at position zero: zero lies "
+            "beyond the screw.",
+            code="PC-DYN-023",
+            hint="Home the axis so that zero lies within its travel, and calibrate again.",
+        )
+    return zero
 
 
 T_co = TypeVar("T_co", bound=Table, covariant=True)

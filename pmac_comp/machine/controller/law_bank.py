@@ -34,7 +34,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
     h = |v| dn S_INV     g = (g + h f / max(GW, |f|)) / (1 + h)      flank: goes with the force
     b = g - l            l = l + GL b                     flank as the motor changes it, and behind
-    c = (C0 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
+    c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(NR p + PR)) t + T0 + TH sin(NH p + PH)
@@ -44,7 +44,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
 step at a reversal arrives with the axis in spite of latency, delay and current loop. Over the first
-100 cycles of a rest t fades by 0.01 and s by 0.004 a cycle; PLC 0 and the open servo look at what
+100 cycles of a rest t fades by RF and s by 0.004 a cycle; PLC 0 and the open servo look at what
 the output holds over a rest and begin the next motion from there (``feedforward_law.plc0``).
 """
 
@@ -69,9 +69,8 @@ DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
-REST_FADE_PER_CYCLE: Final = 0.01  # that of the torque
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
-_LAYOUT: Final = 2  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 3  # of a bank: the checksum begins with it, so that another layout's does not fit
 _CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
@@ -121,13 +120,13 @@ class WorkIndex(IntEnum):
 class BankIndex(IntEnum):
     """Offsets within a bank."""
 
-    A0 = 0  # counts per (count/SC^2)
+    A0 = 0  # counts per (count/SC^2), as V0 and S0 at position zero
     C1 = 1  # 1/counts, change of the compliance along the travel
     V0 = 2  # counts per (count/SC)
     GL = 3  # share of the way to a new flank that the motor goes in a pass
     S0 = 4  # counts
     TG = 5  # DAC units while the nut crosses its clearance
-    C0 = 6  # compliance at position zero, relative to where A0, V0 and S0 hold
+    RF = 6  # 1/SC, share of the friction torque that fades in a cycle of rest
     GB = 7  # counts, elastic correction of the constant load that the nut carries
     S_INV = 8  # 1/counts, inverse of the break-away distance of s
     TJ = 9  # DAC units per (count/SC^2)
@@ -212,7 +211,6 @@ class LawParameters:
     A0: float = 0.0
     V0: float = 0.0
     S0: float = 0.0
-    C0: float = 1.0
     C1: float = 0.0
     S_INV: float = 0.0
     TJ: float = 0.0
@@ -236,6 +234,7 @@ class LawParameters:
     GW: float = 0.0
     GL: float = 1.0
     GB: float = 0.0
+    RF: float = 0.01
     TG: float = 0.0
 
     def __post_init__(self) -> None:
@@ -257,6 +256,11 @@ class LawParameters:
             raise ConfigError(
                 "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
                 code="PC-LAW-006",
+            )
+        if not 0.0 <= self.RF <= 1.0:
+            raise ConfigError(
+                f"RF = {self.RF} is not a share of the friction torque from 0 to 1.",
+                code="PC-LAW-008",
             )
         if not 0.0 < self.GL <= 1.0:
             raise ConfigError(
@@ -300,6 +304,12 @@ class LawParameters:
                 code="PC-LAW-012",
                 hint="Upload the law again.",
             ) from error
+
+    @property
+    def held_flank(self) -> float:
+        """Flank from -1 to 1 that the constant load on the nut holds at rest."""
+        widest = max(self.GW, abs(self.GB))
+        return self.GB / widest if widest > 0.0 else 0.0
 
     @property
     def digest(self) -> int:
@@ -361,17 +371,17 @@ def evaluate(
     way = np.diff(ahead, prepend=ahead[0])
     rests = np.abs(v) < _STILL_ct
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
-    t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), REST_FADE_PER_CYCLE)
+    t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), p.RF)
     angle = r + p.L1 * v
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     elastic = p.A0 * a + p.V0 * v + p.S0 * s
-    c = (p.C0 + p.C1 * r) * elastic
+    c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:
         foreseen = p.GB + elastic + p.L1 * (p.A0 * j + p.V0 * a)
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
-        held = p.GB / max(p.GW, abs(p.GB))
+        held = p.held_flank
         first, passed = start.get("g", held), np.abs(v) * p.S_INV
         flank = _towards(goal, passed / (1.0 + passed), first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)

@@ -210,7 +210,8 @@ def _refusals(
 def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParameters) -> float:
     """Step of the correction in counts when an axis at rest changes over where it stands.
 
-    At rest only the states are left of the law: (C0 + C1 r) S0 s for friction, GH g for a gap.
+    At rest only the states are left of the law: (1 + C1 r) S0 s for friction, GH (g - l0) for
+    a gap.
     """
     if not head.is_armed:
         return 0.0
@@ -218,8 +219,8 @@ def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParamete
     def at_rest(law: LawParameters | None) -> float:
         if law is None:
             return 0.0
-        elastic = (law.C0 + law.C1 * head.position_ct) * law.S0 * head.friction_state
-        value = elastic + law.GH * head.flank_state
+        elastic = (1.0 + law.C1 * head.position_ct) * law.S0 * head.friction_state
+        value = elastic + law.GH * (head.flank_state - law.held_flank)
         return max(-head.clamp_ct, min(head.clamp_ct, value))
 
     return head.gain * (at_rest(new) - at_rest(old))

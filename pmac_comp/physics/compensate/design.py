@@ -88,6 +88,7 @@ _TORQUE_SCALES = {
     "torque_load_Nm_s2_per_m": 0.02,
     "torque_breakaway_m": 1e-5,
     "torque_constant_Nm": 0.02,
+    "rest_fade_per_s": 5.0,
 }
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
@@ -95,6 +96,7 @@ _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
 _LOWEST = {
     "breakaway_m": 0.5e-6,
     "torque_breakaway_m": 0.5e-6,
+    "rest_fade_per_s": 4.5,  # 0.82 are left: with all of it the motor creeps on
     "gap_half_m": 0.0,
     "gap_width_m": _LEAST_WIDTH_m,
     "gap_lag_s": 0.0,

@@ -31,10 +31,11 @@ ends is not taken for one that turns, and at rest the place expected is the plac
 foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
 which motions with limited jerk never meet.
 
-Over the first 100 cycles of a rest ``t`` fades to 0.37. All of it is just what breaks the motor
-loose: with what the integrator holds beside it, and where counts of the encoder keep the drive
-ringing, a motor whose bearings slide into their friction creeps on by micrometres (10 um of 20 mm
-pitch). Were nothing left, it would creep back by its presliding distance. As the torque fades the
+Over the first 100 cycles of a rest ``t`` fades, to 0.37 where nothing else is known. All of it is
+just what breaks the motor loose: with what the integrator holds beside it, and where counts of the
+encoder keep the drive ringing, a motor whose bearings slide into their friction creeps on by
+micrometres (10 um of 20 mm pitch). Were nothing left, it would creep back by its presliding
+distance, and leave the table behind; so how fast it fades (RF) is fitted. As the torque fades the
 screw unwinds a little and the table comes along: ``s`` fades to 0.67. In closed-loop simulation
 with Coulomb friction, and with presliding at guide, nut, motor or all of them, 0.57 to 0.73 of the
 table's lag are left, and stay over the first half second of a dwell. A card starts ``t`` at zero
@@ -75,7 +76,7 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
 
 REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
-REST_FADE_PER_CYCLE = 0.01  # of the torque's: 0.37 is left
+REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
@@ -105,6 +106,8 @@ class CompensationLaw:
         TJ, TK, TB.
     torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_constant_Nm : float
         TC, TE, T0.
+    rest_fade_per_s : float
+        RF, how fast the friction torque fades over the first 100 servo cycles of a rest.
     turn_m : float
         Travel of one screw turn.
     turn_friction_Nm, turn_order, turn_phase_rad : float
@@ -144,6 +147,7 @@ class CompensationLaw:
     torque_load_Nm_s2_per_m: float = 0.0
     torque_constant_Nm: float = 0.0
     torque_breakaway_m: float = 10e-6
+    rest_fade_per_s: float = REST_FADE_per_s
     turn_m: float = 10e-3
     turn_friction_Nm: float = 0.0
     turn_order: float = 1.0
@@ -188,6 +192,8 @@ class CompensationLaw:
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
+        if self.rest_fade_per_s < 0.0:
+            small.append("rest_fade_per_s")
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
@@ -350,9 +356,9 @@ def _evaluate(
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
-    torque_constant, torque_breakaway, turn, turn_friction, turn_order, turn_phase = p[12:18]
-    ripple, ripple_order, ripple_phase = p[18:21]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, origin = p[21:27]
+    torque_constant, torque_breakaway, rest_fade = p[12:15]
+    turn, turn_friction, turn_order, turn_phase, ripple, ripple_order, ripple_phase = p[15:22]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, origin = p[22:28]
     n = r.size
     seen = output.size == n
     correction, torque = np.empty(n), np.empty(n)
@@ -372,7 +378,7 @@ def _evaluate(
             if seen and k > 0:
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
             if rest < REST_CYCLES:
-                t *= 1.0 - REST_FADE_PER_CYCLE * every
+                t *= 1.0 - rest_fade * period
                 s *= 1.0 - UNWIND_PER_CYCLE * every
         else:
             if seen and rest >= REST_CYCLES and torque_coulomb > 0.0:

@@ -99,7 +99,7 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
 
 
 LAW = LawParameters(
-    A0=11.3, V0=0.0087, S0=0.93, C0=0.9, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
+    A0=11.3, V0=0.0087, S0=0.93, RF=0.004, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
 )  # fmt: skip

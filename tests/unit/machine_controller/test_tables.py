@@ -132,7 +132,7 @@ def test_the_card_moves_by_what_the_table_says(tmp_path: Path, by_desired: bool)
 
 
 def test_bank_survives_and_its_seal_does_not_lie() -> None:
-    law = LawParameters(A0=11.123456789123, S_INV=1e-9, C0=-123456.789, T_LIMIT=5, JL=7)
+    law = LawParameters(A0=11.123456789123, S_INV=1e-9, TC=-123456.789, T_LIMIT=5, JL=7)
     assert law.A0 == 11.1234568
     values = law.values()
     assert LawParameters.from_values(values) == law

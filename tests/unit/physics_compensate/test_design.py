@@ -16,7 +16,7 @@ from pmac_comp.physics.compensate.design import (
     slower_law,
     start_law,
 )
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s, evaluate_law
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
@@ -140,6 +140,28 @@ def test_loop_of_a_loaded_axis_begins_at_rest_whoever_holds_the_load() -> None:
             got = model_loop(model)(still, None, sent)
             moved = [np.ptp(got.motor_position_m), np.ptp(got.table_position_m)]
             assert max(moved) < 0.05e-6
+
+
+@pytest.mark.parametrize(("effect", "fades"), [(None, 1.0), ("presliding@rotary", 0.5)])
+def test_friction_that_slides_keeps_its_torque_at_rest(effect: str | None, fades: float) -> None:
+    # Were it to fade, bearings of motor and nut would slide back and leave the table behind.
+    model = DriveModel.base(BENCH)
+    if effect is not None:
+        model = model.with_effect(effect, {"distance_m": 12e-6})
+    law = design_law(BENCH, model_loop(model))
+    assert law.rest_fade_per_s < 1.01 * fades * REST_FADE_per_s
+    assert law.rest_fade_per_s > 0.7 * fades * REST_FADE_per_s or effect is not None
+    dwelling = trapezoid(
+        period_s=BENCH.servo_period_s,
+        distance_m=0.035,
+        speed_m_per_s=0.3,
+        acceleration_m_per_s2=2.0,
+        s_curve_s=0.015,
+        dwell_s=0.2,
+    )
+    usual = replace(law, rest_fade_per_s=REST_FADE_per_s)
+    own, other = (promise(one, model_loop(model), dwelling) for one in (law, usual))
+    assert own.e_r_after_um < (1.02 if effect is None else 0.7) * other.e_r_after_um
 
 
 def test_route_without_torque_sends_none() -> None:

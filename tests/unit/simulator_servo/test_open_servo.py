@@ -164,7 +164,7 @@ def test_shipped_algorithm_carries_the_rest_of_the_pid(make_servo, settings, all
 
 
 def load_bank(servo, values, *, bank=0, sealed=True):
-    values = {BankIndex.C0: 1.0, **values}
+    values = {BankIndex.RF: 0.01, **values}
     for offset in range(BANK_SIZE):
         servo.variables.write("P", 7010 + 30 * bank + offset, values.get(offset, 0.0))
     servo.variables.write("P", 7010 + 30 * bank + BankIndex.SEALED, SEAL if sealed else 0.0)
