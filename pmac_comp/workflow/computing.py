@@ -122,6 +122,8 @@ def compute_compensation(
     begun = with_starts(without_turn(model), (*captures, *slow))
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
+        if progress is not None and captures:
+            progress("looking for a gap in the nut", 0.0)
         clearance = found_clearance(bench, model, slow, captures)
         model = model if clearance is None else with_clearance(model, clearance.values)
         provenance = {**(provenance or {}), **clearance_note(clearance)}
