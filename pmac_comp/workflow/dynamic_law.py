@@ -20,6 +20,7 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import (
     LoopRunner,
     NutGap,
+    constant_load_N,
     design_law,
     load_torque_Nm,
     model_loop,
@@ -178,13 +179,10 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     A soft zone of the nut counts as the clearance that it has beyond the stiff spring, all of it
     taken up at the zone's edge.
     """
-    half_m, edge_N, load_N, rest = 0.0, 0.0, 0.0, without_turn(model)
+    half_m, edge_N, rest = 0.0, 0.0, without_turn(model)
     chain = model.kernel_vector()
     for name in model.effects:
         bare, place = split_name(name)
-        if bare == "bias_force":
-            load_N = model.parameters["bias_force.force_N"]
-            continue
         if bare == "backlash":
             half_m += 0.5 * model.parameters["backlash.gap_m"]
         elif bare == "preload_loss" and place != "beyond":
@@ -198,7 +196,8 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     if half_m <= 0.0:
         return None
     mass_kg = chain[slots.M_TABLE]
-    return NutGap(half_m, edge_N / mass_kg, load_N / mass_kg, model_loop(rest))
+    load_m_per_s2 = constant_load_N(model) / mass_kg
+    return NutGap(half_m, edge_N / mass_kg, load_m_per_s2, model_loop(rest))
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":
