@@ -1,8 +1,7 @@
 """Which form of friction the captures themselves ask for.
 
 What lives here: Coulomb friction first, forms with presliding and Stribeck where the moments after
-reversals contradict it, and the choice between them on samples that were not fitted. What may not:
-causes other than friction (``diagnose`` names those). Imports this package.
+reversals XX than friction (``diagnose`` names those). Imports this package.
 
 Coulomb and viscous friction stay the base. A form is added only if it predicts the held-out samples
 of the same captures clearly better, and the result says so.
@@ -12,19 +11,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.identify.agreement import widened_where_apart
-from pmac_comp.physics.identify.joint import identify, share_after_reversals
-from pmac_comp.physics.identify.output_error import Stages
+from pmac_comp.physics.identify.joint import share_after_reversals
 from pmac_comp.physics.identify.problem import step_floors
 from pmac_comp.physics.identify.result import Identification
+from pmac_comp.physics.identify.trial import Trial, alternate, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 
 Progress = Callable[[str, float], None]
@@ -44,11 +41,7 @@ _NO_ZONE_m = 0.0
 _SIGNIFICANT = 3.0  # standard deviations
 _SUSPECT = 1.9  # misfit after reversals over elsewhere; Coulomb friction alone gives 1.5 to 1.8
 _BEYOND_STEPS = 2.0  # of their rms; what the right model leaves is below it
-_SEGMENT_s = 0.8  # held out and fitted by turns
-_BLOCK_s = 0.4
 _CLEARLY, _RATHER = 3.0, 1.0  # standard errors of the mean over blocks
-_GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
-_FEW_BLOCKS = 8
 
 
 @dataclass(frozen=True)
@@ -113,15 +106,8 @@ _ANY_m = 1e-9
 _LENGTHS = ("presliding.distance_m", "presliding.rotary_m")
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Fits to one half of the captures, judged on the other."""
-
-    captures: Sequence[Capture]
-    bench: Bench
-    held_out: Sequence[BoolArray]
-    progress: Progress | None
-    executor: Executor | None
+class _FrictionTrial(Trial):
+    """What a trial of friction fits and what it keeps."""
 
     def outlined(self) -> Identification | None:
         """The base model fitted to within the noise; None where it cannot be.
@@ -132,23 +118,23 @@ class _Trial:
         if DriveModel.base(self.bench).is_rigid:
             return None
         try:
-            return self._of(None, None, None, "outline")
+            return self.fit(None, None, None, "outline")
         except ModelError:
             return None
 
     def plain(self, outline: Identification | None) -> Identification:
         """The base model fitted in full, from where its outline ended."""
         start = None if outline is None else outline.model
-        return self._of(start, None, None, "all" if start is None else "fine")
+        return self.fit(start, None, None, "all" if start is None else "fine")
 
     def fitted(self, start: DriveModel) -> Identification | None:
         """Friction fitted to one half from a start; None where the captures do not carry it."""
-        return self._identified(start, _asked(start), self.held_out, "fine")
+        return self.half(start, _asked(start))
 
     def fitted_at_guide(self, start: DriveModel) -> Identification | None:
         """The same for the guide alone, the turning side as it was."""
         names = [n for n in _asked(start) if not any(word in n for word in _TURNING)]
-        return self._identified(start, names, self.held_out, "fine")
+        return self.half(start, names)
 
     def shaped(self, start: DriveModel) -> DriveModel:
         """The start with distances and Stribeck's curve fitted to one half, levels as they were.
@@ -156,43 +142,8 @@ class _Trial:
         All at once, levels can run into a corner while the distances are still far off.
         """
         shape = [n for n in _asked(start) if n.partition(".")[0] not in BASE_EFFECTS]
-        found = self._identified(start, shape, self.held_out, "rough")
+        found = self.half(start, shape, "rough")
         return start if found is None or found.model is None else found.model
-
-    def settled(self, start: DriveModel) -> Identification | None:
-        """Everything fitted to all of the captures from a start."""
-        return self._identified(start, None, None, "fine")
-
-    def _identified(
-        self,
-        start: DriveModel,
-        names: list[str] | None,
-        held_out: Sequence[BoolArray] | None,
-        stages: Stages,
-    ) -> Identification | None:
-        try:
-            return self._of(start, names, held_out, stages)
-        except ModelError:
-            return None
-
-    def _of(
-        self,
-        start: DriveModel | None,
-        names: list[str] | None,
-        held_out: Sequence[BoolArray] | None,
-        stages: Stages,
-    ) -> Identification:
-        return identify(
-            self.captures,
-            self.bench,
-            model=start,
-            names=names,
-            warm=start is not None,
-            held_out=held_out,
-            stages=stages,
-            progress=self.progress,
-            executor=self.executor,
-        )
 
     def suspects(self, found: Identification) -> bool:
         """Whether the misfit of table minus motor around reversals asks for another friction.
@@ -206,24 +157,6 @@ class _Trial:
             return False
         steps_m = step_floors(self.bench)["difference"]
         return levels[1] > min(_SUSPECT * levels[0], _BEYOND_STEPS * steps_m)
-
-    def errors(self, found: Identification) -> FloatArray:
-        """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""
-        blocks = []
-        for capture, out, left in zip(self.captures, self.held_out, found.residuals, strict=True):
-            if left.table_m is None:
-                continue
-            torque = np.zeros(capture.n) if left.torque_Nm is None else left.torque_Nm
-            record = rec.prepare(capture, self.bench)
-            both = np.nan_to_num(np.column_stack([left.table_m, torque]))
-            smooth = rec.thinned(both, record.factor)
-            counts = rec.clean_rows(record) & out[:: record.factor] & rec.moving_rows(record)
-            size = max(round(_BLOCK_s / record.period_s), 1)
-            for low in range(0, counts.size, size):
-                rows = counts[low : low + size]
-                if rows.any():
-                    blocks.append(np.mean(smooth[low : low + size][rows] ** 2, axis=0))
-        return np.array(blocks).reshape(-1, 2)
 
 
 def identify_with_friction(
@@ -259,12 +192,12 @@ def identify_with_friction(
     NotIdentifiable, DidNotConverge, CaptureError
         As ``identify`` raises them for the base model.
     """
-    trial = _Trial(captures, bench, [_alternate(c) for c in captures], progress, executor)
+    trial = _FrictionTrial(captures, bench, [alternate(c) for c in captures], progress, executor)
     base = trial.outlined()
     if base is None or base.model is None or not trial.suspects(base):
         return trial.plain(base)
     errors = trial.errors(base)
-    figures = {"held_out_coulomb_um": _rms_um(errors)}
+    figures = {"held_out_coulomb_um": rms_um(errors)}
     best = _chosen(trial, base.model, errors, figures)
     final = None
     if best is not None and best.model is not None:
@@ -273,18 +206,18 @@ def identify_with_friction(
         base = trial.plain(base)
         return replace(base, figures={**base.figures, **figures})
     final = widened_where_apart(final, best)
-    said = _in_words(final, figures["held_out_coulomb_um"], _rms_um(trial.errors(best)))
+    said = _in_words(final, figures["held_out_coulomb_um"], rms_um(trial.errors(best)))
     return replace(
         final, statements=(said, *final.statements), figures={**final.figures, **figures}
     )
 
 
 def _chosen(
-    trial: _Trial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
+    trial: _FrictionTrial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
 ) -> Identification | None:
     """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
     found = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
-    if found is None or not _better(trial.errors(found), plain, _CLEARLY):
+    if found is None or not is_better(trial.errors(found), plain, _CLEARLY):
         return _set_in(trial, base, plain, figures)
     form = _form_of(found)
     if form.is_coulomb:
@@ -293,7 +226,7 @@ def _chosen(
         # What came out as nothing is left out, from the start: it can hold the rest in a corner.
         found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
     errors = trial.errors(found)
-    figures["held_out_lugre_um"] = _rms_um(errors)
+    figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
     # counts can hide what it leaves around reversals: only the held-out samples tell.
     if form.guide_m <= _STICK_ZONE_m:
@@ -302,20 +235,20 @@ def _chosen(
     if other is None:
         return found
     left = trial.errors(other)
-    figures["held_out_gms_um"] = _rms_um(left)
-    return other if _better(left, errors, _RATHER) else found
+    figures["held_out_gms_um"] = rms_um(left)
+    return other if is_better(left, errors, _RATHER) else found
 
 
 def _set_in(
-    trial: _Trial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
+    trial: _FrictionTrial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
 ) -> Identification | None:
     """Coulomb friction with the distances over which it sets in, where held-out samples show it."""
     found = trial.fitted(_start(base, _ONSET, _ANY_m))
     if found is None:
         return None
     errors = trial.errors(found)
-    figures["held_out_onset_um"] = _rms_um(errors)
-    return found if _better(errors, plain, _CLEARLY) else None
+    figures["held_out_onset_um"] = rms_um(errors)
+    return found if is_better(errors, plain, _CLEARLY) else None
 
 
 def _asked(model: DriveModel) -> list[str]:
@@ -348,11 +281,6 @@ def _form_of(found: Identification) -> _Form:
     )
 
 
-def _alternate(capture: Capture) -> BoolArray:
-    """Every second stretch of a capture, shape (n,)."""
-    return np.asarray((capture.time_s - capture.time_s[0]) // _SEGMENT_s % 2 == 1)
-
-
 def _in_words(found: Identification, before_um: float, after_um: float) -> str:
     model = found.model
     effects = () if model is None else tuple(n for n in model.effects if n not in BASE_EFFECTS)
@@ -376,28 +304,3 @@ def sets_in_unseen(model: DriveModel) -> bool:
     own = [n for n in model.effects if n not in BASE_EFFECTS]
     lengths_m = [model.parameters[name] for name in _LENGTHS if name in model.parameters]
     return own == ["presliding@all"] and max(lengths_m) <= model.bench.motor_resolution_m
-
-
-def _better(new: FloatArray, old: FloatArray, errors: float) -> bool:
-    """Whether blocks are better by so many standard errors of the mean, and by a useful amount.
-
-    Either in what they gain, or in the share of its own that each block gains: where a few blocks
-    hold most of the misfit, as those with a reversal do, they also make most of the scatter, and
-    the first alone would call a misfit that falls to a fifth in nearly every block unclear.
-    """
-    if new.shape[0] < _FEW_BLOCKS:
-        return False
-    size = np.mean(old, axis=0)
-    size[size == 0.0] = 1.0
-    gain = ((old - new) / size).sum(axis=1)
-    both = old + new
-    both[both == 0.0] = 1.0
-    share = ((old - new) / both).sum(axis=1)
-    clear = any(
-        np.mean(found) > errors * np.std(found) / np.sqrt(found.size) for found in (gain, share)
-    )
-    return bool(clear and np.mean(gain) > _GAIN)
-
-
-def _rms_um(mean_squares: FloatArray) -> float:
-    return UM_PER_M * float(np.sqrt(np.mean(mean_squares[:, 0]))) if mean_squares.size else 0.0

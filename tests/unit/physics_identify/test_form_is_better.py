@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.identify.friction_form import _better
+from pmac_comp.physics.identify.trial import is_better
 
 
 def blocks(seed: int, n: int = 70) -> FloatArray:
@@ -21,25 +21,25 @@ def test_few_large_blocks_do_not_hide_a_gain_that_all_blocks_show(seed: int) -> 
     new = 0.2 * old * np.random.default_rng(seed + 50).lognormal(0.0, 0.3, old.shape)
     gain = ((old - new) / old.mean(axis=0)).sum(axis=1)
     assert gain.mean() < 3.0 * gain.std() / np.sqrt(gain.size)
-    assert _better(new, old, 3.0)
-    assert not _better(old, new, 1.0)
+    assert is_better(new, old, 3.0)
+    assert not is_better(old, new, 1.0)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_chance_is_no_gain(seed: int) -> None:
     old = blocks(seed)
     new = old * np.random.default_rng(seed + 50).lognormal(0.0, 0.2, old.shape)
-    assert not _better(new, old, 3.0)
+    assert not is_better(new, old, 3.0)
 
 
 def test_small_gains_everywhere_do_not_outweigh_a_large_loss() -> None:
     old = blocks(1)
     new = 0.5 * old
     new[:4] = 1.1 * old[:4]
-    assert not _better(new, old, 3.0)
+    assert not is_better(new, old, 3.0)
 
 
 def test_a_gain_too_small_to_be_worth_parameters_or_of_too_few_blocks_is_none() -> None:
     old = blocks(2)
-    assert not _better(0.99 * old, old, 3.0)
-    assert not _better(0.2 * old[:7], old[:7], 3.0)
+    assert not is_better(0.99 * old, old, 3.0)
+    assert not is_better(0.2 * old[:7], old[:7], 3.0)

@@ -1,0 +1,143 @@
+"""Fits to every second stretch of the captures, judged on the stretches between.
+
+What lives here: how captures are parted, what is left on the held-out part, when one model predicts
+it better than another. What may not: what is tried (``friction_form``, ``scale_age``). Imports this
+package.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import records as rec
+from pmac_comp.physics.identify.joint import identify
+from pmac_comp.physics.identify.output_error import Stages
+from pmac_comp.physics.identify.result import Identification
+from pmac_comp.physics.model.drive import DriveModel
+
+Progress = Callable[[str, float], None]
+
+_SEGMENT_s = 0.8  # held out and fitted by turns
+_BLOCK_s = 0.4
+_GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
+_FEW_BLOCKS = 8
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Fits to one half of the captures, judged on the other.
+
+    Parameters
+    ----------
+    captures, bench
+        As in ``identify``.
+    held_out : sequence of ndarray of bool, shape (n,) each
+        Samples that judge and are not fitted.
+    progress, executor
+        As in ``identify``.
+    """
+
+    captures: Sequence[Capture]
+    bench: Bench
+    held_out: Sequence[BoolArray]
+    progress: Progress | None = None
+    executor: Executor | None = None
+
+    def half(
+        self, start: DriveModel, names: list[str] | None, stages: Stages = "fine"
+    ) -> Identification | None:
+        """What one half gives from a start; None where the captures do not carry it."""
+        return self.tried(start, names, self.held_out, stages)
+
+    def settled(self, start: DriveModel) -> Identification | None:
+        """Everything fitted to all of the captures from a start."""
+        return self.tried(start, None, None, "fine")
+
+    def tried(
+        self,
+        start: DriveModel,
+        names: list[str] | None,
+        held_out: Sequence[BoolArray] | None,
+        stages: Stages,
+    ) -> Identification | None:
+        """A fit; None where the captures do not carry it."""
+        try:
+            return self.fit(start, names, held_out, stages)
+        except ModelError:
+            return None
+
+    def fit(
+        self,
+        start: DriveModel | None,
+        names: list[str] | None,
+        held_out: Sequence[BoolArray] | None,
+        stages: Stages,
+    ) -> Identification:
+        """A fit with the captures and the tools of this trial; raises as ``identify`` does."""
+        return identify(
+            self.captures,
+            self.bench,
+            model=start,
+            names=names,
+            warm=start is not None,
+            held_out=held_out,
+            stages=stages,
+            progress=self.progress,
+            executor=self.executor,
+        )
+
+    def errors(self, found: Identification) -> FloatArray:
+        """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""
+        blocks = []
+        for capture, out, left in zip(self.captures, self.held_out, found.residuals, strict=True):
+            if left.table_m is None:
+                continue
+            torque = np.zeros(capture.n) if left.torque_Nm is None else left.torque_Nm
+            record = rec.prepare(capture, self.bench)
+            both = np.nan_to_num(np.column_stack([left.table_m, torque]))
+            smooth = rec.thinned(both, record.factor)
+            counts = rec.clean_rows(record) & out[:: record.factor] & rec.moving_rows(record)
+            size = max(round(_BLOCK_s / record.period_s), 1)
+            for low in range(0, counts.size, size):
+                rows = counts[low : low + size]
+                if rows.any():
+                    blocks.append(np.mean(smooth[low : low + size][rows] ** 2, axis=0))
+        return np.array(blocks).reshape(-1, 2)
+
+
+def alternate(capture: Capture) -> BoolArray:
+    """Every second stretch of a capture, shape (n,)."""
+    return np.asarray((capture.time_s - capture.time_s[0]) // _SEGMENT_s % 2 == 1)
+
+
+def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
+    """Whether blocks are better by so many standard errors of the mean, and by a useful amount.
+
+    Either in what they gain, or in the share of its own that each block gains: where a few blocks
+    hold most of the misfit, as those with a reversal do, they also make most of the scatter, and
+    the first alone would call a misfit that falls to a fifth in nearly every block unclear.
+    """
+    if new.shape[0] < _FEW_BLOCKS:
+        return False
+    size = np.mean(old, axis=0)
+    size[size == 0.0] = 1.0
+    gain = ((old - new) / size).sum(axis=1)
+    both = old + new
+    both[both == 0.0] = 1.0
+    share = ((old - new) / both).sum(axis=1)
+    clear = any(
+        np.mean(found) > errors * np.std(found) / np.sqrt(found.size) for found in (gain, share)
+    )
+    return bool(clear and np.mean(gain) > _GAIN)
+
+
+def rms_um(mean_squares: FloatArray) -> float:
+    """Rms of table minus motor over blocks, um; 0 without blocks."""
+    return UM_PER_M * float(np.sqrt(np.mean(mean_squares[:, 0]))) if mean_squares.size else 0.0
