@@ -271,8 +271,9 @@ def _motion_section(verification: Verification, motion: MotionOutcome) -> Sectio
         return Section(motion.name, text=["The captures are not at hand."], open=False)
     a, b = verification.before[first], verification.after[first]
     n = min(a.n, b.n)
-    before = error_signals(a.slice(0, n), verification.lead)
-    after = error_signals(b.slice(0, n), verification.lead, verification.table_correction)
+    lead, table, age_s = verification.lead, verification.table_correction, verification.scale_age_s
+    before = error_signals(a.slice(0, n), lead, None, age_s)
+    after = error_signals(b.slice(0, n), lead, table, age_s)
     command = b.commanded_position_m[:n]
     return Section(
         motion.name,

@@ -44,6 +44,14 @@ from pmac_comp.workflow.foreseen import (
     require_motion,
     too_large,
 )
+from pmac_comp.workflow.late_scale import (
+    in_time,
+    made_with,
+    noted_age,
+    read_together,
+    scale_age_s,
+    scale_remarks,
+)
 from pmac_comp.workflow.law_cost import (
     CHEAP_FRAC,
     CheaperLaw,
@@ -119,14 +127,17 @@ def compute_compensation(
     check_route(route)
     check_options(bench, route, motion, every_cycles)
     check_slow_runs(bench, route, slow, whole_travel=limit is Limit.REFUSE)
-    begun = with_starts(without_turn(model), (*captures, *slow))
+    age = noted_age(bench, model, captures, progress)
+    model, provenance = in_time(model, age), {**(provenance or {}), **age}
+    together = [read_together(run, scale_age_s(age)) for run in (*captures, *slow)]
+    begun = with_starts(without_turn(model), together)
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
         if progress is not None and captures:
             progress("looking for a gap in the nut", 0.0)
         clearance = found_clearance(bench, model, slow, captures)
         model = model if clearance is None else with_clearance(model, clearance.values)
-        provenance = {**(provenance or {}), **clearance_note(clearance)}
+        provenance |= clearance_note(clearance)
     law = dynamic_law(
         bench,
         model,
@@ -262,7 +273,7 @@ def compensate_files(
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
     if route == "law" and share_frac(loaded, law.every_cycles, law) > CHEAP_FRAC:
-        whole = without_turn(loosened(drive, law))
+        whole = without_turn(made_with(drive, law))
         offers = cheaper_laws(loaded, whole, model_law(law), progress, whole=law)
     return {
         "route": route,
@@ -273,6 +284,7 @@ def compensate_files(
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
+            *scale_remarks(law),
             *clearance_remarks(law),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),

@@ -20,6 +20,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.late_scale import read_together
 
 if TYPE_CHECKING:
     pass
@@ -51,6 +52,7 @@ def error_signals(
     capture: Capture,
     lead: LeadMap | None = None,
     table_correction: Callable[[FloatArray], FloatArray] | None = None,
+    scale_age_s: float = 0.0,
 ) -> ErrorSignals:
     """Error signals of a capture.
 
@@ -62,26 +64,29 @@ def error_signals(
         Static error that is not part of the mechanical error.
     table_correction : callable or None
         Correction in m that a compensation table added at a position, for runs in which it was on.
+    scale_age_s : float
+        Time by which the scale is read after the encoder, taken out.
 
     Raises
     ------
     CaptureError
         No table position.
     """
-    if capture.table_position_m is None:
+    table = read_together(capture, scale_age_s).table_position_m
+    if table is None:
         raise CaptureError(
             "The capture has no table position.",
             code="PC-VER-001",
             hint="Verification at the table needs a scale.",
         )
     r, desired = capture.commanded_position_m, capture.desired_m
-    mechanical = capture.table_position_m - capture.motor_position_m + (desired - r)
+    mechanical = table - capture.motor_position_m + (desired - r)
     if lead is not None:
         mechanical = mechanical - lead.at(r)
     if table_correction is not None:
         mechanical = mechanical - table_correction(r)
     use = capture.mask
-    signals = [mechanical, capture.motor_position_m - desired, capture.table_position_m - r]
+    signals = [mechanical, capture.motor_position_m - desired, table - r]
     centred = [values - float(np.mean(values[use])) for values in signals]
     return ErrorSignals(capture.time_s, *centred)
 
@@ -268,12 +273,13 @@ def outcome_of(
     *,
     lead: LeadMap | None = None,
     table_correction: Callable[[FloatArray], FloatArray] | None = None,
+    scale_age_s: float = 0.0,
     promise: Mapping[str, float] | None = None,
     truth: Mapping[str, float] | None = None,
 ) -> MotionOutcome:
     """Outcome of one motion from its runs without and with compensation."""
-    first = [error_signals(capture, lead) for capture in before]
-    second = [error_signals(capture, lead, table_correction) for capture in after]
+    first = [error_signals(capture, lead, None, scale_age_s) for capture in before]
+    second = [error_signals(capture, lead, table_correction, scale_age_s) for capture in after]
     period = before[0].sample_period_s
 
     def spread(signals: Sequence[ErrorSignals], which: str) -> Spread:

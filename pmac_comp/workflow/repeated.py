@@ -24,6 +24,7 @@ from pmac_comp.physics.compensate.exact import (
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.late_scale import read_together, scale_age_s
 from pmac_comp.workflow.motions import Motion
 
 Progress = Callable[[str, float], None]
@@ -181,7 +182,8 @@ def refine_motion(
     nothing = np.zeros(motion.position_m.size)
 
     def total(offset: FloatArray) -> FloatArray:
-        capture = run_with_offset(axis, motion, offset, progress)
+        run = run_with_offset(axis, motion, offset, progress)
+        capture = read_together(run, scale_age_s(compensation.law.provenance))
         table = capture.table_position_m
         if table is None:
             raise ConfigError(

@@ -33,6 +33,8 @@ class Verification:
         Runs without and with compensation.
     lead, table_correction : LeadMap, callable or None
         Static part of the compensation and what its table gives (m at m).
+    scale_age_s : float
+        Time by which the scale is read after the encoder; it is taken out of the figures.
     remarks : tuple of str
         What a person should know beside the figures.
     route : str
@@ -54,6 +56,7 @@ class Verification:
     after: tuple[Capture, ...] = field(default=(), repr=False)
     lead: LeadMap | None = field(default=None, repr=False)
     table_correction: Callable[[FloatArray], FloatArray] | None = field(default=None, repr=False)
+    scale_age_s: float = 0.0
     remarks: tuple[str, ...] = ()
     route: str = ""
     mechanical: Ratio | None = None

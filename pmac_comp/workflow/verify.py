@@ -27,6 +27,7 @@ from pmac_comp.workflow.compensation_file import (
 )
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.identification import load_model
+from pmac_comp.workflow.late_scale import scale_age_s, scale_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
     MotionOutcome,
@@ -88,6 +89,7 @@ def verify_files(
             b,
             lead=compensation.lead if compensation else None,
             table_correction=compensation.table_correction(loaded) if compensation else None,
+            scale_age_s=_age_s(compensation),
             promise=None if promiser is None else promiser.of_run(b[0]),
         )
         for name, (a, b) in groups.items()
@@ -336,6 +338,7 @@ def verify_axis(
                 after,
                 lead=compensation.lead,
                 table_correction=correction,
+                scale_age_s=_age_s(compensation),
                 promise=None if promiser is None else promiser.of_run(after[0]),
                 truth=true_errors(found, before, after, compensation, correction),
             )
@@ -380,6 +383,11 @@ def alternating(
         yield sides
 
 
+def _age_s(compensation: Compensation | None) -> float:
+    """Time by which the scale is read after the encoder, as the compensation file says."""
+    return 0.0 if compensation is None else scale_age_s(compensation.law.provenance)
+
+
 def _ringing(bench: Bench, pair: Pair) -> RingingOutcome:
     return ringing_of(*pair, bench.known.resonance_Hz)
 
@@ -405,8 +413,10 @@ def summed_up(
     """Verification of outcomes and their runs; all motions together beside each one."""
     lead = None if compensation is None else compensation.lead
     table = None if compensation is None else compensation.table_correction(bench)
-    before = [error_signals(c, lead) for pair in groups for c in pair[0]]
-    after = [error_signals(c, lead, table) for pair in groups for c in pair[1]]
+    age_s = _age_s(compensation)
+    before = [error_signals(c, lead, None, age_s) for pair in groups for c in pair[0]]
+    after = [error_signals(c, lead, table, age_s) for pair in groups for c in pair[1]]
+    late = [] if compensation is None else scale_remarks(compensation.law)
 
     def together(which: str) -> Ratio | None:
         if not before or not after:
@@ -423,7 +433,8 @@ def summed_up(
         tuple(c for pair in groups for c in pair[1]),
         lead,
         table,
-        (*verdict_remarks(outcomes, floor), *static_remarks(static), *remarks),
+        age_s,
+        (*verdict_remarks(outcomes, floor), *late, *static_remarks(static), *remarks),
         "" if compensation is None else compensation.route,
         together("mechanical_m"),
         together("total_m"),

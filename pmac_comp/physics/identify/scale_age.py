@@ -1,0 +1,90 @@
+"""How much later the scale is read than the encoder, where the captures show it.
+
+What lives here: the fit of that time beside everything that it hides behind, and whether held-out
+samples bear it out. What may not: correcting captures by it (``workflow``), names of other causes
+(``diagnose``). Imports this package.
+
+The electronics of a scale take some microseconds to interpolate its signal. Table minus motor then
+lags by speed times that time, which is no error of the table. Viscous friction of the guide looks
+alike; but it costs torque, and what it makes grows along the screw.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.trial import Trial, alternate, is_better, rms_um
+from pmac_comp.physics.model.drive import DriveModel
+
+Progress = Callable[[str, float], None]
+
+SKEW = "channel_skew"
+_TIME = f"{SKEW}.time_s"
+_LEAST_s = 0.4e-6
+_SIGNIFICANT = 5.0  # standard deviations
+_CLEARLY = 3.0  # standard errors of the mean over blocks
+
+
+@dataclass(frozen=True)
+class ScaleAge:
+    """Age of the scale's samples against the encoder's.
+
+    Parameters
+    ----------
+    time_s, std_s : float
+        Positive: the table is read late.
+    values : Mapping of str to float
+        Parameters of the drive fitted beside it, full names, SI.
+    without_um, with_um : float
+        Rms of table minus motor on held-out samples, both fitted to the others.
+    """
+
+    time_s: float
+    std_s: float
+    values: Mapping[str, float]
+    without_um: float
+    with_um: float
+
+
+def measured_scale_age(
+    captures: Sequence[Capture],
+    bench: Bench,
+    model: DriveModel,
+    *,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> ScaleAge | None:
+    """Age of the scale's samples that runs show beyond a model.
+
+    Parameters
+    ----------
+    captures, bench, progress, executor
+        As in ``identify``.
+    model : DriveModel
+        Identified from such runs; without ``channel_skew``.
+
+    Returns
+    -------
+    ScaleAge or None
+        None where the runs do not tell, or where it is not significant, or where the samples that
+        were not fitted are not predicted clearly better with it.
+    """
+    if model.is_rigid or bench.scale is None or not captures:
+        return None
+    trial = Trial(captures, bench, [alternate(c) for c in captures], progress, executor)
+    found = trial.settled(model.with_effect(SKEW, {"time_s": 0.0}))
+    if found is None or found.model is None:
+        return None
+    age = found.parameters[_TIME]
+    if abs(age.value) < max(_LEAST_s, _SIGNIFICANT * age.std):
+        return None
+    plain, late = trial.half(model, None), trial.half(found.model, None)
+    if plain is None or late is None:
+        return None
+    before, after = trial.errors(plain), trial.errors(late)
+    if not is_better(after, before, _CLEARLY):
+        return None
+    values = dict(found.model.without_effect(SKEW).parameters)
+    return ScaleAge(age.value, age.std, values, rms_um(before), rms_um(after))

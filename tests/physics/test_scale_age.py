@@ -1,0 +1,64 @@
+"""A scale that is read late: found behind the viscous friction that looks like it."""
+
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import identify
+from pmac_comp.physics.identify.scale_age import measured_scale_age
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.workflow.campaigns import calibration_motions
+
+BENCH = load_bench("paper_x4")
+
+
+def identified(effects: PlantEffects, seed: int) -> tuple[list[Capture], DriveModel]:
+    """Calibration runs of a simulated drive and the base model of them."""
+    plant = make_plant(BENCH, effects=effects, seed=seed)
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in calibration_motions(BENCH)]
+    model = identify(runs, BENCH).model
+    assert model is not None
+    return runs, model
+
+
+@pytest.mark.parametrize("time_us", [5.0, -2.0])
+def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float) -> None:
+    runs, model = identified({"channel_skew": {"time_us": time_us}}, seed=7)
+    found = measured_scale_age(runs, BENCH, model)
+    assert found is not None
+    assert found.time_s == pytest.approx(1e-6 * time_us, abs=0.6e-6)
+    assert found.with_um < 0.8 * found.without_um
+    # What it hid behind was wrong by as much as the lag is worth.
+    true = make_plant(BENCH, effects={}, seed=7).truth.guide_viscous_Ns_per_m
+    name = "viscous.guide_Ns_per_m"
+    assert abs(found.values[name] - true) < 0.5 * abs(model.parameters[name] - true)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"viscous": {"guide_Ns_per_m": 600.0}},
+        {"viscous_nonlinear": {}},
+        {"chain_damping": {}},
+        {"actuator_delay": {"time_us": 400.0}},
+    ],
+    ids=["nothing", "viscous", "viscous_nonlinear", "chain_damping", "actuator_delay"],
+)
+def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> None:
+    runs, model = identified(effects, seed=3)
+    assert measured_scale_age(runs, BENCH, model) is None
+
+
+def test_where_there_is_nothing_to_look_at_none_is_found() -> None:
+    model = DriveModel.base(BENCH)
+    assert measured_scale_age([], BENCH, model) is None
+    without = BENCH.model_copy(update={"scale": None})
+    runs = [
+        closed_loop_capture(BENCH, make_plant(BENCH, effects={}, seed=1), m.position_m)
+        for m in calibration_motions(BENCH)[:1]
+    ]
+    assert measured_scale_age(runs, without, model) is None
