@@ -29,7 +29,7 @@ NOTE = json.loads(json.dumps({"scale_age": asdict(FOUND)}))
 
 def late_run(age_s: float) -> Capture:
     """Table exactly with the motor, scale read late, on a 4 Hz sinusoid."""
-    time_s = np.arange(2000) * BENCH.servo_period_s
+    time_s = np.linspace(0.0, 1999 * BENCH.servo_period_s, 2000)
     position_m = 0.02 * np.sin(8.0 * np.pi * time_s)
     table_m = 0.02 * np.sin(8.0 * np.pi * (time_s - age_s))
     return Capture(time_s, position_m, position_m, table_position_m=table_m)
@@ -56,7 +56,7 @@ def test_figures_before_and_after_leave_the_lag_out() -> None:
 
 
 def test_a_run_without_a_scale_is_left_as_it_is() -> None:
-    run = Capture(np.arange(9) * 1e-3, np.zeros(9), np.zeros(9))
+    run = Capture(np.linspace(0.0, 8e-3, 9), np.zeros(9), np.zeros(9))
     assert read_together(run, 5e-6) is run
 
 
