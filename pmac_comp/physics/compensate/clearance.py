@@ -6,9 +6,9 @@ controllers.
 
 A model without a gap puts the lost motion of slow runs down to friction of the guide, which winds
 the screw up. Both look the same at constant speed. Under acceleration they part: wind-up follows
-the direction of motion, the flank follows the force in the nut. So gap, guide friction and axial
-stiffness are fitted together to table minus motor alone, where torque, which shows no gap, cannot
-pull. The friction that the guide loses stays at the motor: their sum is what the torque measured.
+the direction of motion, the flank follows the force in the nut. So gap, friction of guide and nut
+and axial stiffness are fitted together to table minus motor alone, where torque, which shows no
+gap, cannot pull. What the guide loses stays at nut and motor: the sum is what the torque measured.
 
 A nut without preload is soft around zero force instead of free: its lost motion grows with the
 force up to the edge of the zone. Where that leaves clearly less than play does, it is taken.
@@ -39,7 +39,10 @@ if TYPE_CHECKING:
 _GAP, _GUIDE = "backlash.gap_m", "coulomb.guide_N"
 _LOAD = "bias_force.force_N"
 _ZONE, _RATIO = "preload_loss.half_width_m", "preload_loss.stiffness_ratio"
-_MOTOR, _STIFFNESS = "coulomb.motor_Nm", "chain.axial_stiffness_N_per_m"
+_MOTOR, _NUT = "coulomb.motor_Nm", "coulomb.nut_Nm"
+_STIFFNESS = "chain.axial_stiffness_N_per_m"
+_GUIDE_VISCOUS, _MOTOR_VISCOUS = "viscous.guide_Ns_per_m", "viscous.motor_Nms_per_rad"
+_FITTED = {_GUIDE, _NUT, _MOTOR, _STIFFNESS, _GUIDE_VISCOUS, _MOTOR_VISCOUS}
 _LEAST_GAP_um = 0.3
 _LEAST_GAIN_FRAC = 0.05  # of the rms that stays without: plants without gap gain at most 0.01
 _SOFT_GAIN_FRAC = 0.1  # of the rms that stays with play
@@ -48,8 +51,13 @@ _LEAST_LOAD_FRAC = 0.2  # of what guide and constant load need together: less mo
 _LEAST_ZONE_um, _WIDER = 1.5, 2.5  # where the fit of a soft zone begins at least, and again
 _SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
 _DECIMATION = 4
-_MOST_STEPS = 12
-_FACTORS = (0.05, 3.0), (0.3, 3.0)  # of guide friction and stiffness
+_MOST_STEPS = 15
+# Factors of the guide's friction, of stiffness and of the guide's viscous friction, and the share
+# of the nut in the friction of what turns.
+_BOUNDS = (0.05, 3.0), (0.3, 3.0), (0.05, 4.0), (0.0, 1.0)
+_START = 1.0, 1.0, 1.0, 0.4
+_N = len(_BOUNDS)
+_GUIDE_FRAC = 0.3  # of the lost motion of a model without a gap, where the fit of a gap begins
 # What is fitted beside these: name, SI of a unit of it, bounds in that unit.
 _Extra = tuple[tuple[str, float, tuple[float, float]], ...]
 _NOTHING: _Extra = ()
@@ -130,7 +138,7 @@ def measured_clearance(
     runs = [run for run in runs if run.use.any()]
     if not runs or model.is_rigid or not _can_hide(model):
         return None
-    wound = _fit(model, runs, [1.0, 1.0], _NOTHING)
+    wound = _fit(model, runs, _START, _NOTHING)
     best = _gap_fit(model, runs, wound, _NOTHING)
     load_N = _load_N(model, captures)
     if load_N != 0.0:
@@ -150,12 +158,16 @@ def settled(capture: Capture) -> BoolArray:
 def _gap_fit(model: "DriveModel", runs: Sequence["_Run"], wound: "_Fit", load: _Extra) -> "_Fit":
     """Play, or a soft zone where that leaves clearly less."""
     pressed = [1.0] * len(load)
-    start = [0.6 * wound.point[0], 1.2 * wound.point[1], 1.0, *pressed]
+    guide, stiffness, viscous, _ = wound.point
+    own = model.parameters
+    lost_m = 2.0 * guide * own[_GUIDE] / (stiffness * own[_STIFFNESS])
+    gap_um = (1.0 - _GUIDE_FRAC) * lost_m * UM_PER_M
+    start = [_GUIDE_FRAC * guide, 1.2 * stiffness, viscous, _START[3], gap_um, *pressed]
     loose = _fit(model, runs, start, _PLAY + load)
     # A wide zone is hardly play: it is looked for where no play is found, too.
-    narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[2])
+    narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[_N])
     zones_um = narrow_um, _WIDER * narrow_um  # each ends in a place of its own
-    starts = ([*loose.point[:2], zone_um, 0.5, *loose.point[3:]] for zone_um in zones_um)
+    starts = ([*loose.point[:_N], zone_um, 0.5, *loose.point[_N + 1 :]] for zone_um in zones_um)
     tried = [_fit(model, runs, start, _SOFT + load) for start in starts]
     soft = min(tried, key=lambda fit: fit.rms_um)
     return soft if soft.rms_um < (1.0 - _SOFT_GAIN_FRAC) * loose.rms_um else loose
@@ -178,7 +190,9 @@ def _can_hide(model: "DriveModel") -> bool:
     from pmac_comp.physics.model.effect import split_name
 
     gaps = {"backlash", "preload_loss"} & {split_name(name)[0] for name in model.effects}
-    return not gaps and {_GUIDE, _MOTOR, _STIFFNESS} <= set(model.parameters)
+    return not gaps and {_GUIDE, _NUT, _MOTOR, _STIFFNESS, _GUIDE_VISCOUS, _MOTOR_VISCOUS} <= set(
+        model.parameters
+    )
 
 
 @dataclass(frozen=True)
@@ -198,7 +212,7 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Factors of guide friction and stiffness, what is fitted beside them, and what stays."""
+    """Factors and share of the drive's parameters, what is fitted beside them, and what stays."""
 
     point: FloatArray
     extra: _Extra
@@ -206,7 +220,7 @@ class _Fit:
 
 
 def _fit(model: "DriveModel", runs: Sequence[_Run], start: Sequence[float], extra: _Extra) -> _Fit:
-    bounds = [*_FACTORS, *(limits for _, _, limits in extra)]
+    bounds = [*_BOUNDS, *(limits for _, _, limits in extra)]
     lower, upper = (np.array(side) for side in zip(*bounds, strict=True))
 
     def residual(point: FloatArray) -> FloatArray:
@@ -246,9 +260,16 @@ def _values(model: "DriveModel", point: FloatArray, extra: _Extra) -> dict[str, 
     own = model.parameters
     guide_N = own[_GUIDE] * float(point[0])
     per_N = model.bench.pitch_m / (2.0 * math.pi)
-    beside = zip(extra, point[2:].tolist(), strict=True)
+    viscous = own[_GUIDE_VISCOUS] * float(point[2])
+    turning_Nm = max(0.0, own[_MOTOR] + own[_NUT] + (own[_GUIDE] - guide_N) * per_N)
+    beside = zip(extra, point[_N:].tolist(), strict=True)
     return {
         _GUIDE: guide_N,
-        _MOTOR: max(0.0, own[_MOTOR] + (own[_GUIDE] - guide_N) * per_N),
+        _NUT: turning_Nm * float(point[3]),
+        _MOTOR: turning_Nm * (1.0 - float(point[3])),
         _STIFFNESS: own[_STIFFNESS] * float(point[1]),
+        _GUIDE_VISCOUS: viscous,
+        _MOTOR_VISCOUS: max(
+            0.0, own[_MOTOR_VISCOUS] + (own[_GUIDE_VISCOUS] - viscous) * per_N * per_N
+        ),
     } | {name: value * unit for (name, unit, _), value in beside}
