@@ -1,14 +1,19 @@
 """Sampled trajectories as motion programs: PVT segments, as long as the cubic stays close.
 
 Each segment is the cubic through its end values (Software Reference Manual p. 463); how far it is
-from the trajectory is stated, not assumed.
+from the trajectory is stated, not assumed. The jerk of a segment is constant: where that of the
+trajectory steps, as at the corners of an S-curve, a segment ends, also between two samples. One
+that ran across would overshoot the acceleration, and end a move with a reversed one.
 """
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import FloatArray, stretches
 from pmac_comp.files.bench import Bench
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.scales import Scales
@@ -18,6 +23,11 @@ _LISTED_DIGITS = 9  # one fewer than the ten that a listing shows
 _SHORTEST_CYCLES = 11  # 4.9 ms at 442 us: well above the card's calculation time of a block
 _LONGEST_DOUBLINGS = 6
 _PVT_ERROR_m = 0.02e-6
+_SAME_CYCLES = 1e-6
+_REACH = 4  # samples of a cubic; fourth differences across a corner
+_LEAST_BEND_ct = 1e-6  # fourth difference: positions are not rounded more coarsely
+_SHARP, _SMOOTH_FRAC = 30.0, 0.85  # times what so many of the fourth differences stay below
+_JERK_FRAC = 0.03  # of a step of the acceleration: a cubic does not bend so little by a jerk
 
 
 @dataclass(frozen=True)
@@ -62,64 +72,112 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     scales = Scales.of(bench)
     period = bench.servo_period_s
     position = motion.position_m / scales.motor_m_per_ct
-    speed = np.gradient(position, period)
-    n = position.size
-    lines: list[str] = ["ABS"]
-    at, last, worst, rounding, segments = 0, 0, 0.0, 0.0, 0
     tolerance = _PVT_ERROR_m / scales.motor_m_per_ct
-    while at < n - 1:
-        length, error = _segment(position, speed, at, period, tolerance)
-        if length != last:
-            lines.append(f"PVT{length * period * 1e3:.6f}")
-            last = length
-        at += length
-        worst, segments = max(worst, error), segments + 1
-        velocity = speed[at] if at < n - 1 else 0.0
-        place = _listed(position[at], 4)
-        rounding = max(rounding, abs(float(place) - float(position[at])))
-        lines.append(f"X{place}:{_listed(velocity, 3)}")
+    nodes, worst = _nodes(position, tolerance)
+    lines: list[str] = ["ABS"]
+    last, rounding = 0.0, 0.0
+    for before, node in pairwise(nodes):
+        cycles = node.cycle - before.cycle
+        if abs(cycles - last) > _SAME_CYCLES:
+            lines.append(f"PVT{cycles * period * 1e3:.6f}")
+            last = cycles
+        place = _listed(node.place, 4)
+        rounding = max(rounding, abs(float(place) - node.place))
+        lines.append(f"X{place}:{_listed(node.speed / period, 3)}")
     return PvtProgram(
         tuple(_tidy(line) for line in lines),
-        segments,
+        len(nodes) - 1,
         float(position[0]),
         worst * scales.motor_m_per_ct,
         rounding,
-        (n - 1) * period,
+        (position.size - 1) * period,
     )
 
 
-def _segment(
-    position: FloatArray, speed: FloatArray, at: int, period: float, tolerance: float
-) -> tuple[int, float]:
-    """Cycles of the longest admissible segment from a sample and its largest error in counts."""
-    left = position.size - 1 - at
-    for doubling in range(_LONGEST_DOUBLINGS, -1, -1):
-        length = _SHORTEST_CYCLES << doubling
-        if length > left:
+class _Node(NamedTuple):
+    """Place in counts and speed in counts per cycle at a time in cycles."""
+
+    cycle: float
+    place: float
+    speed: float
+
+
+def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
+    """Ends of the segments through a trajectory, and the largest error of the cubics in counts."""
+    last = position.size - 1
+    speed = _speed(position)
+    nodes, worst = [_Node(0.0, float(position[0]), float(speed[0]))], 0.0
+
+    def at(sample: int) -> _Node:
+        return _Node(float(sample), float(position[sample]), float(speed[sample]))
+
+    corners = [_Node(float(last), float(position[last]), 0.0)]
+    for corner in reversed(_corners(position)):
+        if _SHORTEST_CYCLES < corner.cycle < corners[0].cycle - _SHORTEST_CYCLES - 1:
+            corners.insert(0, corner)
+    for corner in corners:
+        while nodes[-1] is not corner:
+            begin = nodes[-1]
+            left = corner.cycle - begin.cycle
+            for doubling in range(_LONGEST_DOUBLINGS, -1, -1):
+                length = _SHORTEST_CYCLES << doubling
+                reaches = left < length + _SHORTEST_CYCLES
+                end = corner if reaches else at(math.ceil(begin.cycle) + length)
+                error = _cubic_error(position, begin, end)
+                if error <= tolerance or doubling == 0:
+                    break
+            nodes.append(end)
+            worst = max(worst, error)
+    return nodes, worst
+
+
+def _speed(position: FloatArray) -> FloatArray:
+    """Speed in counts per cycle at each sample, exact for constant jerk."""
+    speed = np.gradient(position, edge_order=2)
+    inner = 8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])
+    speed[2:-2] = inner / 12.0
+    return np.asarray(speed)
+
+
+def _corners(position: FloatArray) -> list[_Node]:
+    """Where the jerk or the acceleration of a trajectory steps, between its samples.
+
+    Fourth differences of cubics are zero but for the four across a corner. The difference of the
+    cubics on both sides has a triple root there, or a double one where the acceleration steps.
+    """
+    bends = np.abs(np.diff(position, 4))
+    if bends.size < _REACH:
+        return []
+    across = bends > max(_LEAST_BEND_ct, _SHARP * float(np.quantile(bends, _SMOOTH_FRAC)))
+    corners = []
+    for run in stretches(across):
+        k = run.start + _REACH - 1  # last sample before the corner
+        if run.stop - run.start > _REACH or k + _REACH >= position.size:
             continue
-        rest = left - length
-        if 0 < rest < _SHORTEST_CYCLES and doubling == 0:
-            length = left
-        error = _cubic_error(position, speed, at, length, period)
-        if error <= tolerance or doubling == 0:
-            return length, error
-    return left, _cubic_error(position, speed, at, left, period)
+        at = np.arange(float(_REACH))
+        left = np.polyfit(at - 3.0, position[k - 3 : k + 1] - position[k], 3)
+        right = np.polyfit(at + 1.0, position[k + 1 : k + 5] - position[k], 3)
+        cubic, square, line, _ = (right - left).tolist()
+        has_step = abs(square) > _LEAST_BEND_ct and abs(cubic) < _JERK_FRAC * abs(square)
+        root = -0.5 * line / square if has_step else -square / (3.0 * cubic)
+        s = min(max(root, -1.0), 2.0)
+        speed = float(np.polyval(np.polyder(left), s))
+        corners.append(_Node(k + s, float(position[k] + np.polyval(left, s)), speed))
+    return corners
 
 
-def _cubic_error(
-    position: FloatArray, speed: FloatArray, at: int, length: int, period: float
-) -> float:
-    u = np.arange(length + 1) / length
-    h = length * period
-    p0, p1 = position[at], position[at + length]
-    m0, m1 = speed[at] * h, speed[at + length] * h
+def _cubic_error(position: FloatArray, begin: _Node, end: _Node) -> float:
+    """Largest departure in counts, at the samples, of the cubic between two nodes."""
+    h = end.cycle - begin.cycle
+    at = np.arange(math.ceil(begin.cycle), math.floor(end.cycle) + 1)
+    u = (at - begin.cycle) / h
     cubic = (
-        (2 * u**3 - 3 * u**2 + 1) * p0
-        + (u**3 - 2 * u**2 + u) * m0
-        + (3 * u**2 - 2 * u**3) * p1
-        + (u**3 - u**2) * m1
+        (2 * u**3 - 3 * u**2 + 1) * begin.place
+        + (u**3 - 2 * u**2 + u) * begin.speed * h
+        + (3 * u**2 - 2 * u**3) * end.place
+        + (u**3 - u**2) * end.speed * h
     )
-    return float(np.max(np.abs(cubic - position[at : at + length + 1])))
+    return float(np.max(np.abs(cubic - position[at]), initial=0.0))
 
 
 def _tidy(line: str) -> str:

@@ -1,11 +1,19 @@
 """Motions: specifications, limits, and PVT programs that draw what was meant."""
 
+import math
+
 import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ConfigError, SafetyRefusal
 from pmac_comp.files.bench import load_bench
-from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
+from pmac_comp.physics.signals.trajectory import Trajectory
+from pmac_comp.workflow.campaigns import (
+    calibration_motions,
+    lead_motions,
+    ringing_motion,
+    verification_motions,
+)
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -28,7 +36,7 @@ def drawn(lines: tuple[str, ...], start_ct: float, period_s: float) -> tuple[np.
             step_s = float(line[3:]) / 1e3
         elif line.startswith("X"):
             target, end = (float(part) for part in line[1:].split(":"))
-            n = round((time_s + step_s) / period_s) - done
+            n = math.ceil((time_s + step_s) / period_s - 1e-6) - done
             u = (np.arange(n) * period_s + done * period_s - time_s) / step_s
             points.append(
                 (2 * u**3 - 3 * u**2 + 1) * here
@@ -56,6 +64,38 @@ def test_program_draws_the_trajectory(motion: Motion) -> None:
     # Counts of 1 um: the stated departure, the decimals, and times rounded to a nanosecond.
     assert np.max(np.abs(got[:n] - want[:n])) < program.shape_error_m / 1e-6 + 0.06
     assert program.shape_error_m < 0.3e-6
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        *(m for m in verification_motions(BENCH, 5) if m.name.startswith("move")),
+        ringing_motion(BENCH),
+    ],
+    ids=lambda m: m.name,
+)
+def test_steps_of_jerk_and_acceleration_are_ends_of_segments(motion: Motion) -> None:
+    # Between two samples as well: a cubic across a corner overshoots what it should reach.
+    program = pvt_program(motion, BENCH)
+    assert program.shape_error_m < 1e-9
+    assert program.n_segments <= 20
+    got, _ = drawn(program.lines, program.start_ct, BENCH.servo_period_s)
+    scale = BENCH.motor_resolution_m / BENCH.servo_period_s**2
+    acceleration = np.diff(got, 2) * scale
+    largest = np.max(np.abs(motion.trajectory.acceleration_m_per_s2))
+    assert np.max(np.abs(acceleration)) < 1.001 * largest + 0.01
+    speed = np.diff(got)
+    before_rest = np.flatnonzero(np.abs(speed) > 1e-6)[-1]
+    assert acceleration[before_rest - 2] * speed[before_rest] < 0.0  # it brakes to the end
+
+
+def test_a_trajectory_that_scatters_has_no_corners() -> None:
+    time_s = np.linspace(0.0, 0.4, 905)
+    noise_m = np.random.default_rng(1).normal(0.0, 1e-8, time_s.size)
+    trajectory = Trajectory(time_s, 0.01 * np.cos(5.0 * np.pi * time_s) + noise_m)
+    program = pvt_program(Motion("noisy", trajectory), BENCH)
+    assert all(line.startswith(("ABS", "PVT", "X")) for line in program.lines)
+    assert program.shape_error_m < 0.2e-6
 
 
 def test_no_line_is_longer_than_the_card_takes() -> None:
