@@ -10,7 +10,10 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.workflow import computing
 from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.computing import compute_compensation
+from pmac_comp.workflow.late_scale import scale_age_s
 
 BENCH = load_bench("paper_x4")
 
@@ -51,6 +54,20 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
 def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> None:
     runs, model = identified(effects, seed=3)
     assert measured_scale_age(runs, BENCH, model) is None
+
+
+def test_the_law_leaves_alone_what_the_scale_alone_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(computing, "found_clearance", lambda *_: None)  # its fit is not the point
+    laws = []
+    for effects in ({}, {"channel_skew": {"time_us": 5.0}}):
+        runs, model = identified(effects, seed=7)
+        laws.append(compute_compensation(BENCH, model, route="law", captures=tuple(runs)).law)
+    plain, late = laws
+    # Taken for an error of the table, 5 us would be in it whole.
+    assert late.viscous_s == pytest.approx(plain.viscous_s, abs=1e-6)
+    assert late.inertia_s2 == pytest.approx(plain.inertia_s2, rel=0.05)
+    assert scale_age_s(plain.provenance) == 0.0
+    assert scale_age_s(late.provenance) == pytest.approx(5e-6, abs=0.6e-6)
 
 
 def test_where_there_is_nothing_to_look_at_none_is_found() -> None:
