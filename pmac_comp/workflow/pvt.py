@@ -113,7 +113,7 @@ def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
 
     corners = [_Node(float(last), float(position[last]), 0.0)]
     for corner in reversed(_corners(position)):
-        if _SHORTEST_CYCLES < corner.cycle < corners[0].cycle - _SHORTEST_CYCLES - 1:
+        if _SHORTEST_CYCLES < corner.cycle < corners[0].cycle - _SHORTEST_CYCLES:
             corners.insert(0, corner)
     for corner in corners:
         while nodes[-1] is not corner:
@@ -121,7 +121,7 @@ def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
             left = corner.cycle - begin.cycle
             for doubling in range(_LONGEST_DOUBLINGS, -1, -1):
                 length = _SHORTEST_CYCLES << doubling
-                reaches = left < length + _SHORTEST_CYCLES
+                reaches = left < length + _SHORTEST_CYCLES + 1
                 end = corner if reaches else at(math.ceil(begin.cycle) + length)
                 error = _cubic_error(position, begin, end)
                 if error <= tolerance or doubling == 0:
@@ -133,7 +133,7 @@ def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
 
 def _speed(position: FloatArray) -> FloatArray:
     """Speed in counts per cycle at each sample, exact for constant jerk."""
-    speed = np.gradient(position, edge_order=2)
+    speed = np.gradient(position, edge_order=2 if position.size > 2 else 1)
     inner = 8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])
     speed[2:-2] = inner / 12.0
     return np.asarray(speed)

@@ -7,7 +7,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, SafetyRefusal
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.signals.trajectory import Trajectory
+from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.workflow.campaigns import (
     calibration_motions,
     lead_motions,
@@ -87,6 +87,32 @@ def test_steps_of_jerk_and_acceleration_are_ends_of_segments(motion: Motion) -> 
     speed = np.diff(got)
     before_rest = np.flatnonzero(np.abs(speed) > 1e-6)[-1]
     assert acceleration[before_rest - 2] * speed[before_rest] < 0.0  # it brakes to the end
+
+
+@pytest.mark.parametrize("s_curve_s", [0.0, 0.003, 0.005, 0.006, 0.015, 0.04])
+@pytest.mark.parametrize("distance_m", [2e-5, 1e-3, 0.05])
+def test_no_segment_is_too_short_for_the_card(s_curve_s: float, distance_m: float) -> None:
+    trajectory = trapezoid(
+        period_s=BENCH.servo_period_s,
+        distance_m=distance_m,
+        speed_m_per_s=0.3,
+        acceleration_m_per_s2=4.3,
+        s_curve_s=s_curve_s,
+        dwell_s=0.1,
+    )
+    program = pvt_program(Motion("move", trajectory), BENCH)
+    times_s = [float(line[3:]) / 1e3 for line in program.lines if line.startswith("PVT")]
+    assert min(times_s) > 10.99 * BENCH.servo_period_s
+    _, total_s = drawn(program.lines, program.start_ct, BENCH.servo_period_s)
+    assert total_s == pytest.approx(trajectory.time_s[-1] - trajectory.time_s[0], abs=1e-6)
+    if s_curve_s >= 0.005 and distance_m == 0.05:
+        assert program.shape_error_m < 1e-9
+
+
+def test_two_samples_are_a_motion_too() -> None:
+    time_s = np.linspace(0.0, BENCH.servo_period_s, 2)
+    program = pvt_program(Motion("step", Trajectory(time_s, np.zeros(2))), BENCH)
+    assert program.n_segments == 1
 
 
 def test_a_trajectory_that_scatters_has_no_corners() -> None:
