@@ -104,31 +104,40 @@ class _Node(NamedTuple):
 
 def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
     """Ends of the segments through a trajectory, and the largest error of the cubics in counts."""
-    last = position.size - 1
     speed = _speed(position)
     nodes, worst = [_Node(0.0, float(position[0]), float(speed[0]))], 0.0
-
-    def at(sample: int) -> _Node:
-        return _Node(float(sample), float(position[sample]), float(speed[sample]))
-
-    corners = [_Node(float(last), float(position[last]), 0.0)]
-    for corner in reversed(_corners(position)):
-        if _SHORTEST_CYCLES < corner.cycle < corners[0].cycle - _SHORTEST_CYCLES:
-            corners.insert(0, corner)
-    for corner in corners:
+    for corner in _with_room(_corners(position), position):
         while nodes[-1] is not corner:
-            begin = nodes[-1]
-            left = corner.cycle - begin.cycle
-            for doubling in range(_LONGEST_DOUBLINGS, -1, -1):
-                length = _SHORTEST_CYCLES << doubling
-                reaches = left < length + _SHORTEST_CYCLES + 1
-                end = corner if reaches else at(math.ceil(begin.cycle) + length)
-                error = _cubic_error(position, begin, end)
-                if error <= tolerance or doubling == 0:
-                    break
-            nodes.append(end)
+            node, error = _next_node(position, speed, nodes[-1], corner, tolerance)
+            nodes.append(node)
             worst = max(worst, error)
     return nodes, worst
+
+
+def _with_room(corners: list[_Node], position: FloatArray) -> list[_Node]:
+    """Corners with room for a segment on both sides, and the end, where the axis stands."""
+    kept = [_Node(float(position.size - 1), float(position[-1]), 0.0)]
+    for corner in reversed(corners):
+        if _SHORTEST_CYCLES < corner.cycle < kept[0].cycle - _SHORTEST_CYCLES:
+            kept.insert(0, corner)
+    return kept
+
+
+def _next_node(
+    position: FloatArray, speed: FloatArray, begin: _Node, corner: _Node, tolerance: float
+) -> tuple[_Node, float]:
+    """End of the longest admissible segment up to a corner, and its largest error in counts."""
+    end, error = corner, math.inf
+    for doubling in range(_LONGEST_DOUBLINGS, -1, -1):
+        length = _SHORTEST_CYCLES << doubling
+        end = corner
+        if corner.cycle - begin.cycle >= length + _SHORTEST_CYCLES + 1:
+            k = math.ceil(begin.cycle) + length
+            end = _Node(float(k), float(position[k]), float(speed[k]))
+        error = _cubic_error(position, begin, end)
+        if error <= tolerance:
+            break
+    return end, error
 
 
 def _speed(position: FloatArray) -> FloatArray:
