@@ -67,7 +67,9 @@ _START_BREAKAWAY_m = 1.2e-6
 # is what limits a law, and there are more sinusoids.
 _MOVE_COUNTS = 2.0
 _STEP_FRAC = 0.5  # of the largest jerk within a sample: that of a sinusoid is smooth
-_JERK_ROOM = 1.5  # the law's jerk limit over the largest of the motions it is fitted on
+# The law's jerk limit over the largest of the motions it is fitted on: what steps of the
+# acceleration ring falls with it (half above the drive's own at 1.5, a fifth at 1.02).
+_JERK_ROOM = 1.02
 _MOST_STEPS = 10
 _FEW_STEPS = 4  # from a start that is nearly right
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
