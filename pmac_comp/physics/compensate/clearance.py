@@ -190,9 +190,7 @@ def _can_hide(model: "DriveModel") -> bool:
     from pmac_comp.physics.model.effect import split_name
 
     gaps = {"backlash", "preload_loss"} & {split_name(name)[0] for name in model.effects}
-    return not gaps and {_GUIDE, _NUT, _MOTOR, _STIFFNESS, _GUIDE_VISCOUS, _MOTOR_VISCOUS} <= set(
-        model.parameters
-    )
+    return not gaps and _FITTED.issubset(model.parameters)
 
 
 @dataclass(frozen=True)
