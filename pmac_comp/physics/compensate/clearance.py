@@ -257,7 +257,7 @@ def _moved(model: "DriveModel", point: FloatArray, extra: _Extra) -> "DriveModel
 def _values(model: "DriveModel", point: FloatArray, extra: _Extra) -> dict[str, float]:
     own = model.parameters
     guide_N = own[_GUIDE] * float(point[0])
-    per_N = model.bench.pitch_m / (2.0 * math.pi)
+    per_N = model.bench.lead_m_per_rad
     viscous = own[_GUIDE_VISCOUS] * float(point[2])
     turning_Nm = max(0.0, own[_MOTOR] + own[_NUT] + (own[_GUIDE] - guide_N) * per_N)
     beside = zip(extra, point[_N:].tolist(), strict=True)

@@ -1,7 +1,9 @@
 """Which form of friction the captures themselves ask for.
 
 What lives here: Coulomb friction first, forms with presliding and Stribeck where the moments after
-reversals XX than friction (``diagnose`` names those). Imports this package.
+reversals contradict it, and the choice between them on samples that were not fitted. What may not:
+how those are parted and judged (``trial``), causes other than friction (``diagnose`` names those).
+Imports this package.
 
 Coulomb and viscous friction stay the base. A form is added only if it predicts the held-out samples
 of the same captures clearly better, and the result says so.

@@ -9,16 +9,13 @@ lags by speed times that time, which is no error of the table. Viscous friction 
 alike; but it costs torque, and what it makes grows along the screw.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.trial import Trial, alternate, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
-
-Progress = Callable[[str, float], None]
 
 SKEW = "channel_skew"
 _TIME = f"{SKEW}.time_s"
@@ -49,18 +46,13 @@ class ScaleAge:
 
 
 def measured_scale_age(
-    captures: Sequence[Capture],
-    bench: Bench,
-    model: DriveModel,
-    *,
-    progress: Progress | None = None,
-    executor: Executor | None = None,
+    captures: Sequence[Capture], bench: Bench, model: DriveModel
 ) -> ScaleAge | None:
     """Age of the scale's samples that runs show beyond a model.
 
     Parameters
     ----------
-    captures, bench, progress, executor
+    captures, bench
         As in ``identify``.
     model : DriveModel
         Identified from such runs; without ``channel_skew``.
@@ -73,7 +65,7 @@ def measured_scale_age(
     """
     if model.is_rigid or bench.scale is None or not captures:
         return None
-    trial = Trial(captures, bench, [alternate(c) for c in captures], progress, executor)
+    trial = Trial(captures, bench, [alternate(c) for c in captures])
     found = trial.settled(model.with_effect(SKEW, {"time_s": 0.0}))
     if found is None or found.model is None:
         return None
