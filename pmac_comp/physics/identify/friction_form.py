@@ -23,7 +23,7 @@ from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import share_after_reversals
 from pmac_comp.physics.identify.problem import step_floors
 from pmac_comp.physics.identify.result import Identification
-from pmac_comp.physics.identify.trial import Trial, alternate, is_better, rms_um
+from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 
 Progress = Callable[[str, float], None]
@@ -194,7 +194,7 @@ def identify_with_friction(
     NotIdentifiable, DidNotConverge, CaptureError
         As ``identify`` raises them for the base model.
     """
-    trial = _FrictionTrial(captures, bench, [alternate(c) for c in captures], progress, executor)
+    trial = _FrictionTrial(captures, bench, progress, executor)
     base = trial.outlined()
     if base is None or base.model is None or not trial.suspects(base):
         return trial.plain(base)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.trial import Trial, alternate, is_better, rms_um
+from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
 
 SKEW = "channel_skew"
@@ -65,7 +65,7 @@ def measured_scale_age(
     """
     if model.is_rigid or bench.scale is None or not captures:
         return None
-    trial = Trial(captures, bench, [alternate(c) for c in captures])
+    trial = Trial(captures, bench)
     found = trial.settled(model.with_effect(SKEW, {"time_s": 0.0}))
     if found is None or found.model is None:
         return None

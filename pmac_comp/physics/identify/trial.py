@@ -8,6 +8,7 @@ package.
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,17 +39,19 @@ class Trial:
     ----------
     captures, bench
         As in ``identify``.
-    held_out : sequence of ndarray of bool, shape (n,) each
-        Samples that judge and are not fitted.
     progress, executor
         As in ``identify``.
     """
 
     captures: Sequence[Capture]
     bench: Bench
-    held_out: Sequence[BoolArray]
     progress: Progress | None = None
     executor: Executor | None = None
+
+    @cached_property
+    def held_out(self) -> list[BoolArray]:
+        """Samples of each capture that judge and are not fitted, shape (n,) each."""
+        return [_alternate(capture) for capture in self.captures]
 
     def half(
         self, start: DriveModel, names: list[str] | None, stages: Stages = "fine"
@@ -112,7 +115,7 @@ class Trial:
         return np.array(blocks).reshape(-1, 2)
 
 
-def alternate(capture: Capture) -> BoolArray:
+def _alternate(capture: Capture) -> BoolArray:
     """Every second stretch of a capture, shape (n,)."""
     return np.asarray((capture.time_s - capture.time_s[0]) // _SEGMENT_s % 2 == 1)
 
