@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.law_bank import SEAL, BankIndex
+from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 
@@ -58,21 +58,11 @@ LAW_HEAD = ("I105=$10F8", "I107=3", "I106=3", "P7004=60", "P7005=-1", "P7006=0.0
 
 
 def law_bank() -> list[str]:
-    bank = {
-        BankIndex.A0: 11.0,
-        BankIndex.V0: 0.01,
-        BankIndex.S0: 0.9,
-        BankIndex.C0: 1.0,
-        BankIndex.S_INV: 0.1,
-        BankIndex.TJ: 100.0,
-        BankIndex.TB: 1.0,
-        BankIndex.TC: 300.0,
-        BankIndex.T_INV: 0.1,
-        BankIndex.T_LIMIT: 5000.0,
-        BankIndex.SEALED: SEAL,
-    }
-    values = [f"P{7010 + k}={v}" for k, v in bank.items()]
-    return [*values, "P7001=0", "P7002=1"]
+    law = LawParameters(A0=11.0, V0=0.01, S0=0.9, S_INV=0.1, JL=0.01, L1=2.0, TJ=100.0, TB=1.0,
+                        TC=300.0, T_INV=0.1, T_LIMIT=5000.0)  # fmt: skip
+    block = LawBlock()
+    values = [f"P{block.bank(0, k)}={v}" for k, v in enumerate(law.values())]
+    return [*values, f"P{block.p(Index.BANK)}=0", f"P{block.p(Index.TARGET)}=1"]
 
 
 def prepared(*, plant: object = None, law: str = "") -> Card:
