@@ -1,0 +1,78 @@
+"""A bed that swings: found in the calibration runs beside what else a drive may have."""
+
+import numpy as np
+import pytest
+
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify import identify
+from pmac_comp.physics.identify.swinging_bed import measured_bed
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.workflow.campaigns import calibration_motions
+
+BENCH = load_bench("paper_x4")
+
+
+def identified(effects: PlantEffects, seed: int) -> tuple[list[Capture], DriveModel]:
+    """Calibration runs of a simulated drive and the base model of them."""
+    plant = make_plant(BENCH, effects=effects, seed=seed)
+    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in calibration_motions(BENCH)]
+    model = identify(runs, BENCH).model
+    assert model is not None
+    return runs, model
+
+
+@pytest.mark.parametrize(
+    ("frequency_Hz", "ratio", "beside"),
+    [
+        (21.4, 0.12, {"torque_ripple": {"amplitude_Nm": 0.05, "order_per_rev": 12.0}}),
+        (46, 0.06, {}),
+    ],
+    ids=["slow-and-ripple", "fast"],
+)
+def test_a_bed_is_found_with_its_frequency_and_mass(
+    frequency_Hz: float, ratio: float, beside: PlantEffects
+) -> None:
+    swings = {"frequency_Hz": frequency_Hz, "mass_ratio": ratio, "damping_ratio": 0.03}
+    runs, model = identified({"base_mode": swings, **beside}, seed=5)
+    found = measured_bed(runs, BENCH, model)
+    assert found is not None
+    assert found.frequency_Hz == pytest.approx(frequency_Hz, rel=0.02)
+    assert found.mass_ratio == pytest.approx(ratio, rel=0.1)
+    assert found.damping_ratio == pytest.approx(0.03, abs=0.01)
+    assert found.with_um < 0.7 * found.without_um
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{}, {"backlash": {}}, {"actuator_delay": {"time_us": 900.0}}, {"torque_ripple": {}}],
+    ids=["nothing", "backlash", "actuator_delay", "torque_ripple"],
+)
+def test_a_drive_on_a_still_bed_shows_none(effects: PlantEffects) -> None:
+    runs, model = identified(effects, seed=3)
+    assert measured_bed(runs, BENCH, model) is None
+
+
+def test_samples_that_are_lost_do_not_hide_it() -> None:
+    runs, model = identified({"base_mode": {}}, seed=5)
+    lost = []
+    for run in runs:
+        table = np.array(run.table_position_m)
+        table[500:520] = np.nan
+        valid = np.isfinite(table)
+        lost.append(
+            Capture(
+                run.time_s,
+                run.commanded_position_m,
+                run.motor_position_m,
+                table_position_m=table,
+                torque_command_Nm=run.torque_command_Nm,
+                valid=valid,
+            )
+        )
+    found = measured_bed(lost, BENCH, model)
+    assert found is not None
+    assert found.frequency_Hz == pytest.approx(35.0, rel=0.02)
