@@ -46,7 +46,6 @@ from pmac_comp.workflow.foreseen import (
 )
 from pmac_comp.workflow.late_scale import (
     in_time,
-    made_with,
     noted_age,
     read_together,
     scale_age_s,
@@ -59,6 +58,7 @@ from pmac_comp.workflow.law_cost import (
     cost_remarks,
     share_frac,
 )
+from pmac_comp.workflow.law_model import made_with
 from pmac_comp.workflow.loose_nut import (
     clearance_note,
     clearance_remarks,
@@ -71,6 +71,7 @@ from pmac_comp.workflow.promises import Promiser, worse_remarks
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
+from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
@@ -130,6 +131,8 @@ def compute_compensation(
     age = noted_age(bench, model, captures, progress)
     model, provenance = in_time(model, age), {**(provenance or {}), **age}
     together = [read_together(run, scale_age_s(age)) for run in (*captures, *slow)]
+    bed = noted_bed(bench, model, together[: len(captures)], progress)
+    model, provenance = on_bed(model, bed), {**provenance, **bed}
     begun = with_starts(without_turn(model), together)
     captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
     if route != "table":  # that one takes the whole difference of the directions as it is
@@ -285,6 +288,7 @@ def compensate_files(
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
             *scale_remarks(law),
+            *bed_remarks(law),
             *clearance_remarks(law),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law.every_cycles, offers, law),
@@ -337,6 +341,9 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
         out["taken up with a lag of ms"] = law.gap_lag_s * 1e3
+    if law.bed_share > 0.0:
+        out["bed that swings, its share of the acceleration %"] = 100.0 * law.bed_share
+        out["bed that swings Hz"] = math.sqrt(law.bed_stiffness_per_s2) / (2.0 * math.pi)
     if law.gap_load_m != 0.0:
         out["load on the nut, as its elastic error um"] = law.gap_load_m * UM_PER_M
     return out

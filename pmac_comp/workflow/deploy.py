@@ -53,6 +53,7 @@ from pmac_comp.workflow.cam import (
 from pmac_comp.workflow.compensation_file import (
     Compensation,
 )
+from pmac_comp.workflow.law_cost import cost_refusals
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -174,6 +175,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     if route == "law":
         every = compensation.law.every_cycles
         refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)
+        refusals += cost_refusals(axis.bench, compensation.law)
     if route == "servo":
         refusals += law_install.servo_refusals(link, context, axis.motor)
     if route in TORQUE_ROUTES:

@@ -4,6 +4,7 @@ What lives here: which delays belong to a door, and the order of the two steps. 
 arithmetic of either (``physics.compensate``), files, controllers.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import (
     LoopRunner,
     NutGap,
+    SwungBed,
     constant_load_N,
     design_law,
     load_torque_Nm,
@@ -89,6 +91,7 @@ def dynamic_law(
             with_torque=route in TORQUE_ROUTES,
             every_cycles=every_cycles,
             gap=nut_gap(model),
+            bed=swung_bed(model),
             load_Nm=load_torque_Nm(model),
             provenance={**(provenance or {}), **noted},
             progress=progress,
@@ -198,6 +201,28 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     mass_kg = chain[slots.M_TABLE]
     load_m_per_s2 = constant_load_N(model) / mass_kg
     return NutGap(half_m, edge_N / mass_kg, load_m_per_s2, model_loop(rest))
+
+
+def swung_bed(model: "DriveModel") -> SwungBed | None:
+    """Bed of a model that swings; None without one.
+
+    Source
+    ------
+    Newton for bed and table together: (M_bed + M) y" = -M x" - M_bed (2 zeta omega y' + omega^2 y).
+    """
+    if "base_mode" not in model.effects:
+        return None
+    own = model.values_of("base_mode")
+    share = own["mass_ratio"] / (1.0 + own["mass_ratio"])
+    if share <= 0.0:
+        return None
+    omega = 2.0 * math.pi * own["frequency_Hz"]
+    return SwungBed(
+        share=share,
+        damping_per_s=(1.0 - share) * 2.0 * own["damping_ratio"] * omega,
+        stiffness_per_s2=(1.0 - share) * omega**2,
+        torque_Nm_s2_per_m=model.kernel_vector()[slots.M_TABLE] * model.bench.lead_m_per_rad,
+    )
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":

@@ -17,7 +17,6 @@ from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.loose_nut import loosened
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
@@ -68,11 +67,6 @@ def in_time(model: "DriveModel", noted: dict[str, Any]) -> "DriveModel":
         model = model.without_effect(_SKEW)
     values = noted.get(_KEY, {}).get("values", {})
     return model.with_parameters({k: v for k, v in values.items() if k in model.parameters})
-
-
-def made_with(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
-    """The model that a law was made with, from the model that it was computed from."""
-    return loosened(in_time(model, law.provenance), law)
 
 
 def scale_remarks(law: CompensationLaw) -> list[str]:

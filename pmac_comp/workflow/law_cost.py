@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law_cost import law_cost_us
@@ -55,7 +56,8 @@ def _cost_us(bench: Bench, law: CompensationLaw | None) -> float:
     """Time of a pass in us; of a law that has everything where none is given."""
     per_turn = law is None or law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0
     gap = law is None or law.gap_half_m > 0.0
-    return law_cost_us(bench.controller.cpu_clock_MHz, per_turn=per_turn, gap=gap)
+    bed = law is None or law.bed_share > 0.0
+    return law_cost_us(bench.controller.cpu_clock_MHz, per_turn=per_turn, gap=gap, bed=bed)
 
 
 def cost_text(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None = None) -> str:
@@ -66,6 +68,25 @@ def cost_text(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None =
         f"PLC 0 takes about {_cost_us(bench, law):.0f} us in {rhythm}, {share:.0f} % of the "
         f"processor's time at {bench.controller.cpu_clock_MHz:g} MHz"
     )
+
+
+def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
+    """Refusal of a law whose passes of PLC 0 leave the processor no time for anything else."""
+    if share_frac(bench, law.every_cycles, law) <= 1.0:
+        return []
+    return [
+        SafetyRefusal(
+            f"{cost_text(bench, law.every_cycles, law)}: nothing would be left for the background "
+            "tasks, and the watchdog would stop the card.",
+            code="PC-LAW-043",
+            hint=f"Compute it for fewer passes (`pmac-comp compensate --every "
+            f"{_fitting_cycles(bench, law)}`), or for the open servo (--route servo).",
+        )
+    ]
+
+
+def _fitting_cycles(bench: Bench, law: CompensationLaw) -> int:
+    return min(_SLOWEST_CYCLES, math.ceil(share_frac(bench, law=law)))
 
 
 def cheaper_laws(
@@ -123,8 +144,10 @@ def cost_remarks(
     elif not ways and every_cycles < _SLOWEST_CYCLES:
         ways = f"`pmac-comp compensate --every {_SLOWEST_CYCLES}`"
     ways = ways or "no slower rhythm is left"
+    fits = share_frac(bench, every_cycles, law) <= 1.0
+    much = "more than a quarter" if fits else "more than there is, `upload` refuses it"
     return [
-        f"{text}: more than a quarter. Cheaper: {ways}; or --route servo, whose compiled form "
+        f"{text}: {much}. Cheaper: {ways}; or --route servo, whose compiled form "
         "costs about a tenth"
     ]
 

@@ -69,7 +69,16 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         GB=zero * law.gap_load_m * K,
         RF=law.rest_fade_per_s * T,
         TG=law.gap_torque_Nm / q,
+        BS=zero * law.inertia_s2 * law.bed_share / T**2,
+        BD=law.bed_damping_per_s * pass_s,
+        BO=law.bed_stiffness_per_s2 * pass_s**2,
+        BT=_per_correction(law.torque_bed_Nm_s2_per_m / q, zero * law.inertia_s2 * K),
     )
+
+
+def _per_correction(torque_dac_s2_per_m: float, correction_ct_s2_per_m: float) -> float:
+    """Torque per count of correction, both of an acceleration; 0 where none needs correcting."""
+    return torque_dac_s2_per_m / correction_ct_s2_per_m if correction_ct_s2_per_m > 0.0 else 0.0
 
 
 def _at_position_zero(law: CompensationLaw) -> float:

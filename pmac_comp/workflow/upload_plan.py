@@ -119,8 +119,8 @@ def preview(
         parameters = law_parameters(compensation.law, axis.scales)
         text += _law_lines(axis, compensation)
         lines += program_lines(axis, context, compensation.route)
-        first = context.block.bank(1)
-        lines += [f"P{first + i}={v:.9g}" for i, v in enumerate(parameters.values())]
+        bank = [context.block.bank(1, k) for k in range(len(parameters.values()))]
+        lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
     law = compensation.law
     text += [
         f"  {line}"

@@ -18,9 +18,11 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     9  in scale    counts per unit of the commanded position register = 1 / (32 Ixx08), host
     10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
     70..79  manifest of the last upload     80..85  lease, guard, number of the last change
-            (``manifest`` and ``lease`` have the meaning; 86..89 free)
+            (``manifest`` and ``lease`` have the meaning)
+    86..88    bed that swings: b, its speed and place, of both forms
     100..129  working variables of the PLC 0 form, 130..159 of the open servo
-    160..189  working copy of the bank in use (PLC 0 form)     190..199  free
+    160..189  working copy of the bank in use (PLC 0 form), with 89, 138, 198 and 199
+    190..193  rest of bank 0           194..197  rest of bank 1
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
@@ -28,17 +30,21 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     v = dr                                                (differences over dn cycles)
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
+    h = |v| dn S_INV                                      way of the command
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
-    e = A0 a + V0 v + S0 s
+    y = BS a + BD y1 + BO y2                              bed that swings: its acceleration, speed
+    y1 = y1 - y          y2 = y2 + y1                     and place, in passes and by the correction
+    b = (b - h y) / (1 + h)                               what the table feels of it
+    e = A0 a + V0 v + S0 s + b
     f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
-    h = |v| dn S_INV     g = (g + h f / max(GW, |f|)) / (1 + h)      flank: goes with the force
-    b = g - l            l = l + GL b                     flank as the motor changes it, and behind
+    g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
+    l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(NR p + PR)) t + T0 + TH sin(NH p + PH)
-        + TG b
+        + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -63,17 +69,18 @@ from pmac_comp.machine.controller.numbers import nine_digits
 SIGNATURE_PLC: Final = 20261
 SIGNATURE_SERVO: Final = 20262
 SEAL: Final = 20261
-BANK_SIZE: Final = 30
+BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands behind the working copy
+REST_SIZE: Final = 4
 BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
-_LAYOUT: Final = 3  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 4  # of a bank: the checksum begins with it, so that another layout's does not fit
 _CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
-_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE")  # nothing without a jerk limit
+_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE", "BS")  # nothing without a jerk limit
 
 
 class Index(IntEnum):
@@ -93,9 +100,11 @@ class Index(IntEnum):
     MANIFEST = 70
     LEASE = 80
     CHANGE = 85  # number of the last change: positive under way, negative ended, 0 none
+    BED = 86
     WORK_PLC = 100
     WORK_SERVO = 130
     COPY = 160
+    RESTS = 190
 
 
 class WorkIndex(IntEnum):
@@ -150,6 +159,10 @@ class BankIndex(IntEnum):
     NR = 27  # degrees per count, of TR
     SEALED = 28  # 20261 once the bank was read back
     CRC = 29
+    BS = 30  # counts per (count/SC^2), A0 times the bed's share; 0: no bed that swings
+    BD = 31  # 1/pass, damping of the bed
+    BO = 32  # 1/pass^2, stiffness of the bed
+    BT = 33  # DAC units per count, torque of the table's mass
 
 
 @dataclass(frozen=True)
@@ -191,12 +204,20 @@ class LawBlock:
         """Number of the P-variable at an offset of bank 0 or 1."""
         if bank not in {0, 1}:
             raise ConfigError(f"There is no bank {bank}.", code="PC-LAW-003")
+        if offset >= BANK_SIZE:
+            return self.first + Index.RESTS + REST_SIZE * bank + offset - BANK_SIZE
         return self.first + Index.BANKS + BANK_SIZE * bank + offset
+
+    def bank_text(self, bank: int) -> str:
+        """Question for all values of bank 0 or 1, in their order."""
+        first, rest = self.bank(bank), self.bank(bank, BANK_SIZE)
+        return f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}"
 
 
 def bank_crc(values: Sequence[float]) -> int:
     """Low 29 bits, nine digits, of the CRC-32 of a bank's coefficients in nine-digit text."""
-    text = " ".join(nine_digits(value) for value in values[: BankIndex.SEALED])
+    law = (*values[: BankIndex.SEALED], *values[BANK_SIZE:])
+    text = " ".join(nine_digits(value) for value in law)
     return zlib.crc32(text.encode("ascii"), _LAYOUT) & _CRC_MASK
 
 
@@ -236,12 +257,16 @@ class LawParameters:
     GB: float = 0.0
     RF: float = 0.01
     TG: float = 0.0
+    BS: float = 0.0
+    BD: float = 0.0
+    BO: float = 0.0
+    BT: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW")
+        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BS", "BD", "BO")
         negative = [n for n in sizes if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
@@ -269,8 +294,8 @@ class LawParameters:
             )
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
-        """The 30 values of a bank, with seal and checksum unless ``sealed`` is False."""
-        bank = [0.0] * BANK_SIZE
+        """All values of a bank, with seal and checksum unless ``sealed`` is False."""
+        bank = [0.0] * (BANK_SIZE + REST_SIZE)
         for item in fields(self):
             bank[BankIndex[item.name]] = getattr(self, item.name)
         if sealed:
@@ -287,7 +312,7 @@ class LawParameters:
         VerifyMismatch
             The bank is not sealed or its checksum does not fit.
         """
-        if len(values) != BANK_SIZE or values[BankIndex.SEALED] != SEAL:
+        if len(values) != BANK_SIZE + REST_SIZE or values[BankIndex.SEALED] != SEAL:
             raise VerifyMismatch("The bank is not sealed.", code="PC-LAW-010")
         if int(values[BankIndex.CRC]) != bank_crc(values):
             raise VerifyMismatch(
@@ -319,7 +344,7 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = ("A0", "V0", "S0", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG")
+        names = ("A0", "V0", "S0", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT")
         return all(getattr(self, name) == 0.0 for name in names)
 
 
@@ -376,13 +401,16 @@ def evaluate(
     level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
-    elastic = p.A0 * a + p.V0 * v + p.S0 * s
+    passed = np.abs(v) * p.S_INV
+    felt = _felt_of_bed(p, a, passed / (1.0 + passed))
+    q = q + p.BT * felt
+    elastic = p.A0 * a + p.V0 * v + p.S0 * s + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:
         foreseen = p.GB + elastic + p.L1 * (p.A0 * j + p.V0 * a)
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank
-        first, passed = start.get("g", held), np.abs(v) * p.S_INV
+        first = start.get("g", held)
         flank = _towards(goal, passed / (1.0 + passed), first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)
         c = c + p.GH * (lagged - held)
@@ -393,6 +421,18 @@ def evaluate(
         torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),
         n_clamped=int(np.count_nonzero(np.abs(c) > clamp_ct)),
     )
+
+
+def _felt_of_bed(p: LawParameters, acceleration: FloatArray, share: FloatArray) -> FloatArray:
+    """What the table feels of a bed that swings, by the correction that it needs, counts."""
+    if p.BS == 0.0:
+        return np.zeros_like(acceleration)
+    swing, speed, place = np.empty_like(acceleration), 0.0, 0.0
+    for k, value in enumerate(acceleration.tolist()):
+        swing[k] = -(p.BS * value + p.BD * speed + p.BO * place)
+        speed += float(swing[k])
+        place += speed
+    return _towards(swing, share, 0.0)
 
 
 def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:

@@ -7,16 +7,21 @@ from pmac_comp.machine.controller.law_install import law_program
 
 
 def operation_count(
-    lines: Sequence[str] | None = None, *, per_turn: bool = True, gap: bool = True
+    lines: Sequence[str] | None = None,
+    *,
+    per_turn: bool = True,
+    gap: bool = True,
+    bed: bool = True,
 ) -> int:
     """Interpreted operations of one pass of PLC 0: operators, functions, stores and tests.
 
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
-    a law with or without torque per turn, with or without the gap of a nut.
+    a law with or without torque per turn, the gap of a nut, a bed that swings.
     """
     body = lines if lines is not None else law_program(LawBlock(), 1).lines
     skipped = set(_SKIPPED)
     skipped |= set() if gap else {"IF(P7186>0)"}
+    skipped |= set() if bed else {"IF(P7089>0)"}
     skipped |= set() if per_turn else {"IF(P7188>0)"}
     return sum(_operations(line) for line in _pass(body, skipped))
 
@@ -61,6 +66,8 @@ def _operations(line: str) -> int:
     return operators + functions + line.count("=") + line.count("AND") + line.count("OR")
 
 
-def law_cost_us(cpu_clock_MHz: float, *, per_turn: bool = True, gap: bool = True) -> float:
+def law_cost_us(
+    cpu_clock_MHz: float, *, per_turn: bool = True, gap: bool = True, bed: bool = True
+) -> float:
     """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual)."""
-    return 3.0 * 80.0 / cpu_clock_MHz * operation_count(per_turn=per_turn, gap=gap)
+    return 3.0 * 80.0 / cpu_clock_MHz * operation_count(per_turn=per_turn, gap=gap, bed=bed)

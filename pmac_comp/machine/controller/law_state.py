@@ -7,7 +7,6 @@ from typing import Final
 from pmac_comp.base.errors import SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.law_bank import (
-    BANK_SIZE,
     SIGNATURE_PLC,
     SIGNATURE_SERVO,
     Index,
@@ -17,7 +16,7 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.settings import plc_runs
-from pmac_comp.machine.controller.variables import read_one, read_range
+from pmac_comp.machine.controller.variables import read_one
 
 SIGN_OF_LIFE_CYCLES: Final = 400
 GAIN_TOLERANCE: Final = 1e-6
@@ -57,8 +56,8 @@ class LawHead:
         Passes in which the clamp acted.
     bank_in_use : int or None
         What the algorithm says it uses; None while the loop is open.
-    position_ct, friction_state, flank_state : float
-        r, s and g of the law as the algorithm has them now.
+    position_ct, friction_state, flank_state, bed_state : float
+        r, s, g and b of the law as the algorithm has them now.
     """
 
     signature: int
@@ -76,6 +75,7 @@ class LawHead:
     position_ct: float
     friction_state: float
     flank_state: float = 0.0
+    bed_state: float = 0.0
 
     @property
     def form(self) -> LawForm:
@@ -92,8 +92,8 @@ class LawHead:
 def read_law_head(link: Link, block: LawBlock) -> LawHead:
     """Head and outputs in one question."""
     first, work = block.p(0), block.p(Index.WORK_PLC)
-    servo = block.p(Index.WORK_SERVO)
-    lines = link.query(f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}")
+    servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED)
+    lines = link.query(f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{bed}")
     values = [float(v) for v in lines]
     head, plc, own = values[:10], values[10:24], values[24:38]
     running = own if int(head[0]) == SIGNATURE_SERVO else plc
@@ -114,6 +114,7 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         position_ct=running[WorkIndex.POSITION],
         friction_state=running[WorkIndex.STATE],
         flank_state=running[WorkIndex.FLANK],
+        bed_state=values[-1],
     )
 
 
@@ -126,11 +127,15 @@ def running_form(link: Link, head: LawHead) -> LawForm:
 
 def read_bank(link: Link, block: LawBlock, bank: int) -> LawParameters | None:
     """Parameters of a sealed bank, None if it is not sealed or its checksum does not fit."""
-    first = block.bank(bank)
     try:
-        return LawParameters.from_values(read_range(link, "P", first, first + BANK_SIZE - 1))
+        return LawParameters.from_values(read_bank_values(link, block, bank))
     except VerifyMismatch:
         return None
+
+
+def read_bank_values(link: Link, block: LawBlock, bank: int) -> list[float]:
+    """All values of bank 0 or 1, in their order."""
+    return [float(v) for v in link.query(block.bank_text(bank))]
 
 
 def is_running(link: Link, block: LawBlock, servo_period_s: float) -> LawForm:

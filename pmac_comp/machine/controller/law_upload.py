@@ -23,7 +23,6 @@ from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_arming import arm, disarm
 from pmac_comp.machine.controller.law_bank import (
-    BANK_SIZE,
     BankIndex,
     Index,
     LawBlock,
@@ -34,6 +33,7 @@ from pmac_comp.machine.controller.law_state import (
     LawHead,
     degree_refusals,
     read_bank,
+    read_bank_values,
     read_law_head,
 )
 from pmac_comp.machine.controller.link import Link
@@ -43,7 +43,7 @@ from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sea
 from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.transaction import ROLLED_BACK, Change, ChangeKind, UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
-from pmac_comp.machine.controller.variables import read_range, same_value, verify_many, write_many
+from pmac_comp.machine.controller.variables import same_value, verify_many, write_many
 
 _TAKE_OVER_s: Final = 0.5
 
@@ -210,8 +210,8 @@ def _refusals(
 def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParameters) -> float:
     """Step of the correction in counts when an axis at rest changes over where it stands.
 
-    At rest only the states are left of the law: (1 + C1 r) S0 s for friction, GH (g - l0) for
-    a gap.
+    At rest only the states are left of the law: (1 + C1 r) (S0 s + b) for friction and a bed
+    that swings, GH (g - l0) for a gap.
     """
     if not head.is_armed:
         return 0.0
@@ -219,7 +219,8 @@ def predicted_step_ct(head: LawHead, old: LawParameters | None, new: LawParamete
     def at_rest(law: LawParameters | None) -> float:
         if law is None:
             return 0.0
-        elastic = (1.0 + law.C1 * head.position_ct) * law.S0 * head.friction_state
+        bed = head.bed_state if law.BS > 0.0 else 0.0
+        elastic = (1.0 + law.C1 * head.position_ct) * (law.S0 * head.friction_state + bed)
         value = elastic + law.GH * (head.flank_state - law.held_flank)
         return max(-head.clamp_ct, min(head.clamp_ct, value))
 
@@ -261,18 +262,12 @@ def fill_bank(link: Link, block: LawBlock, bank: int, parameters: LawParameters)
     VerifyMismatch
         A value does not read back; the bank stays unsealed and is never taken over.
     """
-    first = block.bank(bank)
-    values = parameters.values()
-    link.write_buffer(
-        [
-            f"P{first + BankIndex.SEALED}=0",
-            *(f"P{first + k}={plain(v)}" for k, v in enumerate(values) if k != BankIndex.SEALED),
-        ]
-    )
-    body = {f"P{first + k}": v for k, v in enumerate(values) if k != BankIndex.SEALED}
+    values, seal = parameters.values(), f"P{block.bank(bank, BankIndex.SEALED)}"
+    body = {f"P{block.bank(bank, k)}": v for k, v in enumerate(values) if k != BankIndex.SEALED}
+    link.write_buffer([f"{seal}=0", *(f"{name}={plain(v)}" for name, v in body.items())])
     verify_many(link, body)
-    link.command(f"P{first + BankIndex.SEALED}={int(values[BankIndex.SEALED])}")
-    found = LawParameters.from_values(read_range(link, "P", first, first + BANK_SIZE - 1))
+    link.command(f"{seal}={int(values[BankIndex.SEALED])}")
+    found = LawParameters.from_values(read_bank_values(link, block, bank))
     if found != parameters:
         raise VerifyMismatch(
             "The sealed bank holds another law than was written.",

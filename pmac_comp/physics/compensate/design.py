@@ -96,6 +96,7 @@ _TORQUE_SCALES = {
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
+_BED_TORQUE_SCALES = {"torque_bed_Nm_s2_per_m": 0.02}
 _LOWEST = {
     "breakaway_m": 0.5e-6,
     "torque_breakaway_m": 0.5e-6,
@@ -153,6 +154,26 @@ class NutGap:
     edge_m_per_s2: float
     load_m_per_s2: float
     stiff: LoopRunner
+
+
+@dataclass(frozen=True)
+class SwungBed:
+    """Machine bed that swings: what it makes of the table's acceleration relative to it.
+
+    Parameters
+    ----------
+    share : float
+        Its acceleration as the table begins to accelerate, over the table's, reversed.
+    damping_per_s, stiffness_per_s2 : float
+        Of the bed with the table on it.
+    torque_Nm_s2_per_m : float
+        Torque at the motor of the table's mass.
+    """
+
+    share: float
+    damping_per_s: float
+    stiffness_per_s2: float
+    torque_Nm_s2_per_m: float
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
@@ -278,6 +299,7 @@ def design_law(
     with_torque: bool = True,
     every_cycles: int = 1,
     gap: NutGap | None = None,
+    bed: SwungBed | None = None,
     load_Nm: float = 0.0,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
@@ -301,6 +323,8 @@ def design_law(
         Servo cycles between two passes of the law.
     gap : NutGap, optional
         Clearance of the nut.
+    bed : SwungBed, optional
+        Bed that swings.
     load_Nm : float
         Torque that holds the constant load of the model: a law with torque sends it.
     motions : sequence of Trajectory, optional
@@ -335,6 +359,8 @@ def design_law(
         start = replace(start, torque_constant_Nm=load_Nm)
     if gap is not None:
         start = _taking_up(gap, start)
+    if bed is not None:
+        start = _swinging(bed, start)
     law = _refined(start, loop, chosen, latency_cycles, progress)
     if gap is not None and gap.edge_m_per_s2 == 0.0:
         law = replace(law, gap_width_m=_SHARPENED_FRAC * law.gap_width_m)
@@ -353,6 +379,16 @@ def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
         gap_lag_s=law.lookahead_s,  # the motor crosses no sooner than it answers
         gap_torque_Nm=-_CROSSING_FRAC * law.torque_coulomb_Nm,
         coulomb_m=coulomb_m,
+    )
+
+
+def _swinging(bed: SwungBed, law: CompensationLaw) -> CompensationLaw:
+    return replace(
+        law,
+        bed_share=bed.share,
+        bed_damping_per_s=bed.damping_per_s,
+        bed_stiffness_per_s2=bed.stiffness_per_s2,
+        torque_bed_Nm_s2_per_m=bed.torque_Nm_s2_per_m if law.torque_limit_Nm > 0.0 else 0.0,
     )
 
 
@@ -473,6 +509,8 @@ def _refined(
         scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
         scales |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
         lower["coulomb_m"] = LEAST_COULOMB_m
+    if start.bed_share > 0.0 and has_torque:
+        scales |= _BED_TORQUE_SCALES
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size

@@ -10,14 +10,16 @@ the distance from the law's origin::
     p  = r + L v + L (L + T)/2 v'                       place expected L seconds later
     s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
-    e  = A0 a + V0 v + S0 s                             elastic, as the force in the nut
+    y" = -M a - D y' - O y                              acceleration of the bed that swings
+    b' = |v| (y" - b) / break-away distance             what the table feels of it
+    e  = A0 (a + b) + V0 v + S0 s                       elastic, as the force in the nut
     f  = B + e + L (A0 j + V0 a)                        with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(m q + PR)) t + T0 + TH sin(n q + PH)
-             + TG (g - h)                               added to the output
+             + TG (g - h) + TY b                        added to the output
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
@@ -58,6 +60,12 @@ only soft around zero force, as one without preload, takes its G up just so:
 in proportion to the force, until W is reached. The flank follows the way of the command, as
 friction does: where the force turns over in the last tenths of a micrometre of a move, the guide
 holds the table wherever the nut is, and a motor that still crossed the gap would throw it.
+
+A machine bed on its foundation swings as the table pushes it off, and the table feels the bed's
+acceleration as its own (ballscrew facts 3): positions are relative to the bed. The bed is one mass
+on a spring, driven by the commanded acceleration; M is its share of that, TY the torque of the
+table's mass. As the command comes to rest the guide holds the table, whatever the bed does:
+``b`` follows the way of the command as the friction states do.
 
 The motor needs time for the crossing: the correction takes the gap up with a lag M, as the drive
 does. While it crosses, nut and table have parted, and the torque that is meant to accelerate both
@@ -114,6 +122,10 @@ class CompensationLaw:
         TR, m and PR: friction that changes m times per turn.
     ripple_Nm, ripple_order, ripple_phase_rad : float
         TH, n, PH: cogging, the strongest order of it.
+    bed_share, bed_damping_per_s, bed_stiffness_per_s2 : float
+        M, D and O of a bed that swings; without a share there is none.
+    torque_bed_Nm_s2_per_m : float
+        TY.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
@@ -160,6 +172,10 @@ class CompensationLaw:
     gap_lag_s: float = 0.0
     gap_torque_Nm: float = 0.0
     gap_load_m: float = 0.0
+    bed_share: float = 0.0
+    bed_damping_per_s: float = 0.0
+    bed_stiffness_per_s2: float = 0.0
+    torque_bed_Nm_s2_per_m: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -192,8 +208,8 @@ class CompensationLaw:
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
-        if self.rest_fade_per_s < 0.0:
-            small.append("rest_fade_per_s")
+        not_negative = ("rest_fade_per_s", "bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
+        small += [name for name in not_negative if getattr(self, name) < 0.0]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
@@ -212,7 +228,9 @@ class CompensationLaw:
     @property
     def largest_correction_m(self) -> float:
         """Largest correction within the law's range of speeds and accelerations, m."""
-        fast = abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
+        # A bed that an acceleration began to swing meets the next one with twice its share.
+        swung = 1.0 + 2.0 * self.bed_share
+        fast = swung * abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
         fast += abs(self.viscous_s) * self.valid_speed_m_per_s
         return fast + abs(self.coulomb_m) + self.gap_half_m
 
@@ -232,6 +250,7 @@ TORQUE_NAMES = (
     "turn_friction_Nm",
     "ripple_Nm",
     "gap_torque_Nm",
+    "torque_bed_Nm_s2_per_m",
 )
 
 
@@ -341,6 +360,41 @@ def _flank(force: float, width: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _taken_over(
+    state: float, wound: float, beyond: float, torque_coulomb: float
+) -> tuple[float, float]:
+    """Friction state as the output held it over a rest, and the rest of the torque it winds."""
+    stands = min(max(state + (beyond + wound) / torque_coulomb, -1.0), 1.0)
+    return stands, wound + torque_coulomb * (state - stands)
+
+
+@njit(cache=True, nogil=True)
+def _swung(
+    p: FloatArray, acceleration: float, speed: float, place: float, period: float
+) -> tuple[float, float, float]:
+    """Acceleration, speed and place of a bed on its spring, a period later; ``p`` is M, D, O."""
+    swing = -p[0] * acceleration - p[1] * speed - p[2] * place
+    speed += period * swing
+    return swing, speed, place + period * speed
+
+
+@njit(cache=True, nogil=True)
+def _followed_share(state: float, goal: float, way: float) -> float:
+    """State that goes to its goal with a way, implicit Euler: holds at standstill."""
+    return (state + way * goal) / (1.0 + way)
+
+
+@njit(cache=True, nogil=True)
+def _crossed(
+    flank: float, lagged: float, goal: float, way: float, share: float
+) -> tuple[float, float, float]:
+    """Flank, the flank that the motor has reached, and by how much that was behind."""
+    flank = _followed_share(flank, goal, way)
+    behind = flank - lagged
+    return flank, lagged + share * behind, behind
+
+
+@njit(cache=True, nogil=True)
 def _friction_states(way: FloatArray, start: float) -> FloatArray:
     state = np.empty_like(way)
     value = start
@@ -358,17 +412,17 @@ def _evaluate(
     torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
     torque_constant, torque_breakaway, rest_fade = p[12:15]
     turn, turn_friction, turn_order, turn_phase, ripple, ripple_order, ripple_phase = p[15:22]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, origin = p[22:28]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load = p[22:27]
+    bed_share, torque_bed, origin = p[27], p[30], p[31]
     n = r.size
     seen = output.size == n
     correction, torque = np.empty(n), np.empty(n)
-    v = a = s = t = rest = beyond = wound = 0.0
+    v = a = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
     held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     g = h = held
     ahead = r[0]
     for k in range(n):
-        v1 = v
-        v = (r[k] - r[k - 1]) / period if k > 0 else 0.0
+        v1, v = v, (r[k] - r[k - 1]) / period if k > 0 else 0.0
         place = r[k] + lookahead * (v + 0.5 * (lookahead + period) * (v - v1) / period)
         step, ahead = place - ahead, place
         j = min(max(((v - v1) / period - a) / period, -limit), limit)
@@ -382,26 +436,26 @@ def _evaluate(
                 s *= 1.0 - UNWIND_PER_CYCLE * every
         else:
             if seen and rest >= REST_CYCLES and torque_coulomb > 0.0:
-                stands = min(max(t + (beyond + wound) / torque_coulomb, -1.0), 1.0)
-                wound += torque_coulomb * (t - stands)
-                t = stands
+                t, wound = _taken_over(t, wound, beyond, torque_coulomb)
             rest = 0.0
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
         angle = 2.0 * math.pi * (r[k] + lookahead * v) / turn
-        level = torque_coulomb + torque_load * abs(a)
-        level += turn_friction * math.sin(turn_order * angle + turn_phase)
-        sent = torque_inertia * a + torque_jerk * j + torque_viscous * v + level * t
-        sent += torque_constant + ripple * math.sin(ripple_order * angle + ripple_phase) + wound
-        e = inertia * a + viscous * v + coulomb * s
+        wave = turn_friction * math.sin(turn_order * angle + turn_phase)
+        sent = torque_inertia * a + torque_jerk * j + torque_viscous * v
+        sent += (torque_coulomb + torque_load * abs(a) + wave) * t + torque_constant + wound
+        sent += ripple * math.sin(ripple_order * angle + ripple_phase)
+        way = abs(v) * period / breakaway
+        if bed_share > 0.0:
+            swing, bed_speed, bed = _swung(p[27:30], a, bed_speed, bed, period)
+            felt = _followed_share(felt, swing, way)
+            sent += torque_bed * felt
+        e = inertia * (a + felt) + viscous * v + coulomb * s
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
             f = gap_load + e + lookahead * (inertia * j + viscous * a)
-            way = abs(v) * period / breakaway
-            g = (g + way * _flank(f, gap_width)) / (1.0 + way)
-            behind = g - h
-            h += behind * period / (gap_lag + period)
+            g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             sent += gap_torque * behind
         torque[k] = sent

@@ -102,6 +102,7 @@ LAW = LawParameters(
     A0=11.3, V0=0.0087, S0=0.93, RF=0.004, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
+    BS=1.4, BD=0.003, BO=0.004, BT=45.0,
 )  # fmt: skip
 
 
@@ -300,12 +301,17 @@ def test_files_move_to_another_block_and_motor() -> None:
 def test_cost_of_the_law_is_counted() -> None:
     operations = law_cost.operation_count()
     assert operations > 60
-    assert law_cost.law_cost_us(80.0) < 442.0  # a law with everything fits into a servo period
+    assert 0.5 * law_cost.law_cost_us(80.0) < 442.0  # a law with everything: every second cycle
     assert law_cost.law_cost_us(80.0) == pytest.approx(3.0 * operations)
     assert law_cost.law_cost_us(160.0) == pytest.approx(1.5 * operations)
     # What a law does not have is passed over, at the price of a test.
-    plain = law_cost.operation_count(per_turn=False, gap=False)
-    assert plain < 0.85 * operations
+    plain = law_cost.operation_count(per_turn=False, gap=False, bed=False)
+    assert plain < 0.7 * operations
+    for lacks in ("per_turn", "gap", "bed"):
+        assert plain < law_cost.operation_count(**{lacks: False}) < operations
+    # What may come together fits into a servo period, all but a gap on a bed that swings.
+    assert law_cost.law_cost_us(80.0, bed=False) < 442.0
+    assert law_cost.law_cost_us(80.0, gap=False) < 442.0
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:

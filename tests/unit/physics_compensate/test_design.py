@@ -21,6 +21,7 @@ from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
+from pmac_comp.workflow.dynamic_law import swung_bed
 
 BENCH = load_bench("paper")
 
@@ -110,6 +111,31 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     )
     new, old = (promise(law, model_loop(model), motion) for law in (with_gap, without))
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
+
+
+def test_law_undoes_what_a_bed_that_swings_does_to_the_table() -> None:
+    swings = {"frequency_Hz": 22.0, "mass_ratio": 0.14, "damping_ratio": 0.03}
+    model = DriveModel.base(BENCH).with_effect("base_mode", swings)
+    motions, bed = design_motions(BENCH)[1:8:2], swung_bed(model)
+    with_bed, without = (
+        design_law(BENCH, model_loop(model), bed=b, motions=motions) for b in (bed, None)
+    )
+    assert without.bed_share == without.torque_bed_Nm_s2_per_m == 0.0
+    motion = trapezoid(
+        period_s=BENCH.servo_period_s,
+        distance_m=0.1,
+        speed_m_per_s=0.3,
+        acceleration_m_per_s2=4.0,
+        s_curve_s=0.015,
+        start_m=-0.05,
+        dwell_s=0.1,
+    )
+    new, old = (promise(law, model_loop(model), motion) for law in (with_bed, without))
+    assert new.e_r_after_um < 0.75 * old.e_r_after_um
+    assert new.total_after_um < 0.6 * old.total_after_um
+    still = design_law(BENCH, model_loop(model), bed=bed, with_torque=False, motions=motions)
+    assert still.bed_share == bed.share if bed is not None else False
+    assert still.torque_bed_Nm_s2_per_m == 0.0
 
 
 def test_gap_under_a_load_is_taken_up_where_the_load_is_overcome() -> None:

@@ -39,6 +39,10 @@ LAW = CompensationLaw(
     ripple_order=20.0,
     ripple_phase_rad=-1.0,
     torque_constant_Nm=0.01,
+    bed_share=0.11,
+    bed_damping_per_s=7.0,
+    bed_stiffness_per_s2=1.6e4,
+    torque_bed_Nm_s2_per_m=0.03,
     origin_m=0.02,
     torque_limit_Nm=17.0,
 )
@@ -264,6 +268,35 @@ def test_load_that_nothing_lifts_leaves_no_gap_to_take_up() -> None:
     heavy = evaluate_law(LOOSE.with_values(gap_load_m=-50e-6), position, PERIOD)
     assert np.allclose(heavy.correction_m, plain.correction_m, atol=1e-15)
     assert np.allclose(heavy.torque_Nm, plain.torque_Nm, atol=1e-12)
+
+
+def test_table_feels_the_bed_swing_on_after_an_acceleration_and_not_at_rest() -> None:
+    law = CompensationLaw(
+        inertia_s2=2e-6,
+        breakaway_m=1e-6,
+        bed_share=0.1,
+        bed_stiffness_per_s2=(2.0 * np.pi * 20.0) ** 2,
+        torque_bed_Nm_s2_per_m=0.05,
+        torque_limit_Nm=10.0,
+    )
+    time_s = np.arange(0.0, 0.8, PERIOD)
+    # 2 m/s2 for 0.1 s from the start, then a steady 0.2 m/s for half a second, then rest.
+    speed = np.interp(time_s, [0.1, 0.2, 0.6, 0.7], [0.0, 0.2, 0.2, 0.0])
+    sent = evaluate_law(law, np.cumsum(speed) * PERIOD, PERIOD)
+    felt = sent.correction_m / 2e-6
+    coasts = (time_s > 0.21) & (time_s < 0.59)
+    # Two whole swings in the ramp: it leaves the bed as it was; half a swing more, and it swings.
+    assert np.max(np.abs(felt[coasts])) < 0.02
+    other = np.interp(time_s, [0.1, 0.225, 0.6, 0.7], [0.0, 0.2, 0.2, 0.0])
+    swung = evaluate_law(law, np.cumsum(other) * PERIOD, PERIOD)
+    later = (time_s > 0.235) & (time_s < 0.59)
+    felt = swung.correction_m[later] / 2e-6
+    assert np.max(np.abs(felt)) == pytest.approx(2.0 * 0.1 * 1.6, rel=0.05)
+    turns = np.flatnonzero(np.diff(np.sign(felt)) > 0)
+    assert np.diff(turns).mean() * PERIOD == pytest.approx(1.0 / 20.0, rel=0.03)
+    assert swung.torque_Nm[later] == pytest.approx(0.05 * felt)
+    rest = swung.correction_m[time_s > 0.705]
+    assert np.ptp(rest) == 0.0  # the guide holds the table, whatever the bed does
 
 
 def test_elastic_error_grows_along_the_screw_by_one_slope() -> None:

@@ -13,12 +13,12 @@ from pmac_comp.physics.identify.scale_age import ScaleAge
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow.late_scale import (
     in_time,
-    made_with,
     noted_age,
     read_together,
     scale_age_s,
     scale_remarks,
 )
+from pmac_comp.workflow.law_model import made_with
 from pmac_comp.workflow.outcome import error_signals, outcome_of
 
 BENCH = load_bench("paper_x4")

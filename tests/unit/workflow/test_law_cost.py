@@ -1,12 +1,15 @@
 """The cost of the law is stated, and what cheaper laws lose is predicted and small."""
 
+from dataclasses import replace
+
 import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow.dynamic_law import law_remarks
-from pmac_comp.workflow.law_cost import cheaper_laws, cost_remarks, share_frac
+from pmac_comp.workflow.law_cost import cheaper_laws, cost_refusals, cost_remarks, share_frac
 
 BENCH = load_bench("paper_x4")
 
@@ -26,7 +29,7 @@ def test_offers_run_less_often_and_say_what_they_lose() -> None:
 
 def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
     assert share_frac(BENCH, 4) == pytest.approx(share_frac(BENCH) / 4)
-    (text,) = cost_remarks(BENCH, "law", 4)
+    (text,) = cost_remarks(BENCH, "law", 4, law=CompensationLaw(inertia_s2=2e-6))
     assert "more than a quarter" not in text
     assert cost_remarks(BENCH, "servo") == []
 
@@ -35,6 +38,25 @@ def test_a_law_of_every_second_cycle_is_not_offered_itself() -> None:
     (text,) = cost_remarks(BENCH, "law", 2)
     assert "--every 2`" not in text
     assert "--every 4`" in text
+
+
+def test_a_law_that_leaves_the_card_no_time_is_refused() -> None:
+    plain = CompensationLaw(inertia_s2=2e-6)
+    assert cost_refusals(BENCH, plain) == []
+    slow = BENCH.controller.model_copy(update={"cpu_clock_MHz": 40.0})
+    bench = BENCH.model_copy(update={"controller": slow})
+    (refusal,) = cost_refusals(bench, plain)
+    assert "133 %" in refusal.message
+    assert "--every 2" in refusal.hint
+    assert "servo" in refusal.hint
+    assert cost_refusals(bench, replace(plain, every_cycles=2)) == []
+    (text,) = cost_remarks(bench, "law", law=plain)
+    assert "`upload` refuses it" in text
+    # A gap on a bed that swings: each of them fits, both do not.
+    both = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7, bed_share=0.1)
+    assert cost_refusals(BENCH, replace(both, bed_share=0.0)) == []
+    assert cost_refusals(BENCH, replace(both, gap_half_m=0.0)) == []
+    assert "--every 2" in cost_refusals(BENCH, both)[0].hint
 
 
 def test_what_a_law_lacks_is_said() -> None:
