@@ -14,6 +14,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +25,10 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import identify_with_friction
-from pmac_comp.physics.model import drive, kernel, kernel_chain
+from pmac_comp.physics.model import kernel, kernel_chain
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
+from pmac_comp.physics.model.loop import NODE_SPACING_m
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -38,6 +40,7 @@ PARAMETERS = (
     s.NUT_LOAD, s.MOTOR + s.LEVEL, s.NUT + s.LEVEL, s.GUIDE + s.LEVEL, s.KP, s.KI, s.KD, s.KVFF,
     s.KAFF, s.FRICTION_FF, s.OFFSET, s.INTEGRATOR_LIMIT,
 )  # fmt: skip
+MARGIN_m = 0.02  # step matrices are tabulated this far beyond the command
 WITH_FORMS: PlantEffects = {
     "presliding": {"distance_um": 10.0},
     "stribeck": {"excess_N": 15.0, "speed_m_per_s": 0.005},
@@ -73,11 +76,13 @@ class Case:
         self.vector = model.kernel_vector()
         self.n_sub = n_sub
         self.desired = motion.position_m
-        low, high = float(self.desired.min()), float(self.desired.max())
-        self.first, nodes = drive._nodes(self.vector, low, high)  # noqa: SLF001 same preparation
-        period = self.vector[s.PERIOD]
-        self.bank = kernel_chain.step_bank(
-            self.vector, self.first, drive.NODE_SPACING_m, nodes, period / n_sub
+        places = self.desired + self.vector[s.X_ORIGIN]
+        low = math.floor((float(places.min()) - MARGIN_m) / NODE_SPACING_m)
+        high = math.ceil((float(places.max()) + MARGIN_m) / NODE_SPACING_m)
+        self.first = low * NODE_SPACING_m
+        step_s = self.vector[s.PERIOD] / n_sub
+        self.bank: FloatArray = kernel_chain.step_bank(
+            self.vector, self.first, NODE_SPACING_m, high - low + 1, step_s
         )
         self.zeros = np.zeros(motion.n)
         self.out = np.zeros((5, motion.n))
@@ -86,7 +91,7 @@ class Case:
 
     def numba(self) -> FloatArray:
         kernel.run(
-            self.vector, self.bank, self.first, drive.NODE_SPACING_m, self.n_sub, self.desired,
+            self.vector, self.bank, self.first, NODE_SPACING_m, self.n_sub, self.desired,
             self.zeros, self.zeros, self.rows, self.values, 0.0, self.out,
         )  # fmt: skip
         return self.out
@@ -97,7 +102,7 @@ class Case:
 
         library.run(
             pointer(self.short), pointer(self.bank), self.bank.shape[0],
-            ctypes.c_double(self.first), ctypes.c_double(drive.NODE_SPACING_m), self.n_sub,
+            ctypes.c_double(self.first), ctypes.c_double(NODE_SPACING_m), self.n_sub,
             pointer(self.desired), pointer(self.zeros), pointer(self.zeros), self.desired.size,
             pointer(self.out),
         )  # fmt: skip
@@ -181,7 +186,7 @@ def accuracy(model: DriveModel, motions: dict[str, tr.Trajectory]) -> dict[str, 
     found: dict[str, object] = {}
     for name, motion in motions.items():
         truth = simulate(model, motion, substeps=128).table_position_m
-        base_s = cpu_s(lambda m=motion: simulate(model, m), repeats=3)
+        base_s = cpu_s(partial(simulate, model, motion), repeats=3)
         found[name] = {
             f"{n} substeps": {
                 "table error, nm rms": round(
@@ -190,8 +195,7 @@ def accuracy(model: DriveModel, motions: dict[str, tr.Trajectory]) -> dict[str, 
                     3,
                 ),
                 "time over default": round(
-                    cpu_s(lambda m=motion, k=n: simulate(model, m, substeps=k), repeats=3) / base_s,
-                    2,
+                    cpu_s(partial(simulate, model, motion, substeps=n), repeats=3) / base_s, 2
                 ),
             }
             for n in (1, 2, 4, 8, 16)
@@ -206,13 +210,13 @@ def growth(model: DriveModel, motion: tr.Trajectory) -> dict[str, object]:
                  "lead_cyclic", "backlash"):  # fmt: skip
         grown = model.with_effect(name)
         simulate(grown, motion)
-        added[name] = round(cpu_s(lambda g=grown: simulate(g, motion), repeats=3) / base_s, 2)
+        added[name] = round(cpu_s(partial(simulate, grown, motion), repeats=3) / base_s, 2)
     lengths: dict[str, float] = {}
     for factor in (2, 4):
         longer = motion
         for _ in range(factor - 1):
             longer = longer.then(motion)
-        spent = cpu_s(lambda m=longer: simulate(model, m), repeats=3)
+        spent = cpu_s(partial(simulate, model, longer), repeats=3)
         lengths[f"{factor} times as long"] = round(spent / base_s, 2)
     models = [model] * 40
     start = time.perf_counter()
