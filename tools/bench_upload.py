@@ -17,17 +17,25 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
+from unittest.mock import patch
 
-from pmac_comp.base.clock import SystemClock
+from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import upload
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.safety import Limits
+from pmac_comp.machine.controller.switching import watch as watch_motors
 from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.transport.base import Framing, Transport
+from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.wire.ethernet import MAX_REPLY, BufferVerdict, RequestCode
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
@@ -61,9 +69,12 @@ class Server:
         card.run_cycles(100)
         self.child = os.fork()
         if self.child == 0:
-            self._serve(card)
+            try:
+                self._serve(card)
+            finally:
+                os._exit(1)  # never on into what the parent does
 
-    def _serve(self, card: Card) -> None:
+    def _serve(self, card: Card) -> NoReturn:
         while True:
             peer, _ = self.listener.accept()
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -86,7 +97,7 @@ class Served:
         self.bench = load_bench("paper")
         command = [sys.executable, "-m", "pmac_comp", "sim", "--bench", "paper", "--tcp", "0"]
         self.child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        ready = self.child.stdout.readline()  # type: ignore[union-attr]
+        ready = self.child.stdout.readline() if self.child.stdout else ""
         self.port = int(json.loads(ready)["tcp"].rpartition(":")[2])
 
     def stop(self) -> None:
@@ -94,64 +105,88 @@ class Served:
         self.child.wait()
 
 
+@dataclass
+class Exchange:
+    """What was sent, and how many bytes came back before the next."""
+
+    sent: bytes
+    n_received: int = 0
+
+
 class Recorder:
     """A transport that writes down what was sent and how much came back."""
 
-    def __init__(self, inner: object) -> None:
+    def __init__(self, inner: Transport) -> None:
         self._inner = inner
-        self.requests: list[list[object]] = []
+        self.exchanges: list[Exchange] = []
 
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._inner, name)
+    @property
+    def name(self) -> str:
+        return self._inner.name
 
-    def send(self, data: bytes, deadline: object) -> None:
-        self.requests.append([data, 0])
-        self._inner.send(data, deadline)  # type: ignore[attr-defined]
+    @property
+    def framing(self) -> Framing:
+        return self._inner.framing
 
-    def receive(self, deadline: object) -> bytes:
-        data: bytes = self._inner.receive(deadline)  # type: ignore[attr-defined]
-        if self.requests:
-            self.requests[-1][1] += len(data)  # type: ignore[operator]
+    def send(self, data: bytes, deadline: Deadline) -> None:
+        self.exchanges.append(Exchange(data))
+        self._inner.send(data, deadline)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        data = self._inner.receive(deadline)
+        if self.exchanges:
+            self.exchanges[-1].n_received += len(data)
         return data
+
+    def drain(self) -> bytes:
+        return self._inner.drain()
+
+    def renew(self) -> None:
+        self._inner.renew()
+
+    def close(self) -> None:
+        self._inner.close()
 
 
 class Watch:
-    """Times the watch after enabling and notes which requests are its own."""
+    """Takes the place of the upload's watch after enabling: times it, notes its own requests."""
 
-    def __init__(self) -> None:
-        self._watch = upload.watch
-        upload.watch = self.run  # type: ignore[assignment]
+    def __init__(self, clock: CountingClock, exchanges: Sequence[Exchange] = ()) -> None:
+        self._clock, self._exchanges = clock, exchanges
         self.requests = range(0)
-        self.recorded: list[list[object]] = []
         self.spent_s = self.slept_s = 0.0
 
-    def listen(self, clock: CountingClock, recorder: Recorder | None = None) -> None:
-        self.clock, self.recorded = clock, [] if recorder is None else recorder.requests
-
-    def run(self, *arguments: object) -> None:
-        first, slept_s, start = len(self.recorded), self.clock.slept_s, time.perf_counter()
-        self._watch(*arguments)  # type: ignore[arg-type]
-        self.requests = range(first, len(self.recorded))
-        self.slept_s = self.clock.slept_s - slept_s
+    def __call__(self, link: Link, context: Context, motors: Sequence[int]) -> None:
+        first, slept_s = len(self._exchanges), self._clock.slept_s
+        start = time.perf_counter()
+        watch_motors(link, context, motors)
+        self.requests = range(first, len(self._exchanges))
+        self.slept_s = self._clock.slept_s - slept_s
         self.spent_s = time.perf_counter() - start - self.slept_s
 
 
-def recorded(
-    port: int, context: Context, watch: Watch, wanted: CompTable
-) -> tuple[list[list[object]], int]:
+def upload_watched(link: Commander, context: Context, wanted: CompTable, watch: Watch) -> None:
+    with patch.object(upload, "watch", watch):
+        upload_tables(link, context, [wanted])
+    if not watch.spent_s:
+        raise RuntimeError("the upload watched nothing after enabling, or not where it is timed")
+
+
+def recorded(port: int, context: Context, wanted: CompTable) -> tuple[list[Exchange], int]:
     """Requests of an upload and the sizes of their answers, without the watch; how many with it.
 
     It is not timed: writing down what is sent takes time of its own.
     """
     clock = CountingClock()
-    link = Commander.open(f"tcp://127.0.0.1:{port}", clock=clock)
-    recorder = Recorder(link._link.transport)  # noqa: SLF001 - the bench listens in
-    link._link.transport = recorder  # type: ignore[assignment]  # noqa: SLF001
-    watch.listen(clock, recorder)
-    upload_tables(link, context, [wanted])
-    requests = [r for n, r in enumerate(recorder.requests) if n not in watch.requests]
+    recorder = Recorder(open_transport(f"tcp://127.0.0.1:{port}", Deadline.after(clock, 3.0)))
+    link = Commander(recorder, clock=clock)
+    recorder.exchanges.clear()  # of the greeting
+    watch = Watch(clock, recorder.exchanges)
+    upload_watched(link, context, wanted, watch)
+    n_requests = len(recorder.exchanges)
+    bare = [r for n, r in enumerate(recorder.exchanges) if n not in watch.requests]
     link.close()
-    return requests, len(recorder.requests)
+    return bare, n_requests
 
 
 def table(amplitude: int) -> CompTable:
@@ -176,15 +211,21 @@ def receive_whole(end: socket.socket, request: bytes, size: int) -> None:
         raise RuntimeError("the card refused a packet in the replay that it took in the upload")
 
 
-def replay(port: int, requests: list[list[object]]) -> float:
+def replay(port: int, requests: Sequence[Exchange]) -> float:
     """Seconds for the same bytes, each sent when the answer before has come."""
     with socket.create_connection(("127.0.0.1", port)) as end:
         end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         start = time.perf_counter()
-        for data, size in requests:
-            end.sendall(data)  # type: ignore[arg-type]
-            receive_whole(end, bytes(data), int(size))  # type: ignore[call-overload]
+        for request in requests:
+            end.sendall(request.sent)
+            receive_whole(end, request.sent, request.n_received)
         return time.perf_counter() - start
+
+
+def carries_table(request: Exchange) -> bool:
+    """Whether it takes entries of the table to the card, or lists them."""
+    is_listing = b"LIST COMP" in request.sent or request.sent[1] == RequestCode.GETBUFFER
+    return is_listing or len(request.sent) > 600
 
 
 def measure(server: Server | Served) -> dict[str, object]:
@@ -197,38 +238,28 @@ def measure(server: Server | Served) -> dict[str, object]:
         fsync(fd)
         synced[0] += time.perf_counter() - start
 
-    os.fsync = timed_fsync
-    watch = Watch()
     rows, aside = [], []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, patch.object(os, "fsync", timed_fsync):
         context = Context(LawBlock(), limits, Path(folder), server.bench.servo_period_s)
         # The first finds no table to delete: its packets would be refused when replayed.
         for k in range(1 + ROUNDS):
-            requests, n_requests = recorded(server.port, context, watch, table(100 + k))
+            requests, n_requests = recorded(server.port, context, table(100 + k))
             if not k:
                 continue
             clock, wanted = CountingClock(), table(300 + k)
             link = Commander.open(f"tcp://127.0.0.1:{server.port}", clock=clock)
-            watch.listen(clock)
+            watch = Watch(clock)
             synced[0], clock.slept_s = 0.0, 0.0
             start = time.perf_counter()
-            upload_tables(link, context, [wanted])
+            upload_watched(link, context, wanted, watch)
             total_s = time.perf_counter() - start
             link.close()
             waited_s = clock.slept_s - watch.slept_s
             upload_s = total_s - synced[0] - watch.slept_s - watch.spent_s
             bare_s = statistics.mean(replay(server.port, requests) for _ in range(2))
-            carrying = (
-                sum(
-                    len(bytes(data)) > 600 or b"LIST COMP" in bytes(data)  # type: ignore[call-overload]
-                    for data, _ in requests
-                )
-                + sum(data[1:2] == b"\xc5" for data, _ in requests)
-            )  # type: ignore[index]
+            carrying = sum(map(carries_table, requests))
             rows.append((total_s, upload_s, bare_s, n_requests, carrying))
             aside.append((synced[0], waited_s, watch.slept_s + watch.spent_s))
-    os.fsync = fsync
-    server.stop()
     # Neighbours in time see the same load of the machine: their ratio, and the middle of all.
     ratios = sorted(row[1] / row[2] for row in rows)
     middle = statistics.median_low(ratios)
@@ -254,8 +285,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    peers = {"pmac-comp sim": Served, "shortest loop": Server}
-    found = {name: measure(peer()) for name, peer in peers.items()}
+    peers: dict[str, type[Served | Server]] = {"pmac-comp sim": Served, "shortest loop": Server}
+    found = {}
+    for name, peer in peers.items():
+        server = peer()
+        try:
+            found[name] = measure(server)
+        finally:
+            server.stop()
     print(f"{'against':<34}" + "".join(f"{name:<20}" for name in peers))
     for key in next(iter(found.values())):
         print(f"{key:<34}" + "".join(f"{column[key]!s:<20}" for column in found.values()))
