@@ -88,6 +88,7 @@ class Server:
     def stop(self) -> None:
         os.kill(self.child, signal.SIGTERM)
         os.waitpid(self.child, 0)
+        self.listener.close()
 
 
 class Served:
@@ -101,8 +102,8 @@ class Served:
         self.port = int(json.loads(ready)["tcp"].rpartition(":")[2])
 
     def stop(self) -> None:
-        self.child.terminate()
-        self.child.wait()
+        with self.child:
+            self.child.terminate()
 
 
 @dataclass

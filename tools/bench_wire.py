@@ -77,13 +77,12 @@ print(json.dumps(out))
 def served_card() -> Iterator[int]:
     """Port of a simulated card in a process of its own."""
     command = [sys.executable, "-m", "pmac_comp", "sim", "--tcp", "0", "--speed", "real"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        ready = json.loads(server.stdout.readline() if server.stdout else "")
-        yield int(ready["tcp"].rsplit(":", 1)[-1])
-    finally:
-        server.terminate()
-        server.wait(10)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            ready = json.loads(server.stdout.readline() if server.stdout else "")
+            yield int(ready["tcp"].rsplit(":", 1)[-1])
+        finally:
+            server.terminate()
 
 
 def rate(count: int, act: Callable[[], object]) -> float:
