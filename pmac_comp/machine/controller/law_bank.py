@@ -35,7 +35,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
     y = BS a + BD y1 + BO y2                              bed that swings: its acceleration, speed
     y1 = y1 - y          y2 = y2 + y1                     and place, in passes and by the correction
-    b = (b - h y) / (1 + h)                               what the table feels of it
+    b = (b - h y) / (1 + h)                               what the table feels of it, but
+        between -y - S0 (1 + s) and -y + S0 (1 - s)
     e = A0 a + V0 v + S0 s + b
     f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
@@ -402,7 +403,7 @@ def evaluate(
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     passed = np.abs(v) * p.S_INV
-    felt = _felt_of_bed(p, a, passed / (1.0 + passed))
+    felt = _felt_of_bed(p, a, s, passed / (1.0 + passed))
     q = q + p.BT * felt
     elastic = p.A0 * a + p.V0 * v + p.S0 * s + felt
     c = (1.0 + p.C1 * r) * elastic
@@ -423,16 +424,23 @@ def evaluate(
     )
 
 
-def _felt_of_bed(p: LawParameters, acceleration: FloatArray, share: FloatArray) -> FloatArray:
+def _felt_of_bed(
+    p: LawParameters, acceleration: FloatArray, friction: FloatArray, share: FloatArray
+) -> FloatArray:
     """What the table feels of a bed that swings, by the correction that it needs, counts."""
     if p.BS == 0.0:
         return np.zeros_like(acceleration)
-    swing, speed, place = np.empty_like(acceleration), 0.0, 0.0
-    for k, value in enumerate(acceleration.tolist()):
-        swing[k] = -(p.BS * value + p.BD * speed + p.BO * place)
-        speed += float(swing[k])
+    felt = np.empty_like(acceleration)
+    speed = place = value = 0.0
+    for k in range(acceleration.size):
+        swing = -(p.BS * acceleration[k] + p.BD * speed + p.BO * place)
+        speed += swing
         place += speed
-    return _towards(swing, share, 0.0)
+        value += share[k] * (swing - value)
+        free = swing - p.S0 * friction[k]
+        value = min(max(value, free - p.S0), free + p.S0)
+        felt[k] = value
+    return felt
 
 
 def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:

@@ -64,8 +64,9 @@ holds the table wherever the nut is, and a motor that still crossed the gap woul
 A machine bed on its foundation swings as the table pushes it off, and the table feels the bed's
 acceleration as its own (ballscrew facts 3): positions are relative to the bed. The bed is one mass
 on a spring, driven by the commanded acceleration; M is its share of that, TY the torque of the
-table's mass. As the command comes to rest the guide holds the table, whatever the bed does:
-``b`` follows the way of the command as the friction states do.
+table's mass. As the command comes to rest the guide holds the table against the bed, as far as its
+friction reaches: ``b`` follows the way of the command as the friction states do, and where that is
+not enough stays between ``y" - (1 + s) S0/A0`` and ``y" + (1 - s) S0/A0``.
 
 The motor needs time for the crossing: the correction takes the gap up with a lag M, as the drive
 does. While it crosses, nut and table have parted, and the torque that is meant to accelerate both
@@ -395,6 +396,16 @@ def _crossed(
 
 
 @njit(cache=True, nogil=True)
+def _held_between(felt: float, swing: float, state: float, most: float) -> float:
+    """What the guide lets the table feel of a bed: friction holds no more than its most either way.
+
+    All of it by the acceleration of the table that takes as much force; ``state`` from -1 to 1 of
+    the friction is in use already.
+    """
+    return min(max(felt, swing - most * (1.0 + state)), swing + most * (1.0 - state))
+
+
+@njit(cache=True, nogil=True)
 def _friction_states(way: FloatArray, start: float) -> FloatArray:
     state = np.empty_like(way)
     value = start
@@ -418,8 +429,8 @@ def _evaluate(
     seen = output.size == n
     correction, torque = np.empty(n), np.empty(n)
     v = a = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
-    held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
-    g = h = held
+    g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
+    most = coulomb / inertia if inertia > 0.0 else math.inf
     ahead = r[0]
     for k in range(n):
         v1, v = v, (r[k] - r[k - 1]) / period if k > 0 else 0.0
@@ -449,7 +460,7 @@ def _evaluate(
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
             swing, bed_speed, bed = _swung(p[27:30], a, bed_speed, bed, period)
-            felt = _followed_share(felt, swing, way)
+            felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + coulomb * s
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j

@@ -273,30 +273,37 @@ def test_load_that_nothing_lifts_leaves_no_gap_to_take_up() -> None:
 def test_table_feels_the_bed_swing_on_after_an_acceleration_and_not_at_rest() -> None:
     law = CompensationLaw(
         inertia_s2=2e-6,
+        coulomb_m=2e-6,
         breakaway_m=1e-6,
         bed_share=0.1,
         bed_stiffness_per_s2=(2.0 * np.pi * 20.0) ** 2,
         torque_bed_Nm_s2_per_m=0.05,
         torque_limit_Nm=10.0,
     )
-    time_s = np.arange(0.0, 0.8, PERIOD)
-    # 2 m/s2 for 0.1 s from the start, then a steady 0.2 m/s for half a second, then rest.
-    speed = np.interp(time_s, [0.1, 0.2, 0.6, 0.7], [0.0, 0.2, 0.2, 0.0])
-    sent = evaluate_law(law, np.cumsum(speed) * PERIOD, PERIOD)
-    felt = sent.correction_m / 2e-6
-    coasts = (time_s > 0.21) & (time_s < 0.59)
-    # Two whole swings in the ramp: it leaves the bed as it was; half a swing more, and it swings.
-    assert np.max(np.abs(felt[coasts])) < 0.02
-    other = np.interp(time_s, [0.1, 0.225, 0.6, 0.7], [0.0, 0.2, 0.2, 0.0])
-    swung = evaluate_law(law, np.cumsum(other) * PERIOD, PERIOD)
-    later = (time_s > 0.235) & (time_s < 0.59)
-    felt = swung.correction_m[later] / 2e-6
-    assert np.max(np.abs(felt)) == pytest.approx(2.0 * 0.1 * 1.6, rel=0.05)
-    turns = np.flatnonzero(np.diff(np.sign(felt)) > 0)
+    time_s = np.arange(0.0, 0.9, PERIOD)
+
+    def felt_m_per_s2(law: CompensationLaw, ramp_s: float) -> FloatArray:
+        """Along a ramp to 0.2 m/s, half a second of that, and a rest from 0.7 s on."""
+        speed = np.interp(time_s, [0.1, 0.1 + ramp_s, 0.6, 0.7], [0.0, 0.2, 0.2, 0.0])
+        position_m = np.cumsum(speed) * PERIOD
+        with_bed = evaluate_law(law, position_m, PERIOD)
+        without = evaluate_law(law.with_values(bed_share=0.0), position_m, PERIOD)
+        felt = (with_bed.correction_m - without.correction_m) / 2e-6
+        assert with_bed.torque_Nm - without.torque_Nm == pytest.approx(0.05 * felt, abs=1e-9)
+        return felt
+
+    coasts, rests = (time_s > 0.235) & (time_s < 0.59), time_s > 0.71
+    # A ramp of two whole swings leaves the bed as it was; half a swing more, and it swings on.
+    assert np.max(np.abs(felt_m_per_s2(law, 0.1)[coasts])) < 0.02
+    felt = felt_m_per_s2(law, 0.125)
+    assert np.max(np.abs(felt[coasts])) == pytest.approx(2.0 * 0.1 * 1.6, rel=0.05)
+    turns = np.flatnonzero(np.diff(np.sign(felt[coasts])) > 0)
     assert np.diff(turns).mean() * PERIOD == pytest.approx(1.0 / 20.0, rel=0.03)
-    assert swung.torque_Nm[later] == pytest.approx(0.05 * felt)
-    rest = swung.correction_m[time_s > 0.705]
-    assert np.ptp(rest) == 0.0  # the guide holds the table, whatever the bed does
+    # The guide holds the table at rest, whatever the bed does, as far as its friction reaches.
+    assert np.ptp(felt[rests]) == 0.0
+    slippery = felt_m_per_s2(law.with_values(coulomb_m=0.1e-6), 0.125)
+    free = felt_m_per_s2(law.with_values(coulomb_m=0.0), 0.125)
+    assert 0.1 < np.ptp(slippery[rests]) < np.ptp(free[rests]) - 2.0 * 0.05 + 0.01
 
 
 def test_elastic_error_grows_along_the_screw_by_one_slope() -> None:
