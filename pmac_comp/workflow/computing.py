@@ -275,7 +275,7 @@ def compensate_files(
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
-    if route == "law" and share_frac(loaded, law.every_cycles, law) > CHEAP_FRAC:
+    if route == "law" and share_frac(loaded, law) > CHEAP_FRAC:
         whole = without_turn(made_with(drive, law))
         offers = cheaper_laws(loaded, whole, model_law(law), progress, whole=law)
     return {
@@ -291,7 +291,7 @@ def compensate_files(
             *bed_remarks(law),
             *clearance_remarks(law),
             *_expected_worse(loaded, compensation, drive),
-            *cost_remarks(loaded, route, law.every_cycles, offers, law),
+            *cost_remarks(loaded, route, law, offers),
         ],
         "law": law.as_mapping() if route in TORQUE_ROUTES else None,
     }

@@ -261,7 +261,7 @@ def _whole_job(
         plant_notes=recorder.notes(),
         remarks=(
             *table_remarks(axis.bench, compensation),
-            *cost_remarks(axis.bench, route, compensation.law.every_cycles, law=compensation.law),
+            *cost_remarks(axis.bench, route, compensation.law),
         ),
     )
 

@@ -47,23 +47,26 @@ class CheaperLaw:
     total_um: float
 
 
-def share_frac(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None = None) -> float:
-    """Share of the processor's time that PLC 0 takes when it runs every so many servo cycles."""
-    return _cost_us(bench, law) / (bench.servo_period_s * US_PER_S) / every_cycles
+def share_frac(bench: Bench, law: CompensationLaw) -> float:
+    """Share of the processor's time that PLC 0 takes with a law."""
+    return _cost_us(bench, law) / (bench.servo_period_s * US_PER_S) / law.every_cycles
 
 
-def _cost_us(bench: Bench, law: CompensationLaw | None) -> float:
-    """Time of a pass in us; of a law that has everything where none is given."""
-    per_turn = law is None or law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0
-    gap = law is None or law.gap_half_m > 0.0
-    bed = law is None or law.bed_share > 0.0
-    return law_cost_us(bench.controller.cpu_clock_MHz, per_turn=per_turn, gap=gap, bed=bed)
+def _cost_us(bench: Bench, law: CompensationLaw) -> float:
+    """Time of a pass in us."""
+    return law_cost_us(
+        bench.controller.cpu_clock_MHz,
+        per_turn=law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
+        gap=law.gap_half_m > 0.0,
+        bed=law.bed_share > 0.0,
+    )
 
 
-def cost_text(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None = None) -> str:
+def cost_text(bench: Bench, law: CompensationLaw) -> str:
     """What a pass of the law costs, for people."""
-    rhythm = "each servo cycle" if every_cycles == 1 else f"every {every_cycles} servo cycles"
-    share = 100.0 * share_frac(bench, every_cycles, law)
+    every = law.every_cycles
+    rhythm = "each servo cycle" if every == 1 else f"every {every} servo cycles"
+    share = 100.0 * share_frac(bench, law)
     return (
         f"PLC 0 takes about {_cost_us(bench, law):.0f} us in {rhythm}, {share:.0f} % of the "
         f"processor's time at {bench.controller.cpu_clock_MHz:g} MHz"
@@ -72,11 +75,11 @@ def cost_text(bench: Bench, every_cycles: int = 1, law: CompensationLaw | None =
 
 def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
     """Refusal of a law whose passes of PLC 0 leave the processor no time for anything else."""
-    if share_frac(bench, law.every_cycles, law) <= 1.0:
+    if share_frac(bench, law) <= 1.0:
         return []
     return [
         SafetyRefusal(
-            f"{cost_text(bench, law.every_cycles, law)}: nothing would be left for the background "
+            f"{cost_text(bench, law)}: nothing would be left for the background "
             "tasks, and the watchdog would stop the card.",
             code="PC-LAW-043",
             hint=f"Compute it for fewer passes (`pmac-comp compensate --every "
@@ -86,7 +89,7 @@ def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
 
 
 def _fitting_cycles(bench: Bench, law: CompensationLaw) -> int:
-    return min(_SLOWEST_CYCLES, math.ceil(share_frac(bench, law=law)))
+    return min(_SLOWEST_CYCLES, math.ceil(law.every_cycles * share_frac(bench, law)))
 
 
 def cheaper_laws(
@@ -102,7 +105,8 @@ def cheaper_laws(
     ``whole`` is what will run and is counted, where the law itself is the model's part of it.
     """
     counted = law if whole is None else whole
-    needed = min(_SLOWEST_CYCLES, max(2, math.ceil(share_frac(bench, law=counted) / CHEAP_FRAC)))
+    whole_frac = counted.every_cycles * share_frac(bench, counted)
+    needed = min(_SLOWEST_CYCLES, max(2, math.ceil(whole_frac / CHEAP_FRAC)))
     loop, latency = model_loop(model), LATENCY_CYCLES["law"]
     offers: list[CheaperLaw] = []
     for every in sorted({law.every_cycles, 2, needed}):
@@ -115,7 +119,7 @@ def cheaper_laws(
         offers.append(
             CheaperLaw(
                 every,
-                share_frac(bench, every, counted),
+                whole_frac / every,
                 float(np.sqrt(np.mean([run.e_r_after_um**2 for run in runs]))),
                 float(np.sqrt(np.mean([run.total_after_um**2 for run in runs]))),
             )
@@ -126,15 +130,14 @@ def cheaper_laws(
 def cost_remarks(
     bench: Bench,
     route: str,
-    every_cycles: int = 1,
+    law: CompensationLaw,
     offers: tuple[CheaperLaw, ...] = (),
-    law: CompensationLaw | None = None,
 ) -> list[str]:
     """What the route costs on the card's processor, and the ways out where that is much."""
     if route != "law":
         return []
-    text = cost_text(bench, every_cycles, law)
-    if share_frac(bench, every_cycles, law) <= CHEAP_FRAC:
+    text, every_cycles = cost_text(bench, law), law.every_cycles
+    if share_frac(bench, law) <= CHEAP_FRAC:
         return [text]
     slower = [offer for offer in offers if offer.every_cycles > every_cycles]
     here = [offer for offer in offers if offer.every_cycles == every_cycles]
@@ -144,7 +147,7 @@ def cost_remarks(
     elif not ways and every_cycles < _SLOWEST_CYCLES:
         ways = f"`pmac-comp compensate --every {_SLOWEST_CYCLES}`"
     ways = ways or "no slower rhythm is left"
-    fits = share_frac(bench, every_cycles, law) <= 1.0
+    fits = share_frac(bench, law) <= 1.0
     much = "more than a quarter" if fits else "more than there is, `upload` refuses it"
     return [
         f"{text}: {much}. Cheaper: {ways}; or --route servo, whose compiled form "

@@ -121,11 +121,8 @@ def preview(
         lines += program_lines(axis, context, compensation.route)
         bank = [context.block.bank(1, k) for k in range(len(parameters.values()))]
         lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
-    law = compensation.law
-    text += [
-        f"  {line}"
-        for line in cost_remarks(axis.bench, compensation.route, law.every_cycles, law=law)
-    ]
+    cost = cost_remarks(axis.bench, compensation.route, compensation.law)
+    text += [f"  {line}" for line in cost]
     text += [f"  {remark}" for remark in reference_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
     refusals = list({refusal.message: refusal for refusal in refusals}.values())

@@ -9,7 +9,7 @@ from pmac_comp.base.errors import ConfigError, ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.physics.compensate.law import evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -113,10 +113,11 @@ def test_bad_compensation_files_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_cost_is_stated_and_a_cheaper_way_offered() -> None:
-    (text,) = cost_remarks(BENCH, "law")
+    law = CompensationLaw(inertia_s2=2e-6)
+    (text,) = cost_remarks(BENCH, "law", law)
     assert "more than a quarter" in text
     assert "every second cycle" in text
-    assert cost_remarks(BENCH, "table") == []
+    assert cost_remarks(BENCH, "table", law) == []
 
 
 def test_motion_is_a_value() -> None:

@@ -22,20 +22,22 @@ def test_offers_run_less_often_and_say_what_they_lose() -> None:
     assert offers[-1].share_frac <= 0.26
     # A slower law is worse, but far from none: the error without it is 4-8 um.
     assert all(offer.e_r_um < 2.0 * offers[0].e_r_um + 0.1 for offer in offers)
-    (text,) = cost_remarks(BENCH, "law", 1, offers)
+    (text,) = cost_remarks(BENCH, "law", law, offers)
     assert "--every 2" in text
     assert f"{offers[1].e_r_um:.2f} um" in text
 
 
 def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
-    assert share_frac(BENCH, 4) == pytest.approx(share_frac(BENCH) / 4)
-    (text,) = cost_remarks(BENCH, "law", 4, law=CompensationLaw(inertia_s2=2e-6))
+    plain = CompensationLaw(inertia_s2=2e-6)
+    seldom = replace(plain, every_cycles=4)
+    assert share_frac(BENCH, seldom) == pytest.approx(share_frac(BENCH, plain) / 4)
+    (text,) = cost_remarks(BENCH, "law", seldom)
     assert "more than a quarter" not in text
-    assert cost_remarks(BENCH, "servo") == []
+    assert cost_remarks(BENCH, "servo", plain) == []
 
 
 def test_a_law_of_every_second_cycle_is_not_offered_itself() -> None:
-    (text,) = cost_remarks(BENCH, "law", 2)
+    (text,) = cost_remarks(BENCH, "law", CompensationLaw(inertia_s2=2e-6, every_cycles=2))
     assert "--every 2`" not in text
     assert "--every 4`" in text
 
@@ -50,7 +52,7 @@ def test_a_law_that_leaves_the_card_no_time_is_refused() -> None:
     assert "--every 2" in refusal.hint
     assert "servo" in refusal.hint
     assert cost_refusals(bench, replace(plain, every_cycles=2)) == []
-    (text,) = cost_remarks(bench, "law", law=plain)
+    (text,) = cost_remarks(bench, "law", plain)
     assert "`upload` refuses it" in text
     # A gap on a bed that swings: each of them fits, both do not.
     both = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7, bed_share=0.1)
