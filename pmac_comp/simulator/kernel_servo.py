@@ -14,8 +14,8 @@ Source: Turbo PMAC Software Reference Manual p. 84-127, 148, 284-286, 495-507; U
 """
 
 import math
+from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit
 
 from pmac_comp.base.arrays import FloatArray, IntArray
@@ -143,8 +143,11 @@ SERVO_BUDGET = 5000
 _RTI_TIME = 0x00000B  # X last, Y longest real-time interrupt task time
 _WORD = 0xFFFFFF
 # A part of the servo task that allocates nothing: inlined, and without counts of references to its
-# arrays, which are atomic.
-_part = njit(cache=True, _nrt=False, forceinline=True)
+# arrays, which are atomic. What happens now and then is not inlined, which compiles sooner; it has
+# to say so, because a function takes over the options of the one that it is compiled for. On disk
+# is only the whole, ``servo_cycles``: parts kept there would outlive changes of other modules.
+_part = njit(_nrt=False, forceinline=True)
+_aside = njit(_nrt=False, forceinline=False)
 _DYNAMIC1 = (
     reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
 )
@@ -153,30 +156,133 @@ _TIMER_END = -8388608
 _ERROR_TO_MASTER, _HOLD_AT_LIMIT, _DESIRED_LIMIT = 1 << 13, 1 << 14, 1 << 15
 
 
-@njit(cache=True)
-def _event(head: IntArray, events: IntArray, kind: int, motor: int, value: int) -> None:
-    n = head[H_EVENTS]
+class Words(NamedTuple):
+    """Memory of the card and the counter of its changes."""
+
+    x: Space
+    y: Space
+    dirty: IntArray
+
+
+class Task(NamedTuple):
+    """Integers that the servo task shares with Python (``H_...``) and its events."""
+
+    head: IntArray
+    events: IntArray
+
+
+class MotorData(NamedTuple):
+    """What the servo task keeps of the motors, a row for each number."""
+
+    active: IntArray  # numbers of the active motors, now and at the last decoding
+    decoded: FloatArray
+    addresses: IntArray
+    memory: FloatArray
+    history: IntArray
+
+
+class Paths(NamedTuple):
+    """Trajectories: waiting segments, and where each motor is in its own."""
+
+    segments: FloatArray
+    cursor: FloatArray
+    places: IntArray  # ``traj.I_...``
+
+
+class Tables(NamedTuple):
+    """Decoded encoder table with its memory, compensation tables and plan of gathering."""
+
+    entries: IntArray
+    conversion: FloatArray
+    compensation: IntArray
+    plan: IntArray
+
+
+class Program(NamedTuple):
+    """PLC 0 or the open servo: code, constants, what its runs leave, and how long one may be."""
+
+    code: IntArray
+    consts: FloatArray
+    stack: FloatArray
+    state: IntArray
+    events: FloatArray
+    regs: FloatArray
+    budget: int  # instructions; not a constant below, for which the interpreter is compiled anew
+
+
+class IVariables(NamedTuple):
+    """Where the registers of the I-variables are, and their scales."""
+
+    imap: IntArray
+    iscale: FloatArray
+
+
+class Cycle(NamedTuple):
+    """What one servo cycle hands on: corrections of the tables by motor, time steps by C.S."""
+
+    correction: FloatArray
+    torque: FloatArray
+    backlash: FloatArray
+    time_step: FloatArray
+
+
+class CardArrays(NamedTuple):
+    """All arrays of a card that its servo task works on."""
+
+    words: Words
+    task: Task
+    motors: MotorData
+    paths: Paths
+    tables: Tables
+    variables: IVariables
+    plc: Program
+    open_servo: Program
+    cycle: Cycle
+
+
+class Motor(NamedTuple):
+    """One motor: number, its block of memory, addresses, decoded settings, memory of the task."""
+
+    m: int
+    base: int
+    a: IntArray
+    d: FloatArray
+    k: FloatArray
+
+
+class Present(NamedTuple):
+    """What the servo law of a motor begins with: positions in units, feedback since it closed."""
+
+    position: int
+    master: int
+    offset: int  # of the net desired position from the commanded one: master and correction
+    feedback: int
+
+
+@_aside
+def _event(task: Task, kind: int, motor: int, value: int) -> None:
+    n = task.head[H_EVENTS]
     if n < MAX_EVENTS:
-        events[n, 0] = kind
-        events[n, 1] = motor
-        events[n, 2] = value
-        head[H_EVENTS] = n + 1
+        task.events[n, 0] = kind
+        task.events[n, 1] = motor
+        task.events[n, 2] = value
+        task.head[H_EVENTS] = n + 1
 
 
-@njit(cache=True)
+@njit
 def _signed24(value: int) -> int:
     value &= _WORD
     return value - 0x1000000 if value >= 0x800000 else value
 
 
-@njit(cache=True)
+@njit
 def _signed16(value: int) -> int:
     """Sixteen-bit variables occupy the low bits of their word."""
     value &= 0xFFFF
     return value - 0x10000 if value >= 0x8000 else value
 
 
-@njit(cache=True)
+@njit
 def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None:
     """Decode the block of one motor into gains, limits (units) and addresses."""
     base = 0x80 * m
@@ -226,7 +332,7 @@ def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None
     a[A_CAPTURE], a[A_FLAG_SELECT] = _capture_settings(x, y, a[A_FLAGS])
 
 
-@njit(cache=True)
+@njit
 def _capture_settings(x: Space, y: Space, channel: int) -> tuple[int, int]:
     """Trigger (I7mn2) and flag (I7mn3) of a channel of servo IC 0 or 1."""
     for ic in range(2):
@@ -238,55 +344,53 @@ def _capture_settings(x: Space, y: Space, channel: int) -> tuple[int, int]:
     return 1, 0
 
 
-@njit(cache=True)
+@njit
 def decode_all(
-    x: Space,
-    y: Space,
-    head: IntArray,
-    decoded: FloatArray,
-    addresses: IntArray,
-    active: IntArray,
-    entries: IntArray,
-    tables: IntArray,
-    plan: IntArray,
-    world: FloatArray,
-    mmem: FloatArray,
+    words: Words, task: Task, motors: MotorData, tables: Tables, world: FloatArray
 ) -> None:
     """Decode everything that changed words may have changed."""
-    before = head[H_ACTIVE]
-    n = 0
-    for m in range(1, 33):
-        if not x[0x80 * m + reg.M_STATUS1] & reg.S1_ACTIVATED:
-            continue
-        decode_motor(x, y, m, decoded[m], addresses[m])
-        known = False
-        for i in range(before):
-            known = known or active[1, i] == m
-        if not known:
-            # The first cycle of a motor must not see a jump of its feedback.
-            base = 0x80 * m
-            y[base + reg.M_IXX05] = x[addresses[m, A_POSITION]]
-            y[base + reg.M_VELOCITY] = x[addresses[m, A_VELOCITY]]
-            y[base + reg.M_IXX07] = x[addresses[m, A_MASTER]]
-            mmem[m, :] = 0.0
-        active[0, n] = m
-        n += 1
-    active[1, :n] = active[0, :n]
-    head[H_ACTIVE] = n
-    head[H_ENTRIES], bad = conversion.decode_table(x, y, entries)
+    x, y, head = words.x, words.y, task.head
+    _decode_motors(words, task, motors)
+    head[H_ENTRIES], bad = conversion.decode_table(x, y, tables.entries)
     if bad:
         x[reg.GLOBAL_STATUS] |= reg.G1_CONFIGURATION
     elif head[H_BAD_TABLE]:
         x[reg.GLOBAL_STATUS] &= ~reg.G1_CONFIGURATION
     head[H_BAD_TABLE] = 1 if bad else 0
-    head[H_TABLES] = comp.decode_tables(x, y, tables)
-    gather.decode_plan(x, y, plan)
+    head[H_TABLES] = comp.decode_tables(x, y, tables.compensation)
+    gather.decode_plan(x, y, tables.plan)
     channel = int(world[W_ENCODER_CHANNEL])
     world[W_ENCODER_SIGN] = _channel_sign(x, y, channel)
     world[W_CAPTURE], world[W_FLAG_SELECT] = _capture_settings(x, y, channel)
 
 
-@njit(cache=True)
+@njit
+def _decode_motors(words: Words, task: Task, motors: MotorData) -> None:
+    """List the active motors and decode their blocks."""
+    x, y, active, addresses = words.x, words.y, motors.active, motors.addresses
+    before = task.head[H_ACTIVE]
+    n = 0
+    for m in range(1, 33):
+        base = 0x80 * m
+        if not x[base + reg.M_STATUS1] & reg.S1_ACTIVATED:
+            continue
+        decode_motor(x, y, m, motors.decoded[m], addresses[m])
+        known = False
+        for i in range(before):
+            known = known or active[1, i] == m
+        if not known:
+            # The first cycle of a motor must not see a jump of its feedback.
+            y[base + reg.M_IXX05] = x[addresses[m, A_POSITION]]
+            y[base + reg.M_VELOCITY] = x[addresses[m, A_VELOCITY]]
+            y[base + reg.M_IXX07] = x[addresses[m, A_MASTER]]
+            motors.memory[m, :] = 0.0
+        active[0, n] = m
+        n += 1
+    active[1, :n] = active[0, :n]
+    task.head[H_ACTIVE] = n
+
+
+@njit
 def _channel_sign(x: Space, y: Space, channel: int) -> float:
     """Counting direction of I7mn0: 4-7 count up with the plant, 0-3 down."""
     ic = (channel - 0x078000) // 0x100
@@ -298,7 +402,7 @@ def _channel_sign(x: Space, y: Space, channel: int) -> float:
     return -1.0 if 0 < word < 4 else 1.0
 
 
-@njit(cache=True)
+@njit
 def _time_bases(x: Space, y: Space, used: int, steps: FloatArray) -> None:
     """Slew the time base of every coordinate system in use; scaled time of this cycle."""
     i10 = float(x[reg.I10_REGISTER])
@@ -321,43 +425,33 @@ def _time_bases(x: Space, y: Space, used: int, steps: FloatArray) -> None:
         steps[cs] = present / i10 if i10 > 0.0 else 0.0
 
 
-@njit(cache=True)
-def _kill(
-    x: Space, y: Space, m: int, cursor: FloatArray, index: IntArray, mmem: FloatArray
-) -> None:
+@_aside
+def _kill(words: Words, motor: Motor, paths: Paths) -> None:
     """Open the loop and disable the amplifier."""
-    base = 0x80 * m
-    status = int(x[base + reg.M_STATUS1])
+    m, x = motor.m, words.x
+    status = int(x[motor.base + reg.M_STATUS1])
     status = (status | reg.S1_OPEN_LOOP) & ~reg.S1_AMPLIFIER_ENABLED & ~reg.S1_HOME_SEARCH
-    x[base + reg.M_STATUS1] = status
-    x[base + reg.M_FILTER_RESULT] = 0
-    index[m, :] = 0
-    cursor[m, traj.C_TIME] = 0.0
-    cursor[m, traj.C_VELOCITY] = 0.0
-    mmem[m, K_ARMED] = 0.0
+    x[motor.base + reg.M_STATUS1] = status
+    x[motor.base + reg.M_FILTER_RESULT] = 0
+    paths.places[m, :] = 0
+    paths.cursor[m, traj.C_TIME] = 0.0
+    paths.cursor[m, traj.C_VELOCITY] = 0.0
+    motor.k[K_ARMED] = 0.0
 
 
-@njit(cache=True)
+@njit
 def _flag_level(x: Space, channel: int, select: int) -> bool:
     return bool((int(x[channel]) >> (16 + (select & 3))) & 1)
 
 
-@njit(cache=True)
-def _trigger(
-    x: Space,
-    y: Space,
-    m: int,
-    a: IntArray,
-    d: FloatArray,
-    k: FloatArray,
-    world: FloatArray,
-    position: int,
-) -> tuple[bool, int]:
+@_aside
+def _trigger(words: Words, motor: Motor, world: FloatArray, position: int) -> tuple[bool, int]:
     """Whether the awaited trigger came in this cycle, and the captured position in units."""
-    base = 0x80 * m
-    status = int(x[base + reg.M_STATUS1])
+    x, a, k = words.x, motor.a, motor.k
+    status = int(x[motor.base + reg.M_STATUS1])
     if status & reg.S1_TRIGGER_ON_ERROR:
-        return (int(y[base + reg.M_STATUS2]) & reg.S2_WARNING_ERROR) != 0, position
+        status2 = int(words.y[motor.base + reg.M_STATUS2])
+        return (status2 & reg.S2_WARNING_ERROR) != 0, position
     channel = a[A_FLAGS]
     if channel != int(world[W_ENCODER_CHANNEL]):
         return False, position
@@ -367,7 +461,7 @@ def _trigger(
     here = world[W_COUNT]
     before = k[K_COUNT]
     k[K_COUNT] = here
-    if mode in {0, encoder.CAPTURE_FLAG}:
+    if mode in (0, encoder.CAPTURE_FLAG):
         return mode == 0 or flag, position
     per_rev = world[W_COUNTS_PER_REV]
     hit, index = encoder.index_trigger(x, channel, control, before, here, per_rev)
@@ -375,21 +469,13 @@ def _trigger(
         return False, position
     if status & reg.S1_SOFTWARE_CAPTURE:
         return True, position
-    return True, position - round((here - index) * d[D_UNIT])
+    return True, position - round((here - index) * motor.d[D_UNIT])
 
 
-@njit(cache=True)
-def _desired_limit(
-    y: Space,
-    m: int,
-    a: IntArray,
-    d: FloatArray,
-    k: FloatArray,
-    command: int,
-    head: IntArray,
-    events: IntArray,
-) -> int:
+@_aside
+def _desired_limit(words: Words, motor: Motor, task: Task, command: int) -> int:
     """Commanded position under the software limits: stopped (one event), or held at the limit."""
+    d, k = motor.d, motor.k
     side, limit = 0, 0.0
     if d[D_POSITIVE] != 0.0 and command > d[D_POSITIVE]:
         side, limit = 1, d[D_POSITIVE]
@@ -398,21 +484,19 @@ def _desired_limit(
     if side == 0:
         k[K_DESIRED_LIMIT] = 0.0
         return command
-    y[0x80 * m + reg.M_STATUS2] |= reg.S2_DESIRED_LIMIT_STOP
-    if a[A_IXX24] & _HOLD_AT_LIMIT:
+    words.y[motor.base + reg.M_STATUS2] |= reg.S2_DESIRED_LIMIT_STOP
+    if motor.a[A_IXX24] & _HOLD_AT_LIMIT:
         return int(limit)
     if k[K_DESIRED_LIMIT] == 0.0:
         k[K_DESIRED_LIMIT] = 1.0
-        _event(head, events, EV_DESIRED_LIMIT, m, side)
+        _event(task, EV_DESIRED_LIMIT, motor.m, side)
     return command
 
 
-@njit(cache=True)
-def _backlash(
-    x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, command: float, table16: float
-) -> float:
+@_aside
+def _backlash(words: Words, motor: Motor, command: float, table16: float) -> float:
     """Present backlash in units; taken up at Ixx85 per background cycle."""
-    base = 0x80 * m
+    y, base, d, k = words.y, motor.base, motor.d, motor.k
     status = int(y[base + reg.M_STATUS2])
     negative = (status & reg.S2_BACKLASH_DIRECTION) != 0
     extreme = k[K_BACKLASH_EXTREME]
@@ -437,18 +521,17 @@ def _backlash(
     present = k[K_BACKLASH]
     present = min(present + step, target) if present < target else max(present - step, target)
     k[K_BACKLASH] = present
-    write_long(x, y, base + reg.M_BACKLASH_SAVED, int(extreme))
+    write_long(words.x, y, base + reg.M_BACKLASH_SAVED, int(extreme))
     y[base + reg.M_IXX86] = math.floor(present / sixteenth + 0.5) & _WORD
     return float(present)
 
 
-@njit(cache=True)
-def _background(
-    x: Space, y: Space, active: IntArray, n: int, decoded: FloatArray, addresses: IntArray
-) -> None:
+@_aside
+def _background(words: Words, motors: MotorData, n_active: int) -> None:
     """In-position check of all motors, as the background task makes it."""
-    for i in range(n):
-        m = active[0, i]
+    x, y = words.x, words.y
+    for i in range(n_active):
+        m = motors.active[0, i]
         base = 0x80 * m
         status = int(x[base + reg.M_STATUS1])
         still = not status & (reg.S1_OPEN_LOOP | reg.S1_MOVE_TIMER | reg.S1_DWELL)
@@ -456,9 +539,9 @@ def _background(
         error = abs(read_long(x, y, base + reg.M_FOLLOWING_ERROR))
         scans = int(x[base + reg.M_IXX88])
         status2 = int(y[base + reg.M_STATUS2])
-        if still and error < decoded[m, D_IN_POSITION]:
+        if still and error < motors.decoded[m, D_IN_POSITION]:
             scans = min(scans + 1, 0xFFFF)
-            if scans > addresses[m, A_IN_POSITION_SCANS]:
+            if scans > motors.addresses[m, A_IN_POSITION_SCANS]:
                 status2 |= reg.S2_IN_POSITION
         else:
             scans = 0
@@ -467,31 +550,24 @@ def _background(
         y[base + reg.M_STATUS2] = status2
 
 
-@njit(cache=True)
-def _velocity_filters(
-    x: Space,
-    y: Space,
-    active: IntArray,
-    n: int,
-    addresses: IntArray,
-    history: IntArray,
-    slot: int,
-) -> None:
+@_aside
+def _velocity_filters(words: Words, motors: MotorData, n_active: int, slot: int) -> None:
     """Averaged velocity over sixteen slots (I60, I61)."""
+    x, y, addresses = words.x, words.y, motors.addresses
     shift = int(x[reg.INTERNAL_GLOBAL + 61])
-    for i in range(n):
-        m = active[0, i]
+    for i in range(n_active):
+        m = motors.active[0, i]
         base = 0x80 * m
         position = read_long(x, y, base + reg.M_ACTUAL)
-        change = position - history[m, slot]
-        history[m, slot] = position
+        change = position - motors.history[m, slot]
+        motors.history[m, slot] = position
         write_long(x, y, base + reg.M_VELOCITY_HISTORY + slot, position)
         scaled = change * addresses[m, A_IXX09] / addresses[m, A_IXX08]
         averaged = scaled / (1 << min(shift, 30))
         write_long(x, y, base + reg.M_VELOCITY_FILTERED, math.floor(averaged + 0.5))
 
 
-@njit(cache=True)
+@njit
 def _timers(x: Space, y: Space) -> None:
     """User countdown timers of all coordinate systems that I68 activates."""
     for cs in range(min(int(x[reg.INTERNAL_GLOBAL + 68]), 15) + 1):
@@ -502,17 +578,10 @@ def _timers(x: Space, y: Space) -> None:
             y[cell] = (int(y[cell]) - 1) & _WORD
 
 
-@njit(cache=True)
-def _open_loop(
-    x: Space,
-    y: Space,
-    base: int,
-    position: int,
-    offset: int,
-    k: FloatArray,
-    cursor: FloatArray,
-) -> float:
+@_aside
+def _open_loop(words: Words, motor: Motor, cursor: FloatArray, position: int, offset: int) -> float:
     """A motor whose loop is open: desired follows actual, the law forgets, X:+$2E goes out."""
+    x, y, base, k = words.x, words.y, motor.base, motor.k
     command = position - offset
     write_long(x, y, base + reg.M_COMMANDED, command)
     write_long(x, y, base + reg.M_PREVIOUS_NET, position)
@@ -531,8 +600,8 @@ def _open_loop(
     return float(read_word_signed(x, base + reg.M_FILTER_RESULT))
 
 
-@njit(cache=True)
-def _source_position(x: Space, y: Space, m: int, desired: int, addresses: IntArray) -> float:
+@njit
+def _source_position(x: Space, y: Space, m: int, desired: int) -> float:
     """Uncorrected position of a table's source motor in counts."""
     base = 0x80 * m
     unit = 32.0 * max(int(y[base + reg.M_IXX03_IXX08]), 1)
@@ -543,63 +612,70 @@ def _source_position(x: Space, y: Space, m: int, desired: int, addresses: IntArr
     return float((actual - COMPENSATION_REGISTER_SIGN * register) / unit)
 
 
-@njit(cache=True)
+@_aside
+def _run_program(words: Words, variables: IVariables, program: Program) -> int:
+    """Status of a run of PLC 0 or the open servo."""
+    return int(
+        vm.run(
+            words.x,
+            words.y,
+            words.dirty,
+            variables.imap,
+            variables.iscale,
+            program.code,
+            program.consts,
+            program.stack,
+            program.state,
+            program.regs,
+            program.events,
+            program.budget,
+        )
+    )
+
+
+@_aside
 def _user_servo(
-    x: Space,
-    y: Space,
-    dirty: IntArray,
-    imap: IntArray,
-    iscale: FloatArray,
-    code: IntArray,
-    consts: FloatArray,
-    stack: FloatArray,
-    state: IntArray,
-    events: FloatArray,
-    regs: FloatArray,
-    m: int,
-    feedback: int,
+    words: Words,
+    variables: IVariables,
+    program: Program,
+    motor: Motor,
+    task: Task,
+    now: Present,
     velocity: float,
     error: float,
-    position: int,
     net: float,
 ) -> float:
-    """Open servo of one motor: 24-bit output, NaN after a fault."""
+    """Open servo of one motor: 24-bit output, 0 and an event after a fault."""
+    # The algorithm may put the error it really acts on in place of this one.
+    write_long(words.x, words.y, motor.base + reg.M_FOLLOWING_ERROR, int(error))
+    state, regs = program.state, program.regs
     state[vm.S_PC] = 0
     state[vm.S_SP] = 0
     state[vm.S_EVENTS] = 0
     state[vm.S_CS] = 0
-    state[vm.S_MOTOR] = m
-    state[vm.S_R1] = 0x80 * m + reg.M_STATUS1
-    regs[0] = feedback
+    state[vm.S_MOTOR] = motor.m
+    state[vm.S_R1] = motor.base + reg.M_STATUS1
+    regs[0] = now.feedback
     regs[1] = velocity
     regs[2] = error
-    regs[3] = position
+    regs[3] = now.position
     regs[4] = net
     regs[vm.REG_RETURN] = 0.0
-    result = vm.run(
-        x, y, dirty, imap, iscale, code, consts, stack, state, regs, events, SERVO_BUDGET
-    )
-    if result in (vm.FAULT, vm.OUT_OF_BUDGET, vm.EVENTS):
-        return math.nan
-    return float(min(max(regs[vm.REG_RETURN], -8388608.0), 8388607.0))
+    result = _run_program(words, variables, program)
+    motor.k[: law.N_LAW] = 0.0
+    out = float(min(max(regs[vm.REG_RETURN], -8388608.0), 8388607.0))
+    if result in (vm.FAULT, vm.OUT_OF_BUDGET, vm.EVENTS) or math.isnan(out):
+        _event(task, EV_SERVO_FAULT, motor.m, 0)
+        return 0.0
+    return out
 
 
-@njit(cache=True)
+@_aside
 def _limits(
-    x: Space,
-    y: Space,
-    m: int,
-    a: IntArray,
-    d: FloatArray,
-    k: FloatArray,
-    speed: float,
-    world: FloatArray,
-    position: int,
-    head: IntArray,
-    events: IntArray,
+    words: Words, motor: Motor, task: Task, world: FloatArray, position: int, speed: float
 ) -> None:
     """Overtravel limits; one event per stop. ``speed`` tells the direction of the motion."""
-    base = 0x80 * m
+    x, base, a, d, k = words.x, motor.base, motor.a, motor.d, motor.k
     status = int(x[base + reg.M_STATUS1]) & ~(reg.S1_POSITIVE_LIMIT | reg.S1_NEGATIVE_LIMIT)
     hard = 0
     if not a[A_IXX24] & 0x20000 and a[A_FLAGS] == int(world[W_ENCODER_CHANNEL]):
@@ -621,15 +697,16 @@ def _limits(
         k[K_LATCHED_LIMIT] = 0.0
     elif speed * side > 0.0 and k[K_LATCHED_LIMIT] == 0.0:
         k[K_LATCHED_LIMIT] = 1.0
-        y[base + reg.M_STATUS2] |= reg.S2_LIMIT_STOP
-        _event(head, events, EV_HARD_LIMIT if hard != 0 else EV_LIMIT, m, side)
+        words.y[base + reg.M_STATUS2] |= reg.S2_LIMIT_STOP
+        _event(task, EV_HARD_LIMIT if hard != 0 else EV_LIMIT, motor.m, side)
     elif speed == 0.0:
         k[K_LATCHED_LIMIT] = 0.0
 
 
-@njit(cache=True)
-def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word: int) -> bool:
+@_part
+def _overcurrent(words: Words, motor: Motor, word: int) -> bool:
     """I2T (Ixx57 > 0) or IT (Ixx57 < 0) protection; True when it trips (p. 121-123)."""
+    d, k = motor.d, motor.k
     command = word / 256.0
     continuous = d[D_I2T_CONTINUOUS]
     if continuous >= 0.0:
@@ -637,7 +714,7 @@ def _overcurrent(x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, word:
     else:
         k[K_CURRENT] += (abs(command) + continuous) / 32768.0
     k[K_CURRENT] = max(k[K_CURRENT], 0.0)
-    write_long(x, y, 0x80 * m + reg.M_INTEGRATED_CURRENT, int(k[K_CURRENT]))
+    write_long(words.x, words.y, motor.base + reg.M_INTEGRATED_CURRENT, int(k[K_CURRENT]))
     return bool(k[K_CURRENT] > d[D_I2T_LIMIT])
 
 
@@ -658,38 +735,27 @@ def _measure(x: Space, y: Space, base: int, a: IntArray) -> None:
 
 
 @_part
-def _command(
-    x: Space,
-    y: Space,
-    m: int,
-    a: IntArray,
-    d: FloatArray,
-    k: FloatArray,
-    queue: FloatArray,
-    cursor: FloatArray,
-    index: IntArray,
-    step: float,
-    cycle_ms: float,
-    head: IntArray,
-    events: IntArray,
-) -> int:
-    """Commanded position of a motor in closed loop, one step on; flags of its trajectory."""
-    base = 0x80 * m
-    flags = traj.advance(queue, cursor, index, m, step)
+def _command(words: Words, motor: Motor, paths: Paths, task: Task, step: float, ms: float) -> int:
+    """Commanded position of a motor in closed loop, one step on; flags of its trajectory.
+
+    ``step`` is this cycle's share of real time, ``ms`` the servo period.
+    """
+    x, y, base, m = words.x, words.y, motor.base, motor.m
+    flags = traj.advance(paths.segments, paths.cursor, paths.places, m, step)
     if flags >= 65536:
         if flags & 65536:
-            _event(head, events, EV_SEGMENT, m, index[m, traj.I_TAG])
+            _event(task, EV_SEGMENT, m, paths.places[m, traj.I_TAG])
         if flags & 131072:
-            _event(head, events, EV_LOW_QUEUE, m, index[m, traj.I_COUNT])
+            _event(task, EV_LOW_QUEUE, m, paths.places[m, traj.I_COUNT])
         flags &= 65535
-    c = cursor[m]
+    c = paths.cursor[m]
     command = math.floor(c[traj.C_POSITION] + 0.5)
-    if a[A_IXX24] & _DESIRED_LIMIT:
-        command = _desired_limit(y, m, a, d, k, command, head, events)
+    if motor.a[A_IXX24] & _DESIRED_LIMIT:
+        command = _desired_limit(words, motor, task, command)
     write_long(x, y, base + reg.M_COMMANDED, command)
-    speed = c[traj.C_VELOCITY] / cycle_ms
+    speed = c[traj.C_VELOCITY] / ms
     write_long(x, y, base + reg.M_DESIRED_VELOCITY, int(speed * (16777216.0 / 3.0)))
-    rate = c[traj.C_ACCELERATION] / (cycle_ms * cycle_ms)
+    rate = c[traj.C_ACCELERATION] / (ms * ms)
     write_long(x, y, base + reg.M_DESIRED_ACCELERATION, int(rate * (16777216.0 / 6.0)))
     return int(flags)
 
@@ -712,41 +778,88 @@ def _motion_status(x: Space, base: int, flags: int, velocity: float) -> None:
 
 
 @_part
-def _apply_tables(
-    x: Space,
-    y: Space,
-    tables: IntArray,
-    n_tables: int,
-    addresses: IntArray,
-    compensation: FloatArray,
-    torque_table: FloatArray,
-    backlash_table: FloatArray,
+def _follow_paths(
+    words: Words,
+    motors: MotorData,
+    paths: Paths,
+    task: Task,
+    time_step: FloatArray,
+    cycle_ms: float,
 ) -> None:
-    """Add what the tables say to the corrections of their target motors."""
-    for i in range(n_tables):
-        t = tables[i]
-        source = t[comp.T_SOURCE]
-        first = _source_position(x, y, source, t[comp.T_DESIRED], addresses)
-        second = 0.0
-        if t[comp.T_ROWS] > 0:
-            second = _source_position(x, y, t[comp.T_SOURCE2], t[comp.T_DESIRED2], addresses)
-        value = comp.look_up(y, t, first, second)
-        if t[comp.T_KIND] == 0:
-            compensation[t[comp.T_TARGET]] += value
-        elif t[comp.T_KIND] == 1:
-            torque_table[t[comp.T_TARGET]] += value
+    """Positions and trajectories of all motors, one servo cycle on."""
+    x, y = words.x, words.y
+    for i in range(task.head[H_ACTIVE]):
+        m = motors.active[0, i]
+        motor = Motor(m, 0x80 * m, motors.addresses[m], motors.decoded[m], motors.memory[m])
+        _measure(x, y, motor.base, motor.a)
+        flags = 0
+        if not x[motor.base + reg.M_STATUS1] & reg.S1_OPEN_LOOP:
+            flags = _command(words, motor, paths, task, time_step[motor.a[A_CS]], cycle_ms)
         else:
-            backlash_table[t[comp.T_TARGET]] += value
+            write_long(x, y, motor.base + reg.M_DESIRED_VELOCITY, 0)
+            write_long(x, y, motor.base + reg.M_DESIRED_ACCELERATION, 0)
+        _motion_status(x, motor.base, flags, paths.cursor[m, traj.C_VELOCITY])
 
 
 @_part
-def _net_command(
-    x: Space, y: Space, m: int, d: FloatArray, k: FloatArray, wanted: float, backlash: float
-) -> float:
+def _apply_tables(
+    words: Words, task: Task, motors: MotorData, tables: IntArray, cycle: Cycle
+) -> bool:
+    """What the tables say to their target motors, summed up; whether tables are on (I51)."""
+    x, y = words.x, words.y
+    for i in range(task.head[H_ACTIVE]):
+        m = motors.active[0, i]
+        cycle.correction[m] = 0.0
+        cycle.torque[m] = 0.0
+        cycle.backlash[m] = 0.0
+    if not (x[reg.GLOBAL_STATUS] >> 14) & 1:
+        return False
+    for i in range(task.head[H_TABLES]):
+        t = tables[i]
+        source = t[comp.T_SOURCE]
+        first = _source_position(x, y, source, t[comp.T_DESIRED])
+        second = 0.0
+        if t[comp.T_ROWS] > 0:
+            second = _source_position(x, y, t[comp.T_SOURCE2], t[comp.T_DESIRED2])
+        value = comp.look_up(y, t, first, second)
+        if t[comp.T_KIND] == 0:
+            cycle.correction[t[comp.T_TARGET]] += value
+        elif t[comp.T_KIND] == 1:
+            cycle.torque[t[comp.T_TARGET]] += value
+        else:
+            cycle.backlash[t[comp.T_TARGET]] += value
+    return True
+
+
+@_part
+def _closes(y: Space, motor: Motor) -> bool:
+    """Whether the loop is closed in this interrupt; with Ixx60 it is in one of several only."""
+    left = int(y[motor.base + reg.M_TIMEBASE_POINTER])
+    close = left == 0
+    y[motor.base + reg.M_TIMEBASE_POINTER] = motor.a[A_EXTENSION] if close else left - 1
+    return close
+
+
+@_part
+def _feedback_velocity(x: Space, y: Space, motor: Motor, close: bool) -> int:  # noqa: FBT001
+    """What the velocity feedback moved by since the loop was last closed, times Ixx09."""
+    cell = motor.base + reg.M_VELOCITY
+    if not close:
+        return int(_signed24(int(x[cell])))
+    now = int(x[motor.a[A_VELOCITY]])
+    feedback = _signed24(now - int(y[cell])) * motor.a[A_IXX09]
+    y[cell] = now
+    x[cell] = feedback & _WORD
+    return int(feedback)
+
+
+@_part
+def _net_command(words: Words, motor: Motor, wanted: float, backlash: float) -> float:
     """Command with backlash taken out and filtered (Ixx40)."""
+    d, k = motor.d, motor.k
     net = wanted
     if d[D_BACKLASH_RATE] > 0.0:
-        net -= _backlash(x, y, m, d, k, net, backlash)
+        net -= _backlash(words, motor, net, backlash)
     if d[D_FILTER] > 0.0:
         k[K_FILTERED] += (1.0 - d[D_FILTER]) * (net - k[K_FILTERED])
         net = math.floor(k[K_FILTERED] + 0.5)
@@ -756,11 +869,20 @@ def _net_command(
 
 
 @_part
-def _shed_error(
-    x: Space, y: Space, base: int, d: FloatArray, error: float, master: int, net: float
-) -> float:
+def _command_motion(x: Space, y: Space, motor: Motor, net: float) -> tuple[float, float]:
+    """Velocity and acceleration of the net desired position, per closure of the loop."""
+    velocity = net - read_long(x, y, motor.base + reg.M_PREVIOUS_NET)
+    acceleration = velocity - motor.k[K_VELOCITY]
+    motor.k[K_VELOCITY] = velocity
+    write_long(x, y, motor.base + reg.M_PREVIOUS_NET, int(net))
+    return velocity, acceleration
+
+
+@_part
+def _shed_error(words: Words, motor: Motor, error: float, master: int, net: float) -> float:
     """Move what exceeds Ixx67 from the following error to the master position, for good."""
-    most = d[law.G_FELIMIT] * d[D_UNIT] / 16.0
+    x, y, base = words.x, words.y, motor.base
+    most = motor.d[law.G_FELIMIT] * motor.d[D_UNIT] / 16.0
     excess = math.floor(error - min(max(error, -most), most))
     if excess != 0:
         write_long(x, y, base + reg.M_MASTER, master - excess)
@@ -770,35 +892,44 @@ def _shed_error(
 
 
 @_part
-def _watch_error(
-    x: Space,
-    y: Space,
-    m: int,
-    d: FloatArray,
-    k: FloatArray,
+def _pid(
+    words: Words,
+    motor: Motor,
+    feedback: int,
+    velocity: float,
+    acceleration: float,
     error: float,
-    out: float,
-    cursor: FloatArray,
-    index: IntArray,
-    mmem: FloatArray,
-    head: IntArray,
-    events: IntArray,
+    moving: bool,  # noqa: FBT001
+) -> float:
+    """Output of the card's own law, whose error and integrator go to their registers."""
+    x, y, base, d, k = words.x, words.y, motor.base, motor.d, motor.k
+    # Ixx68 may be rewritten every cycle by a law.
+    d[law.G_FRICTION] = int(y[base + reg.M_IXX68])
+    out = law.pid_output(d, k, error, velocity, acceleration, float(feedback), moving)
+    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(k[law.L_FE]))
+    write_long(x, y, base + reg.M_INTEGRATOR, int(k[law.L_INTEGRAL]))
+    return float(out)
+
+
+@_part
+def _watch_error(
+    words: Words, motor: Motor, paths: Paths, task: Task, error: float, out: float
 ) -> float:
     """Following-error and integrator limits; what goes out after them."""
-    base = 0x80 * m
+    y, base, d, k = words.y, motor.base, motor.d, motor.k
     status2 = int(y[base + reg.M_STATUS2]) & ~reg.S2_WARNING_ERROR
     size = abs(error)
     if d[D_WARNING] > 0.0 and size > d[D_WARNING]:
         status2 |= reg.S2_WARNING_ERROR
     if d[D_FATAL] > 0.0 and size > d[D_FATAL]:
         status2 |= reg.S2_FATAL_ERROR
-        _kill(x, y, m, cursor, index, mmem)
-        _event(head, events, EV_FATAL, m, int(error))
+        _kill(words, motor, paths)
+        _event(task, EV_FATAL, motor.m, int(error))
         out = 0.0
     elif d[law.G_ILIMIT] < 0.0 and abs(k[law.L_INTEGRAL]) >= -d[law.G_ILIMIT] * d[D_UNIT] / 16.0:
         status2 |= reg.S2_INTEGRATED_ERROR | reg.S2_FATAL_ERROR
-        _kill(x, y, m, cursor, index, mmem)
-        _event(head, events, EV_INTEGRATED, m, 0)
+        _kill(words, motor, paths)
+        _event(task, EV_INTEGRATED, motor.m, 0)
         out = 0.0
     y[base + reg.M_STATUS2] = status2
     return out
@@ -813,302 +944,267 @@ def _foreground_in_position(y: Space, base: int, near: bool, status: int) -> Non
     y[base + reg.M_STATUS2] = status2 | bit if near else status2 & ~bit
 
 
-@njit(cache=True)
+@_aside
 def _await_trigger(
-    x: Space,
-    y: Space,
-    m: int,
-    a: IntArray,
-    d: FloatArray,
-    k: FloatArray,
-    world: FloatArray,
-    position: int,
-    index: IntArray,
-    head: IntArray,
-    events: IntArray,
+    words: Words, motor: Motor, paths: Paths, task: Task, world: FloatArray, position: int
 ) -> None:
     """Tell of a trigger that came, or of a move that ended without one."""
-    hit, captured = _trigger(x, y, m, a, d, k, world, position)
+    hit, captured = _trigger(words, motor, world, position)
     if hit:
-        k[K_ARMED] = 0.0
-        _event(head, events, EV_TRIGGER, m, captured)
-    elif index[m, traj.I_COUNT] == 0:
-        k[K_ARMED] = 0.0
-        _event(head, events, EV_TRIGGER_MISSED, m, position)
+        motor.k[K_ARMED] = 0.0
+        _event(task, EV_TRIGGER, motor.m, captured)
+    elif paths.places[motor.m, traj.I_COUNT] == 0:
+        motor.k[K_ARMED] = 0.0
+        _event(task, EV_TRIGGER_MISSED, motor.m, position)
 
 
-@njit(cache=True)
-def _real_time_interrupt(
-    x: Space,
-    y: Space,
-    dirty: IntArray,
-    imap: IntArray,
-    iscale: FloatArray,
-    code: IntArray,
-    consts: FloatArray,
-    stack: FloatArray,
-    state: IntArray,
-    plc_events: FloatArray,
-    regs: FloatArray,
-    head: IntArray,
-    events: IntArray,
-) -> None:
+@_part
+def _close_loop(
+    words: Words,
+    motor: Motor,
+    paths: Paths,
+    task: Task,
+    world: FloatArray,
+    variables: IVariables,
+    open_servo: Program,
+    now: Present,
+    backlash: float,
+) -> float:
+    """Output of a closed servo loop; ``backlash`` is what a table adds to Ixx86."""
+    x, y, base = words.x, words.y, motor.base
+    status = int(x[base + reg.M_STATUS1])
+    command = read_long(x, y, base + reg.M_COMMANDED)
+    net = _net_command(words, motor, float(command + now.offset), backlash)
+    velocity, acceleration = _command_motion(x, y, motor, net)
+    error = net - now.position
+    if motor.a[A_IXX24] & _ERROR_TO_MASTER:
+        error = _shed_error(words, motor, error, now.master, net)
+    moving = paths.cursor[motor.m, traj.C_VELOCITY] != 0.0
+    if status & reg.S1_USER_SERVO and task.head[H_SERVO] != 0:
+        out = _user_servo(words, variables, open_servo, motor, task, now, velocity, error, net)
+    else:
+        out = _pid(words, motor, now.feedback, velocity, acceleration, error, moving)
+    x[base + reg.M_FILTER_RESULT] = int(out) & _WORD
+    out = _watch_error(words, motor, paths, task, error, out)
+    if x[reg.INTERNAL_GLOBAL + 13] & 1:
+        near = not moving and abs(error) < motor.d[D_IN_POSITION]
+        _foreground_in_position(y, base, near, status)
+    _limits(words, motor, task, world, now.position, paths.cursor[motor.m, traj.C_VELOCITY])
+    if motor.k[K_ARMED] != 0.0:
+        _await_trigger(words, motor, paths, task, world, now.position)
+    return float(out)
+
+
+@_part
+def _present(words: Words, motor: Motor, close: bool) -> Present:  # noqa: FBT001
+    """What the law of a motor begins with in this cycle."""
+    x, y, base = words.x, words.y, motor.base
+    master = read_long(x, y, base + reg.M_MASTER)
+    register = read_long(x, y, base + reg.M_COMPENSATION)
+    return Present(
+        read_long(x, y, base + reg.M_ACTUAL),
+        master,
+        master + int(COMPENSATION_REGISTER_SIGN) * register,
+        _feedback_velocity(x, y, motor, close),
+    )
+
+
+@_part
+def _store_correction(words: Words, motor: Motor, correction_16th: float) -> None:
+    """Position correction of the tables, in sixteenths of a count, to its register."""
+    units = COMPENSATION_REGISTER_SIGN * (correction_16th * motor.d[D_UNIT] / 16.0)
+    write_long(words.x, words.y, motor.base + reg.M_COMPENSATION, math.floor(units + 0.5))
+
+
+@_part
+def _put_out(
+    words: Words,
+    motor: Motor,
+    out: float,
+    tables_on: bool,  # noqa: FBT001
+    torque: float,
+) -> int:
+    """Send the output of a law with bias (Ixx29) and torque table; the word that went out."""
+    x, y, base = words.x, words.y, motor.base
+    bias = 256.0 * _signed16(int(y[base + reg.M_IXX79_IXX29]))
+    if tables_on:
+        y[base + reg.M_COMMAND] = math.floor(torque + 0.5) & _WORD
+        bias += torque
+    word = int(min(max(out + bias, -8388608.0), 8388607.0))
+    x[base + reg.M_COMMAND] = word & _WORD
+    if motor.a[A_OUTPUT] != 0:
+        y[motor.a[A_OUTPUT]] = word & _WORD
+    return word
+
+
+@_part
+def _servo_laws(
+    words: Words,
+    motors: MotorData,
+    paths: Paths,
+    task: Task,
+    world: FloatArray,
+    variables: IVariables,
+    open_servo: Program,
+    cycle: Cycle,
+    tables_on: bool,  # noqa: FBT001
+) -> int:
+    """Servo laws and outputs of all motors; the time that the interrupt takes."""
+    x, y = words.x, words.y
+    n_active = task.head[H_ACTIVE]
+    spent = _INTERRUPT_TIME + _MOTOR_TIME * n_active
+    for i in range(n_active):
+        m = motors.active[0, i]
+        motor = Motor(m, 0x80 * m, motors.addresses[m], motors.decoded[m], motors.memory[m])
+        if tables_on:
+            _store_correction(words, motor, cycle.correction[m])
+        status = int(x[motor.base + reg.M_STATUS1])
+        close = _closes(y, motor)
+        now = _present(words, motor, close)
+        if status & reg.S1_OPEN_LOOP:
+            out = _open_loop(words, motor, paths.cursor[m], now.position, now.offset)
+            if status & reg.S1_AMPLIFIER_ENABLED:
+                _limits(words, motor, task, world, now.position, float(now.feedback))
+        elif not close:
+            out = float(read_word_signed(x, motor.base + reg.M_FILTER_RESULT))
+        else:
+            backlash = cycle.backlash[m]
+            out = _close_loop(
+                words, motor, paths, task, world, variables, open_servo, now, backlash
+            )
+            if status & reg.S1_USER_SERVO and task.head[H_SERVO] != 0:
+                spent += SERVO_INSTRUCTION_TIME * open_servo.state[vm.S_STEPS]
+        word = _put_out(words, motor, out, tables_on, cycle.torque[m])
+        watched = motor.d[D_I2T_LIMIT] > 0.0 and not status & reg.S1_OPEN_LOOP
+        if watched and _overcurrent(words, motor, word):
+            y[motor.base + reg.M_STATUS2] |= reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
+            _kill(words, motor, paths)
+            _event(task, EV_OVERCURRENT, m, word)
+    return int(spent)
+
+
+@_part
+def _interrupt_is_due(x: Space, y: Space) -> bool:
+    """Count the servo interrupt; whether the real-time interrupt follows it (I8)."""
+    count = (int(x[reg.SERVO_COUNTER]) + 1) & _WORD
+    x[reg.SERVO_COUNTER] = count
+    wanted = int(y[reg.SERVO_COUNTER])
+    if count != wanted and ((count - wanted) & _WORD) >= 0x800000:
+        return False
+    y[reg.SERVO_COUNTER] = (count + int(y[reg.RTI_PERIOD]) + 1) & _WORD
+    return True
+
+
+@_aside
+def _real_time_interrupt(words: Words, variables: IVariables, plc: Program, task: Task) -> None:
     """PLC 0, where it is there and enabled, and the time that it took."""
-    enabled = head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
-    if enabled and int(vm.read_i(x, y, imap, iscale, 5)) & 1:
-        result = vm.run(
-            x,
-            y,
-            dirty,
-            imap,
-            iscale,
-            code,
-            consts,
-            stack,
-            state,
-            regs,
-            plc_events,
-            PLC_BUDGET,
-        )
-        spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * state[vm.S_STEPS]
+    x, y = words.x, words.y
+    enabled = task.head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
+    if enabled and int(vm.read_i(x, y, variables.imap, variables.iscale, 5)) & 1:
+        result = _run_program(words, variables, plc)
+        spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * plc.state[vm.S_STEPS]
         x[_RTI_TIME] = min(spent, _WORD)
         y[_RTI_TIME] = max(int(y[_RTI_TIME]), int(x[_RTI_TIME]))
         if result == vm.FAULT:
             x[reg.PLC_TABLE] |= 0x800000
             y[reg.PLC_TABLE] |= 0x400000
-        if state[vm.S_EVENTS] > 0 or result == vm.FAULT:
-            _event(head, events, EV_PLC, 0, result)
+        if plc.state[vm.S_EVENTS] > 0 or result == vm.FAULT:
+            _event(task, EV_PLC, 0, result)
 
 
-@njit(cache=True)
+@njit(_nrt=True, forceinline=False)
+def _take_changes(
+    words: Words, task: Task, motors: MotorData, tables: Tables, world: FloatArray
+) -> None:
+    """Decode what changed words may have changed, and convert what was latched."""
+    x, y, head = words.x, words.y, task.head
+    head[H_DIRTY] = words.dirty[0]
+    # The table is decoded and run first, so that a new motor starts on its result.
+    head[H_ENTRIES], _ = conversion.decode_table(x, y, tables.entries)
+    conversion.convert(x, y, tables.entries, head[H_ENTRIES], tables.conversion)
+    decode_all(words, task, motors, tables, world)
+
+
+@_part
+def _systems_in_use(motors: MotorData, n_active: int) -> int:
+    """Coordinate systems of the active motors and the first, a bit each."""
+    used = 1
+    for i in range(n_active):
+        used |= 1 << motors.addresses[motors.active[0, i], A_CS]
+    return int(used)
+
+
+@_part
+def _count(words: Words, task: Task, motors: MotorData, cycle_ms: float) -> None:
+    """Counters and timers, and what is due in some cycles only."""
+    x, y, head = words.x, words.y, task.head
+    head[H_CYCLES] += 1
+    _timers(x, y)
+    if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
+        _velocity_filters(words, motors, head[H_ACTIVE], head[H_SLOT])
+        head[H_SLOT] = (head[H_SLOT] + 1) & 15
+        x[1] = head[H_SLOT]
+    if head[H_CYCLES] % BACKGROUND_CYCLES == 0:
+        _background(words, motors, head[H_ACTIVE])
+        ticks = int(head[H_CYCLES] * cycle_ms * 1.024)
+        write_long(x, y, reg.CLOCK_1024, ticks)
+
+
+@_part
+def _torque_at_output(words: Words, motors: MotorData, world: FloatArray) -> float:
+    """Torque that the output of the motor with the encoder asks of the plant, N m."""
+    m = int(world[W_ENCODER_MOTOR])
+    if not words.x[0x80 * m + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
+        return 0.0
+    output = motors.addresses[m, A_OUTPUT]
+    return float((read_word_signed(words.y, output) >> 8) * world[W_TORQUE_PER_DAC])
+
+
+@njit(cache=True, _nrt=False)
 def servo_cycles(
-    x: Space,
-    y: Space,
-    dirty: IntArray,
-    head: IntArray,
-    decoded: FloatArray,
-    addresses: IntArray,
-    active: IntArray,
-    mmem: FloatArray,
-    queue: FloatArray,
-    cursor: FloatArray,
-    index: IntArray,
-    entries: IntArray,
-    ectmem: FloatArray,
-    tables: IntArray,
-    plan: IntArray,
-    history: IntArray,
-    world: FloatArray,
-    pstate: FloatArray,
-    ppar: FloatArray,
-    plog: FloatArray,
-    events: IntArray,
-    imap: IntArray,
-    iscale: FloatArray,
-    plc_code: IntArray,
-    plc_consts: FloatArray,
-    plc_stack: FloatArray,
-    plc_state: IntArray,
-    plc_events: FloatArray,
-    srv_code: IntArray,
-    srv_consts: FloatArray,
-    srv_stack: FloatArray,
-    srv_state: IntArray,
-    srv_events: FloatArray,
-    regs: FloatArray,
-    n_cycles: int,
+    card: tuple[tuple[Any, ...], ...], drive: tuple[Any, ...], world: FloatArray, n_cycles: int
 ) -> int:
-    """Run servo cycles until ``n_cycles`` are done or an event wants attention; cycles done."""
-    compensation = np.zeros(33)
-    torque_table = np.zeros(33)
-    backlash_table = np.zeros(33)
-    steps = np.zeros(16)
+    """Run servo cycles until ``n_cycles`` are done or an event wants attention; cycles done.
+
+    ``card`` are the fields of ``CardArrays``, in plain tuples like ``drive`` (state, parameters and
+    log of the compiled plant): numba takes three times as long over named ones, at every call.
+    """
+    words, task, motors = Words(*card[0]), Task(*card[1]), MotorData(*card[2])
+    paths, tables, variables = Paths(*card[3]), Tables(*card[4]), IVariables(*card[5])
+    plc, open_servo, cycle = Program(*card[6]), Program(*card[7]), Cycle(*card[8])
+    x, y, dirty = words
+    head = task.head
+    entries, conversion_memory, compensation, plan = tables
+    state, par, log = drive
     compiled = world[W_KIND] == 1.0
     cycle_ms = world[W_CYCLE_MS]
     for done in range(n_cycles):
-        # 1. Latch what the plant shows.
         if compiled:
-            world[W_ANGLE] = pstate[plant.S_ANGLE_READ]
-            world[W_TABLE] = pstate[plant.S_TABLE_READ]
+            world[W_ANGLE] = state[plant.S_ANGLE_READ]
+            world[W_TABLE] = state[plant.S_TABLE_READ]
         sensors.latch(x, y, world)
-        # 2. Changed words.
         if dirty[0] != head[H_DIRTY]:
-            head[H_DIRTY] = dirty[0]
-            # The table is decoded and run first, so that a new motor starts on its result.
-            head[H_ENTRIES], _ = conversion.decode_table(x, y, entries)
-            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
-            decode_all(x, y, head, decoded, addresses, active, entries, tables, plan, world, mmem)
+            _take_changes(words, task, motors, tables, world)
         else:
-            conversion.convert(x, y, entries, head[H_ENTRIES], ectmem)
-        n_active = head[H_ACTIVE]
-        # 3. Time base.
-        used = 1
-        for i in range(n_active):
-            used |= 1 << addresses[active[0, i], A_CS]
-        _time_bases(x, y, used, steps)
-        # 4. Positions and trajectories of all motors.
-        tables_on = (x[reg.GLOBAL_STATUS] >> 14) & 1  # I51
-        for i in range(n_active):
-            m = active[0, i]
-            base = 0x80 * m
-            a = addresses[m]
-            _measure(x, y, base, a)
-            flags = 0
-            if not x[base + reg.M_STATUS1] & reg.S1_OPEN_LOOP:
-                flags = _command(
-                    x, y, m, a, decoded[m], mmem[m], queue, cursor, index, steps[a[A_CS]],
-                    cycle_ms, head, events,
-                )  # fmt: skip
-            else:
-                write_long(x, y, base + reg.M_DESIRED_VELOCITY, 0)
-                write_long(x, y, base + reg.M_DESIRED_ACCELERATION, 0)
-            _motion_status(x, base, flags, cursor[m, traj.C_VELOCITY])
-            compensation[m] = 0.0
-            torque_table[m] = 0.0
-            backlash_table[m] = 0.0
-        # 5. Tables.
-        if tables_on:
-            _apply_tables(
-                x, y, tables, head[H_TABLES], addresses, compensation, torque_table, backlash_table
-            )
-        # 6. Servo laws.
-        servo_time = _INTERRUPT_TIME + _MOTOR_TIME * n_active
-        for i in range(n_active):
-            m = active[0, i]
-            base = 0x80 * m
-            a = addresses[m]
-            d = decoded[m]
-            k = mmem[m]
-            if tables_on:
-                correction = compensation[m] * d[D_UNIT] / 16.0
-                write_long(
-                    x,
-                    y,
-                    base + reg.M_COMPENSATION,
-                    math.floor(COMPENSATION_REGISTER_SIGN * correction + 0.5),
-                )
-            register = read_long(x, y, base + reg.M_COMPENSATION)
-            master = read_long(x, y, base + reg.M_MASTER)
-            offset = master + int(COMPENSATION_REGISTER_SIGN) * register
-            position = read_long(x, y, base + reg.M_ACTUAL)
-            status = int(x[base + reg.M_STATUS1])
-            extension = int(y[base + reg.M_TIMEBASE_POINTER])
-            close = extension == 0
-            y[base + reg.M_TIMEBASE_POINTER] = a[A_EXTENSION] if close else extension - 1
-            if close:
-                now = int(x[a[A_VELOCITY]])
-                feedback = _signed24(now - int(y[base + reg.M_VELOCITY])) * a[A_IXX09]
-                y[base + reg.M_VELOCITY] = now
-                x[base + reg.M_VELOCITY] = feedback & _WORD
-            else:
-                feedback = _signed24(int(x[base + reg.M_VELOCITY]))
-            if status & reg.S1_OPEN_LOOP:
-                out = _open_loop(x, y, base, position, offset, k, cursor[m])
-                if status & reg.S1_AMPLIFIER_ENABLED:
-                    _limits(x, y, m, a, d, k, float(feedback), world, position, head, events)
-            elif not close:
-                out = float(read_word_signed(x, base + reg.M_FILTER_RESULT))
-            else:
-                command = read_long(x, y, base + reg.M_COMMANDED)
-                net = _net_command(x, y, m, d, k, float(command + offset), backlash_table[m])
-                previous = read_long(x, y, base + reg.M_PREVIOUS_NET)
-                velocity = net - previous
-                acceleration = velocity - k[K_VELOCITY]
-                k[K_VELOCITY] = velocity
-                write_long(x, y, base + reg.M_PREVIOUS_NET, int(net))
-                error = net - position
-                if a[A_IXX24] & _ERROR_TO_MASTER:
-                    error = _shed_error(x, y, base, d, error, master, net)
-                moving = cursor[m, traj.C_VELOCITY] != 0.0
-                if status & reg.S1_USER_SERVO and head[H_SERVO] != 0:
-                    # The algorithm may put the error it really acts on in place of this one.
-                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(error))
-                    out = _user_servo(
-                        x,
-                        y,
-                        dirty,
-                        imap,
-                        iscale,
-                        srv_code,
-                        srv_consts,
-                        srv_stack,
-                        srv_state,
-                        srv_events,
-                        regs,
-                        m,
-                        feedback,
-                        velocity,
-                        error,
-                        position,
-                        net,
-                    )
-                    if math.isnan(out):
-                        out = 0.0
-                        _event(head, events, EV_SERVO_FAULT, m, 0)
-                    servo_time += SERVO_INSTRUCTION_TIME * srv_state[vm.S_STEPS]
-                    k[: law.N_LAW] = 0.0
-                else:
-                    # Ixx68 may be rewritten every cycle by a law.
-                    d[law.G_FRICTION] = int(y[base + reg.M_IXX68])
-                    out = law.pid_output(
-                        d, k, error, velocity, acceleration, float(feedback), moving
-                    )
-                    write_long(x, y, base + reg.M_FOLLOWING_ERROR, int(k[law.L_FE]))
-                    write_long(x, y, base + reg.M_INTEGRATOR, int(k[law.L_INTEGRAL]))
-                x[base + reg.M_FILTER_RESULT] = int(out) & _WORD
-                out = _watch_error(x, y, m, d, k, error, out, cursor, index, mmem, head, events)
-                if x[reg.INTERNAL_GLOBAL + 13] & 1:
-                    near = not moving and abs(error) < d[D_IN_POSITION]
-                    _foreground_in_position(y, base, near, status)
-                _limits(x, y, m, a, d, k, cursor[m, traj.C_VELOCITY], world, position, head, events)
-                if k[K_ARMED] != 0.0:
-                    _await_trigger(x, y, m, a, d, k, world, position, index, head, events)
-            bias = 256.0 * _signed16(int(y[base + reg.M_IXX79_IXX29]))
-            if tables_on:
-                y[base + reg.M_COMMAND] = math.floor(torque_table[m] + 0.5) & _WORD
-                bias += torque_table[m]
-            word = int(min(max(out + bias, -8388608.0), 8388607.0))
-            x[base + reg.M_COMMAND] = word & _WORD
-            if a[A_OUTPUT] != 0:
-                y[a[A_OUTPUT]] = word & _WORD
-            watched = d[D_I2T_LIMIT] > 0.0 and not status & reg.S1_OPEN_LOOP
-            if watched and _overcurrent(x, y, m, d, k, word):
-                y[base + reg.M_STATUS2] |= reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
-                _kill(x, y, m, cursor, index, mmem)
-                _event(head, events, EV_OVERCURRENT, m, word)
-        # 7. Gathering sees this cycle's latch, command and output.
+            conversion.convert(x, y, entries, head[H_ENTRIES], conversion_memory)
+        _time_bases(x, y, _systems_in_use(motors, head[H_ACTIVE]), cycle.time_step)
+        _follow_paths(words, motors, paths, task, cycle.time_step, cycle_ms)
+        tables_on = _apply_tables(words, task, motors, compensation, cycle)
+        spent = _servo_laws(
+            words, motors, paths, task, world, variables, open_servo, cycle, tables_on
+        )
+        # Gathering sees this cycle's latch, command and output.
         gather.gather_cycle(x, y, plan, world[W_INPUT] != 0.0)
-        # 8. Counters.
-        y[reg.TASK_TIME] = min(servo_time, _WORD)
-        head[H_CYCLES] += 1
-        _timers(x, y)
-        if (head[H_CYCLES] & int(x[reg.INTERNAL_GLOBAL + 60])) == 0:
-            _velocity_filters(x, y, active, n_active, addresses, history, head[H_SLOT])
-            head[H_SLOT] = (head[H_SLOT] + 1) & 15
-            x[1] = head[H_SLOT]
-        if head[H_CYCLES] % BACKGROUND_CYCLES == 0:
-            _background(x, y, active, n_active, decoded, addresses)
-            ticks = int(head[H_CYCLES] * cycle_ms * 1.024)
-            write_long(x, y, reg.CLOCK_1024, ticks)
-        count = (int(x[reg.SERVO_COUNTER]) + 1) & _WORD
-        x[reg.SERVO_COUNTER] = count
-        # 9. Real-time interrupt.
-        if count == y[reg.SERVO_COUNTER] or ((count - y[reg.SERVO_COUNTER]) & _WORD) < 0x800000:
-            y[reg.SERVO_COUNTER] = (count + int(y[reg.RTI_PERIOD]) + 1) & _WORD
-            _real_time_interrupt(
-                x, y, dirty, imap, iscale, plc_code, plc_consts, plc_stack, plc_state, plc_events,
-                regs, head, events,
-            )  # fmt: skip
-        # 10. The plant moves on under the torque that is now at the output.
-        m = int(world[W_ENCODER_MOTOR])
-        torque = 0.0
-        if x[0x80 * m + reg.M_STATUS1] & reg.S1_AMPLIFIER_ENABLED:
-            output = addresses[m, A_OUTPUT]
-            torque = (read_word_signed(y, output) >> 8) * world[W_TORQUE_PER_DAC]
+        y[reg.TASK_TIME] = min(spent, _WORD)
+        _count(words, task, motors, cycle_ms)
+        if _interrupt_is_due(x, y):
+            _real_time_interrupt(words, variables, plc, task)
+        # The plant moves on under the torque that is now at the output.
+        torque = _torque_at_output(words, motors, world)
         world[W_TORQUE] = torque
         if not compiled:
             return done + 1
-        plant.ballscrew_step(pstate, ppar, plog, torque)
+        plant.ballscrew_step(state, par, log, torque)
         if head[H_EVENTS] > 0:
             return done + 1
     return n_cycles
@@ -1116,4 +1212,3 @@ def servo_cycles(
 
 keep_fresh(servo_cycles, comp, conversion, encoder, gather, sensors, vm, reg, law, traj)
 keep_fresh(servo_cycles, memory, plant)
-keep_fresh(decode_all, comp, conversion, gather, reg, memory)

@@ -20,7 +20,7 @@ Source: Turbo PMAC Software Reference Manual p. 95-108, 284-286, 326-340, 377; U
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -120,9 +120,8 @@ class Servo(Motors):
         # A result register of the open servo must not be that of PLC 0.
         self._regs: FloatArray = np.zeros(vm.N_REGS)
         # Arrays of a compiled plant that is not there.
-        self._no_state: FloatArray = np.zeros(pk.N_STATES)
-        self._no_par: FloatArray = np.zeros(pk.N_PARAMETERS)
-        self._no_log: FloatArray = pk.empty_log()
+        self._no_drive = (np.zeros(pk.N_STATES), np.zeros(pk.N_PARAMETERS), pk.empty_log())
+        self._card = self._card_arrays()
 
     def _new_world(self) -> FloatArray:
         bench = self.bench
@@ -211,51 +210,30 @@ class Servo(Motors):
         return done
 
     def _run_kernel(self, n_cycles: int) -> int:
-        memory, queue = self.memory, self.queue
-        state, par, log = self._no_state, self._no_par, self._no_log
+        drive = self._no_drive
         if isinstance(self.plant, BallscrewPlant):
-            state, par, log = self.plant.state, self.plant.par, self.plant.log
-        plc_code, plc_consts, plc = self._plc
-        srv_code, srv_consts, srv = self._servo
-        return int(
-            ks.servo_cycles(
-                memory.x,
-                memory.y,
-                memory.dirty,
-                self._head,
-                self._decoded,
-                self._addresses,
-                self._active,
-                self.motor_memory,
-                queue.segments,
-                queue.cursor,
-                queue.index,
-                self._entries,
-                self._ectmem,
-                self._tables,
-                self._plan,
-                self.history,
-                self.world,
-                state,
-                par,
-                log,
-                self._events,
-                self.variables.imap,
-                self.variables.iscale,
-                plc_code,
-                plc_consts,
-                plc.stack,
-                plc.state,
-                plc.events,
-                srv_code,
-                srv_consts,
-                srv.stack,
-                srv.state,
-                srv.events,
-                self._regs,
-                n_cycles,
-            )
+            drive = (self.plant.state, self.plant.par, self.plant.log)
+        return int(ks.servo_cycles(self._card, drive, self.world, n_cycles))
+
+    def _card_arrays(self) -> tuple[tuple[Any, ...], ...]:
+        memory, queue = self.memory, self.queue
+        arrays = ks.CardArrays(
+            ks.Words(memory.x, memory.y, memory.dirty),
+            ks.Task(self._head, self._events),
+            ks.MotorData(
+                self._active, self._decoded, self._addresses, self.motor_memory, self.history
+            ),
+            ks.Paths(queue.segments, queue.cursor, queue.index),
+            ks.Tables(self._entries, self._ectmem, self._tables, self._plan),
+            ks.IVariables(self.variables.imap, self.variables.iscale),
+            self._program(*self._plc, ks.PLC_BUDGET),
+            self._program(*self._servo, ks.SERVO_BUDGET),
+            ks.Cycle(np.zeros(33), np.zeros(33), np.zeros(33), np.zeros(16)),
         )
+        return tuple(tuple(group) for group in arrays)
+
+    def _program(self, code: IntArray, consts: FloatArray, run: Context, budget: int) -> ks.Program:
+        return ks.Program(code, consts, run.stack, run.state, run.events, self._regs, budget)
 
     def set_plc0(self, program: Compiled | None, context: Context | None = None) -> None:
         """Code of PLC 0 (its enable bits stay in Y:$3100); its events arrive as ``EV_PLC``."""
@@ -263,6 +241,7 @@ class Servo(Motors):
         if program is not None:
             chosen = Context() if context is None else context
             self._plc = (program.code, program.consts, chosen)
+            self._card = self._card_arrays()
 
     @property
     def plc0(self) -> Context:
@@ -274,6 +253,7 @@ class Servo(Motors):
         self._head[ks.H_SERVO] = 0 if program is None else 1
         if program is not None:
             self._servo = (program.code, program.consts, Context())
+            self._card = self._card_arrays()
 
     def set_external_force(self, force_N: float) -> None:
         """Force of the loading screws on the table; positive pushes against positive motion."""

@@ -576,7 +576,7 @@ def _access(
     return pc, sp
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def run(
     x: WordSpace,
     y: WordSpace,
