@@ -14,6 +14,7 @@ a change of a function in another file would go on running as it was.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -43,6 +44,97 @@ _READINGS, _FORCES = range(2)
 # A part of the loop that allocates nothing: without counts of references to its arrays, which are
 # atomic and took half of the time (numba's own string functions do the same).
 _part = njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+
+
+class _Has(NamedTuple):
+    """What a model has, and the figures of its substeps: looked up once per run."""
+
+    elastic: bool
+    lead: bool  # error of the lead, between nut and table
+    joint: bool  # more in the joint than its spring and damper
+    load: bool  # of the nut, which raises its friction
+    way: bool  # since the last reversal, which something depends on
+    base: bool
+    asymmetry: bool
+    guide_sharp: bool
+    all_sharp: bool
+    h: float
+    rate_h: float
+    fade: float  # of the current loop over a substep
+    delay_steps: float
+    begun_Nm: float
+
+
+class _Chain(NamedTuple):
+    """Step matrix at the place of the table, and how forces move the three that rub."""
+
+    W: FloatArray  # transposed, so that a step is a sum of columns (vector instructions)
+    moves: FloatArray
+    speeds: FloatArray
+    bends: FloatArray
+
+
+class _Axis(NamedTuple):
+    """State of the drive, and what is remembered beside it."""
+
+    z: FloatArray  # angles of motor and nut, axial, table; their speeds
+    zf: FloatArray  # the same at the end of the substep, as it would be without friction
+    turned: FloatArray  # of the nut: ``_EXTREME``, ``_HEADING``, ``_SINCE``
+    base: FloatArray
+
+
+class _Now(NamedTuple):
+    """What the last substep ended with besides the state: numbers, which stay in registers."""
+
+    motor_a: float
+    nut_a: float
+    table_a: float
+    torque: float
+    lead: float  # its error, m
+    lead_slope: float
+
+
+class _Friction(NamedTuple):
+    """Forces at motor, nut and guide at the end of and as means over the last substep."""
+
+    force: FloatArray
+    mean: FloatArray
+    slip: FloatArray
+    slip_end: FloatArray
+    work: FloatArray
+
+
+class _Terms(NamedTuple):
+    """Table terms, friction as share of its levels, and room for a value per site."""
+
+    rows: FloatArray
+    values: FloatArray
+    shares: FloatArray
+    places: FloatArray
+
+
+_Levels = tuple[float, float, float]  # of friction at motor, nut and guide
+
+
+class _Cycle(NamedTuple):
+    """One servo cycle: number, time at its beginning, and what stays as it is meanwhile."""
+
+    k: int
+    t: float
+    external_N: float
+    grown: float  # thermal strain of the screw
+    warm: float  # friction levels over those of the cold axis
+
+
+class _Loads(NamedTuple):
+    """Torques, force and friction levels at the middle of a substep."""
+
+    motor: float
+    nut: float
+    table: float
+    level_motor: float
+    level_nut: float
+    level_guide: float
 
 
 @_part
@@ -499,43 +591,27 @@ def _relaxed(par: FloatArray, reading_m: float, z: FloatArray) -> None:
 
 @_part
 def _add_terms(
-    places: FloatArray,
-    kind: int,
-    terms: FloatArray,
-    term_values: FloatArray,
-    x: float,
-    v: float,
-    theta: float,
-    t: float,
-    turned: FloatArray,
-    shares: FloatArray,
+    terms: _Terms, kind: int, x: float, v: float, theta: float, t: float, since: float
 ) -> None:
     """Add the table terms of the readings, or those of torques, forces and friction levels.
 
     ``places`` has one entry per site (``terms.Site``).
     """
-    for j in range(terms.shape[0]):
-        site = int(terms[j, s.TERM_SITE])
+    rows, values, shares = terms.rows, terms.values, terms.shares
+    for j in range(rows.shape[0]):
+        site = int(rows[j, s.TERM_SITE])
         if (3 <= site <= 4) == (kind == _READINGS):
-            places[site] += _term(
-                terms[j], term_values[j], x, v, theta, t, turned[_SINCE], shares[0], shares[1]
+            terms.places[site] += _term(
+                rows[j], values[j], x, v, theta, t, since, shares[0], shares[1]
             )
 
 
 @_part
 def _sense(
-    par: FloatArray,
-    z: FloatArray,
-    table_a: float,
-    grown: float,
-    t: float,
-    terms: FloatArray,
-    term_values: FloatArray,
-    turned: FloatArray,
-    shares: FloatArray,
-    places: FloatArray,
+    par: FloatArray, axis: _Axis, terms: _Terms, t: float, table_a: float, grown: float
 ) -> tuple[float, float]:
     """Readings of encoder and scale in m, before they are rounded."""
+    z = axis.z
     motor_read = par[s.LEAD] * z[0]
     if par[s.ECCENTRICITY] != 0.0:
         motor_read += par[s.ECCENTRICITY] * math.cos(
@@ -549,10 +625,11 @@ def _sense(
         table_read += par[s.SUBDIVISION] * math.cos(
             par[s.SUBDIVISION + 1] * x_seen + par[s.SUBDIVISION + 2]
         )
-    if terms.shape[0] > 0:
+    if terms.rows.shape[0] > 0:
+        places = terms.places
         places[3] = motor_read
         places[4] = table_read
-        _add_terms(places, _READINGS, terms, term_values, z[3], z[7], z[0], t, turned, shares)
+        _add_terms(terms, _READINGS, z[3], z[7], z[0], t, axis.turned[_SINCE])
         motor_read = places[3]
         table_read = places[4]
     return motor_read, table_read
@@ -663,13 +740,12 @@ def _chain_at(flat_bank: FloatArray, place: float, flat: FloatArray) -> None:
 
 
 @_part
-def _mobilities(
-    par: FloatArray, W: FloatArray, moves: FloatArray, speeds: FloatArray, bends: FloatArray
-) -> None:
+def _mobilities(par: FloatArray, chain: _Chain) -> None:
     """How motor, nut and table move and speed up per force at each of the three.
 
     ``bends`` is how the joint stretches by them, and at last by its own force.
     """
+    W, moves, speeds, bends = chain.W, chain.moves, chain.speeds, chain.bends
     for i in range(3):
         row = 3 if i == 2 else i
         for j in range(3):
@@ -834,20 +910,7 @@ def _load_friction(par: FloatArray, delta: float) -> float:
 
 @_part
 def _rub(
-    par: FloatArray,
-    z: FloatArray,
-    zf: FloatArray,
-    level_motor: float,
-    level_nut: float,
-    level_guide: float,
-    moves: FloatArray,
-    speeds: FloatArray,
-    mean: FloatArray,
-    force: FloatArray,
-    slip: FloatArray,
-    slip_end: FloatArray,
-    work: FloatArray,
-    h: float,
+    par: FloatArray, has: _Has, chain: _Chain, axis: _Axis, friction: _Friction, levels: _Levels
 ) -> None:
     """Friction solved with the motion that it lets through.
 
@@ -855,8 +918,10 @@ def _rub(
     ``slip`` become the forces at the end of the substep; ``work`` is room for (4, 3) numbers.
     """
     n_gms = int(par[s.GMS_N])
-    rate_h = 1.0 / h
-    start, moved, gained, end_force = work[0], work[1], work[2], work[3]
+    z, zf, moves, speeds = axis.z, axis.zf, chain.moves, chain.speeds
+    force, mean, slip, slip_end = friction.force, friction.mean, friction.slip, friction.slip_end
+    start, moved = friction.work[0], friction.work[1]
+    gained, end_force = friction.work[2], friction.work[3]
     for i in range(3):
         row = 3 if i == 2 else i
         start[i] = z[4 + row]
@@ -868,7 +933,7 @@ def _rub(
     for _ in range(4):
         largest = 0.0
         for i in range(3):
-            level = level_motor if i == 0 else (level_nut if i == 1 else level_guide)
+            level = levels[i]
             old = mean[i]
             push = speeds[i, i]
             free = moved[i] + moves[i, i] * old
@@ -877,13 +942,13 @@ def _rub(
                 new = 0.0
                 end_force[i] = 0.0
             elif i == 2 and n_gms > 0:
-                rub = _faded(par[s.GUIDE + s.BRISTLE], start[i], level) * rate_h
+                rub = _faded(par[s.GUIDE + s.BRISTLE], start[i], level) * has.rate_h
                 new = _slip_elements(slip, slip_end, par, free, level, moves[i, i], rub)
             elif par[site + s.BREAK] <= 0.0:
                 new, end_force[i] = _coulomb(gained[i] + push * old, start[i], level, push)
             else:
                 new, end_force[i] = _bristle(
-                    force[i], free, level, par, site, moves[i, i], h, start[i]
+                    force[i], free, level, par, site, moves[i, i], has.h, start[i]
                 )
             step = new - old
             if step != 0.0:
@@ -941,6 +1006,256 @@ def _is_sharp(par: FloatArray, site: int) -> bool:
     return bool(par[site + s.BREAK] <= 0.0 and (site != s.GUIDE or par[s.GMS_N] < 0.5))
 
 
+@_part
+def _what_it_has(par: FloatArray, h: float, n_terms: int) -> _Has:
+    """Branches of the substeps of a model, and their figures."""
+    elastic = par[s.RIGID] <= 0.5
+    lead = elastic and _has_lead_error(par)
+    guide_sharp = _is_sharp(par, s.GUIDE)
+    return _Has(
+        elastic=elastic,
+        lead=lead,
+        joint=elastic and (_has_kinks(par) or lead),
+        load=elastic and par[s.NUT_LOAD] != 0.0,
+        way=par[s.DIP] != 0.0 or n_terms > 0,
+        base=par[s.BASE_MASS] > 0.0,
+        asymmetry=_is_asymmetric(par),
+        guide_sharp=guide_sharp,
+        all_sharp=guide_sharp and _is_sharp(par, s.NUT) and _is_sharp(par, s.MOTOR),
+        h=h,
+        rate_h=1.0 / h,
+        fade=0.0 if par[s.CURRENT_RATE] <= 0.0 else math.exp(-par[s.CURRENT_RATE] * h),
+        delay_steps=par[s.DELAY] / h,
+        begun_Nm=_begun_Nm(par),
+    )
+
+
+@_part
+def _begin(
+    par: FloatArray, has: _Has, axis: _Axis, friction: _Friction, reading_m: float, start_s: float
+) -> _Now:
+    """State in which a run begins: relaxed, or holding a torque, or under way."""
+    z, turned = axis.z, axis.turned
+    _relaxed(par, reading_m, z)
+    turned[_EXTREME] = z[0]
+    turned[_HEADING] = 1.0
+    if par[s.START_SPEED] != 0.0:
+        turned[_HEADING] = math.copysign(1.0, par[s.START_SPEED])
+        turned[_SINCE] = _LONG_AGO_rad
+    lead, lead_slope = 0.0, 0.0
+    if has.elastic:
+        lead, lead_slope = _lead(par, z[1], _strain(par, start_s))
+    z[3] += lead
+    if has.begun_Nm != 0.0 or par[s.START_SPEED] != 0.0:
+        _strained(par, z, friction.force, friction.slip)
+        for i in range(3):
+            friction.mean[i] = friction.force[i]
+    return _Now(0.0, 0.0, 0.0, has.begun_Nm, lead, lead_slope)
+
+
+@_part
+def _servo(
+    par: FloatArray,
+    has: _Has,
+    axis: _Axis,
+    terms: _Terms,
+    memory: FloatArray,
+    now: _Now,
+    cycle: _Cycle,
+    desired_m: float,
+    feedforward_Nm: float,
+    out: FloatArray,
+) -> float:
+    """Torque command of a servo cycle, N m; what is known at its beginning goes to ``out``."""
+    z, k = axis.z, cycle.k
+    motor_read, table_read = _sense(par, axis, terms, cycle.t, now.table_a, cycle.grown)
+    if out.shape[0] > 5:
+        out[5, k] = motor_read
+        out[6, k] = table_read
+    motor_read = _rounded(motor_read, par[s.MOTOR_STEP])
+    if k == 0:
+        _remember(par, memory, desired_m, motor_read)
+    command = _control(par, memory, desired_m, motor_read, feedforward_Nm)
+    delta = z[3] - par[s.LEAD] * z[1] - z[2] - now.lead
+    out[0, k] = motor_read
+    out[1, k] = _rounded(table_read, par[s.TABLE_STEP])
+    out[2, k] = command
+    out[3, k] = now.torque
+    out[4, k] = par[s.K_NUT] * delta + (joint_force(par, delta)[0] if has.joint else 0.0)
+    return float(command)
+
+
+@_part
+def _warmth(par: FloatArray, t: float) -> float:
+    """Friction levels over those of the cold axis."""
+    if par[s.WARMUP] == 0.0:
+        return 1.0
+    return float(1.0 - par[s.WARMUP] * (1.0 - math.exp(-t / par[s.WARMUP_TIME])))
+
+
+@_part
+def _at_middle(
+    par: FloatArray,
+    has: _Has,
+    axis: _Axis,
+    terms: _Terms,
+    now: _Now,
+    cycle: _Cycle,
+    torque: float,
+    t: float,
+) -> _Loads:
+    """Explicit torques, forces and friction levels at the middle of a substep, time ``t``."""
+    z, h, warm = axis.z, has.h, cycle.warm
+    theta, x, speed = z[0] + 0.5 * h * z[4], z[3] + 0.5 * h * z[7], z[7] + 0.5 * h * now.table_a
+    motor, nut, table = _push(par, theta, x, speed, z[4], z[5], cycle.external_N, torque, t)
+    if has.lead:
+        # The nut's torque is force times advance per radian, lead error included.
+        pull = z[3] - par[s.LEAD] * z[1] - z[2] - now.lead
+        nut += now.lead_slope * (par[s.K_NUT] * pull + joint_force(par, pull)[0])
+    if has.base:
+        table += _shake_base(par, axis.base, now.table_a, h)
+    since = axis.turned[_SINCE]
+    level_motor, level_nut, level_guide = _friction_levels(
+        par, z[4] + 0.5 * h * now.motor_a, z[5] + 0.5 * h * now.nut_a, speed,
+        z[1] + 0.5 * h * z[5], since,
+    )  # fmt: skip
+    if has.asymmetry:
+        # At rest the guide holds unequal forces either way: equal ones about a force.
+        # Bristles hold the level of the direction in which they move.
+        uneven = par[s.ASYMMETRY_SLIDING]
+        if has.guide_sharp:
+            table -= uneven * level_guide * warm
+        else:
+            level_guide *= 1.0 + math.copysign(1.0, speed) * uneven
+    if terms.rows.shape[0] > 0:
+        places = terms.places
+        places[0], places[1], places[2] = motor, nut, table
+        places[5], places[6], places[7] = level_nut, level_guide, level_motor
+        _add_terms(terms, _FORCES, x, speed, theta, t, since)
+        motor, nut, table = places[0], places[1], places[2]
+        level_nut, level_guide, level_motor = places[5], places[6], places[7]
+    return _Loads(motor, nut, table, level_motor * warm, level_nut * warm, level_guide * warm)
+
+
+@_part
+def _move_freely(W: FloatArray, axis: _Axis, held: float, fading: float, loads: _Loads) -> None:
+    """Chain without friction: one loop over the states that the compiler can vectorise."""
+    z, zf = axis.z, axis.zf
+    z0, z1, z2, z3, z4, z5, z6, z7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
+    drive, nut, table = held + loads.motor, loads.nut, loads.table
+    for i in range(N_STATES):
+        zf[i] = (
+            W[8, i] * drive
+            + W[9, i] * fading
+            + W[10, i] * nut
+            + W[11, i] * table
+            + W[0, i] * z0
+            + W[1, i] * z1
+            + W[2, i] * z2
+            + W[3, i] * z3
+            + W[4, i] * z4
+            + W[5, i] * z5
+            + W[6, i] * z6
+            + W[7, i] * z7
+        )
+
+
+@_part
+def _stretch_joint(
+    par: FloatArray,
+    has: _Has,
+    chain: _Chain,
+    axis: _Axis,
+    mean: FloatArray,
+    now: _Now,
+    cycle: _Cycle,
+) -> tuple[float, float, float]:
+    """Forces of the joint beyond its spring; lead, its slope, torque that load adds to friction.
+
+    Friction of this substep is not known yet: that of the last one (``mean``) bends the joint.
+    """
+    z, zf, bends, rho = axis.z, axis.zf, chain.bends, par[s.LEAD]
+    bent = bends[0] * mean[0] + bends[1] * mean[1] + bends[2] * mean[2]
+    lead, lead_slope, raised = now.lead, now.lead_slope, 0.0
+    if has.joint:
+        if has.lead:
+            lead, lead_slope = _lead(par, zf[1], cycle.grown)
+        old_delta = z[3] - rho * z[1] - z[2] - now.lead
+        delta = zf[3] - rho * zf[1] - zf[2] - lead - bent
+        extra = _beyond_spring(par, old_delta, delta, now.lead, lead, -0.5 * bends[3], has.h)
+        for i in range(N_STATES):
+            zf[i] += chain.W[12, i] * extra
+    if has.load:
+        delta = 0.5 * (z[3] + zf[3] - rho * (z[1] + zf[1]) - z[2] - zf[2])
+        delta -= 0.5 * (now.lead + lead)
+        raised = _load_friction(par, delta - 0.5 * bent)
+    return lead, lead_slope, raised
+
+
+@_part
+def _rub_sharply(chain: _Chain, axis: _Axis, friction: _Friction, levels: _Levels) -> None:
+    """Ideal Coulomb friction at all three, solved with the motion that it lets through."""
+    z, zf, force, mean = axis.z, axis.zf, friction.force, friction.mean
+    (mean[0], mean[1], mean[2], force[0], force[1], force[2]) = _three_coulomb(
+        chain.speeds, zf[4] - z[4], zf[5] - z[5], zf[7] - z[7], z[4], z[5], z[7],
+        levels[0], levels[1], levels[2], mean[0], mean[1], mean[2],
+    )  # fmt: skip
+
+
+@_part
+def _share(shares: FloatArray, force: FloatArray, levels: _Levels) -> None:
+    """Friction of guide and nut as shares of their levels, for the table terms."""
+    shares[0] = force[2] / levels[2] if levels[2] > 0.0 else 0.0
+    shares[1] = force[1] / levels[1] if levels[1] > 0.0 else 0.0
+
+
+@_part
+def _step_on(
+    W: FloatArray, axis: _Axis, mean: FloatArray, rate_h: float
+) -> tuple[float, float, float]:
+    """State at the end of a substep under the friction that was found; the accelerations."""
+    z, zf = axis.z, axis.zf
+    motor, nut, table = mean[0], mean[1], mean[2]
+    z4, z5, z7 = z[4], z[5], z[7]
+    for i in range(N_STATES):
+        z[i] = zf[i] - W[8, i] * motor - W[10, i] * nut - W[11, i] * table
+    return (z[4] - z4) * rate_h, (z[5] - z5) * rate_h, (z[7] - z7) * rate_h
+
+
+@_part
+def _substep(
+    par: FloatArray,
+    has: _Has,
+    chain: _Chain,
+    axis: _Axis,
+    friction: _Friction,
+    terms: _Terms,
+    now: _Now,
+    cycle: _Cycle,
+    held: float,
+    t: float,
+) -> _Now:
+    """Drive under a held torque command over one substep whose middle is at time ``t``."""
+    fading = 0.0 if par[s.CURRENT_RATE] <= 0.0 else now.torque - held
+    torque = held + 0.5 * (1.0 + has.fade) * fading
+    loads = _at_middle(par, has, axis, terms, now, cycle, torque, t)
+    _move_freely(chain.W, axis, held, fading, loads)
+    lead, lead_slope, raised = _stretch_joint(par, has, chain, axis, friction.mean, now, cycle)
+    levels = (loads.level_motor, loads.level_nut + raised, loads.level_guide)
+    if has.all_sharp:
+        _rub_sharply(chain, axis, friction, levels)
+    else:
+        _rub(par, has, chain, axis, friction, levels)
+    motor_a, nut_a, table_a = _step_on(chain.W, axis, friction.mean, has.rate_h)
+    if has.lead:
+        lead, lead_slope = _lead(par, axis.z[1], cycle.grown)
+    if terms.rows.shape[0] > 0:
+        _share(terms.shares, friction.force, levels)
+    if has.way:
+        _count_way(axis.z[1], axis.turned)
+    return _Now(motor_a, nut_a, table_a, held + has.fade * fading, lead, lead_slope)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(
     par: FloatArray,
@@ -961,188 +1276,33 @@ def run(
     Rows: motor reading m, table reading m, torque command N m, motor torque N m, joint force N,
     both readings before they are rounded. Returns the number of cycles that stayed finite.
     """
-    Ts = par[s.PERIOD]
-    h = Ts / n_sub
-    rate_h = 1.0 / h
-    rho = par[s.LEAD]
-    elastic = par[s.RIGID] <= 0.5
-    ideal_current = par[s.CURRENT_RATE] <= 0.0
-    fade = 0.0 if ideal_current else math.exp(-par[s.CURRENT_RATE] * h)
-    delay_steps = par[s.DELAY] / h
-    use_lead = _has_lead_error(par)
-    use_joint = elastic and (_has_kinks(par) or use_lead)
-    use_load = elastic and par[s.NUT_LOAD] != 0.0
-    n_terms = terms.shape[0]
-    use_way = par[s.DIP] != 0.0 or n_terms > 0
-    use_base = par[s.BASE_MASS] > 0.0
-    use_asymmetry = _is_asymmetric(par)
-    guide_sharp = _is_sharp(par, s.GUIDE)
-    all_sharp = guide_sharp and _is_sharp(par, s.NUT) and _is_sharp(par, s.MOTOR)
-    # Transposed, so that a step is a sum of columns (vector instructions).
+    h = par[s.PERIOD] / n_sub
+    has = _what_it_has(par, h, terms.shape[0])
     W = np.zeros((N_COLUMNS, N_STATES))
     flat = W.reshape(N_COLUMNS * N_STATES)
     flat_bank = bank.reshape((bank.shape[0], N_COLUMNS * N_STATES))
-    moves, speeds, bends = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(4)
-    history = np.zeros(_HISTORY)
-
-    z, zf = np.zeros(N_STATES), np.zeros(N_STATES)
-    _relaxed(par, desired_m[0] - par[s.START_ERROR], z)
-    turned = np.zeros(3)
-    turned[_EXTREME] = z[0]
-    turned[_HEADING] = 1.0
-    if par[s.START_SPEED] != 0.0:
-        turned[_HEADING] = math.copysign(1.0, par[s.START_SPEED])
-        turned[_SINCE] = _LONG_AGO_rad
-    grown = _strain(par, start_s)
-    lead, lead_slope = 0.0, 0.0
-    if elastic:
-        lead, lead_slope = _lead(par, z[1], grown)
-    z[3] += lead
-    begun_Nm = _begun_Nm(par)
-    motor_torque = begun_Nm
-    # Friction at motor, nut and guide: force at the end of and mean over the last substep.
-    force, mean, work = np.zeros(3), np.zeros(3), np.zeros((4, 3))
-    slip, slip_end = np.zeros(8), np.zeros(8)
-    if begun_Nm != 0.0 or par[s.START_SPEED] != 0.0:
-        _strained(par, z, force, slip)
-        mean[:] = force
-    motor_a, nut_a, table_a = 0.0, 0.0, 0.0
-    base, shares, places = np.zeros(2), np.zeros(2), np.zeros(8)
-    memory = np.zeros(_MEMORY)
-
+    chain = _Chain(W, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(4))
+    z = np.zeros(N_STATES)
+    axis = _Axis(z, np.zeros(N_STATES), np.zeros(3), np.zeros(2))
+    friction = _Friction(np.zeros(3), np.zeros(3), np.zeros(8), np.zeros(8), np.zeros((4, 3)))
+    room = _Terms(terms, term_values, np.zeros(2), np.zeros(8))
+    history, memory = np.zeros(_HISTORY), np.zeros(_MEMORY)
+    now = _begin(par, has, axis, friction, desired_m[0] - par[s.START_ERROR], start_s)
+    limit = par[s.ACTUATOR_LIMIT]
     for k in range(desired_m.size):
-        t = start_s + k * Ts
-        grown = _strain(par, t)
-        motor_read, table_read = _sense(
-            par, z, table_a, grown, t, terms, term_values, turned, shares, places
+        t = start_s + k * par[s.PERIOD]
+        cycle = _Cycle(k, t, external_N[k], _strain(par, t), _warmth(par, t))
+        command = _servo(
+            par, has, axis, room, memory, now, cycle, desired_m[k], torque_ff_Nm[k], out
         )
-        if out.shape[0] > 5:
-            out[5, k] = motor_read
-            out[6, k] = table_read
-        motor_read = _rounded(motor_read, par[s.MOTOR_STEP])
-        if k == 0:
-            _remember(par, memory, desired_m[0], motor_read)
-        command = _control(par, memory, desired_m[k], motor_read, torque_ff_Nm[k])
-        history[k & (_HISTORY - 1)] = min(
-            max(command, -par[s.ACTUATOR_LIMIT]), par[s.ACTUATOR_LIMIT]
-        )
-        delta = z[3] - rho * z[1] - z[2] - lead
-        out[0, k] = motor_read
-        out[1, k] = _rounded(table_read, par[s.TABLE_STEP])
-        out[2, k] = command
-        out[3, k] = motor_torque
-        out[4, k] = par[s.K_NUT] * delta + (joint_force(par, delta)[0] if use_joint else 0.0)
+        history[k & (_HISTORY - 1)] = min(max(command, -limit), limit)
         if not (abs(z[3]) < 1e6 and abs(z[4]) < 1e9):
             return k
-
         _chain_at(flat_bank, (z[3] + par[s.X_ORIGIN] - first_m) / spacing_m, flat)
-        _mobilities(par, W, moves, speeds, bends)
-        bends_0, bends_1, bends_2 = bends[0], bends[1], bends[2]
-        warm = 1.0
-        if par[s.WARMUP] != 0.0:
-            warm = 1.0 - par[s.WARMUP] * (1.0 - math.exp(-t / par[s.WARMUP_TIME]))
+        _mobilities(par, chain)
         for sub in range(n_sub):
-            held = _held_torque(history, begun_Nm, k * n_sub + sub, n_sub, delay_steps)
-            fading = 0.0 if ideal_current else motor_torque - held
-
-            # ---- explicit torques, forces and friction levels at the middle of the substep
-            z0, z1, z2, z3, z4, z5, z6, z7 = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
-            mid_t = t + (sub + 0.5) * h
-            mid_theta = z0 + 0.5 * h * z4
-            mid_x = z3 + 0.5 * h * z7
-            mid_speed = z7 + 0.5 * h * table_a
-            mid_torque = held + 0.5 * (1.0 + fade) * fading
-            push_motor, push_nut, push_table = _push(
-                par, mid_theta, mid_x, mid_speed, z4, z5, external_N[k], mid_torque, mid_t
-            )
-            if use_lead and elastic:
-                # The nut's torque is force times advance per radian, lead error included.
-                pull = z3 - rho * z1 - z2 - lead
-                push_nut += lead_slope * (par[s.K_NUT] * pull + joint_force(par, pull)[0])
-            if use_base:
-                push_table += _shake_base(par, base, table_a, h)
-            level_motor, level_nut, level_guide = _friction_levels(
-                par, z4 + 0.5 * h * motor_a, z5 + 0.5 * h * nut_a, mid_speed, z1 + 0.5 * h * z5,
-                turned[_SINCE],
-            )  # fmt: skip
-            if use_asymmetry:
-                # At rest the guide holds unequal forces either way: equal ones about a force.
-                # Bristles hold the level of the direction in which they move.
-                uneven = par[s.ASYMMETRY_SLIDING]
-                if guide_sharp:
-                    push_table -= uneven * level_guide * warm
-                else:
-                    level_guide *= 1.0 + math.copysign(1.0, mid_speed) * uneven
-            if n_terms > 0:
-                places[0], places[1], places[2] = push_motor, push_nut, push_table
-                places[5], places[6], places[7] = level_nut, level_guide, level_motor
-                _add_terms(
-                    places, _FORCES, terms, term_values, mid_x, mid_speed, mid_theta, mid_t, turned,
-                    shares,
-                )  # fmt: skip
-                push_motor, push_nut, push_table = places[0], places[1], places[2]
-                level_nut, level_guide, level_motor = places[5], places[6], places[7]
-            level_guide *= warm
-            level_nut *= warm
-            level_motor *= warm
-
-            # ---- chain without friction: one loop over the states that the compiler can vectorise
-            drive = held + push_motor
-            for i in range(N_STATES):
-                zf[i] = (
-                    W[8, i] * drive
-                    + W[9, i] * fading
-                    + W[10, i] * push_nut
-                    + W[11, i] * push_table
-                    + W[0, i] * z0
-                    + W[1, i] * z1
-                    + W[2, i] * z2
-                    + W[3, i] * z3
-                    + W[4, i] * z4
-                    + W[5, i] * z5
-                    + W[6, i] * z6
-                    + W[7, i] * z7
-                )
-
-            # ---- joint; friction of this substep is not known yet: that of the last one bends it
-            bent = bends_0 * mean[0] + bends_1 * mean[1] + bends_2 * mean[2]
-            old_lead = lead
-            if use_joint:
-                if use_lead:
-                    lead, lead_slope = _lead(par, zf[1], grown)
-                old_delta = z3 - rho * z1 - z2 - old_lead
-                delta = zf[3] - rho * zf[1] - zf[2] - lead - bent
-                extra = _beyond_spring(par, old_delta, delta, old_lead, lead, -0.5 * bends[3], h)
-                for i in range(N_STATES):
-                    zf[i] += W[12, i] * extra
-            if use_load:
-                delta = 0.5 * (z3 + zf[3] - rho * (z1 + zf[1]) - z2 - zf[2])
-                delta -= 0.5 * (old_lead + lead)
-                level_nut += _load_friction(par, delta - 0.5 * bent)
-
-            # ---- friction, solved with the motion that it lets through
-            if all_sharp:
-                (mean[0], mean[1], mean[2], force[0], force[1], force[2]) = _three_coulomb(
-                    speeds, zf[4] - z4, zf[5] - z5, zf[7] - z7, z4, z5, z7,
-                    level_motor, level_nut, level_guide, mean[0], mean[1], mean[2],
-                )  # fmt: skip
-            else:
-                _rub(
-                    par, z, zf, level_motor, level_nut, level_guide, moves, speeds, mean, force,
-                    slip, slip_end, work, h,
-                )  # fmt: skip
-            mean_0, mean_1, mean_2 = mean[0], mean[1], mean[2]
-            for i in range(N_STATES):
-                z[i] = zf[i] - W[8, i] * mean_0 - W[10, i] * mean_1 - W[11, i] * mean_2
-            motor_a = (z[4] - z4) * rate_h
-            nut_a = (z[5] - z5) * rate_h
-            table_a = (z[7] - z7) * rate_h
-            motor_torque = held + fade * fading
-            if use_lead and elastic:
-                lead, lead_slope = _lead(par, z[1], grown)
-            if n_terms > 0:
-                shares[0] = force[2] / level_guide if level_guide > 0.0 else 0.0
-                shares[1] = force[1] / level_nut if level_nut > 0.0 else 0.0
-            if use_way:
-                _count_way(z[1], turned)
+            place = k * n_sub + sub
+            held = _held_torque(history, has.begun_Nm, place, n_sub, has.delay_steps)
+            middle = t + (sub + 0.5) * h
+            now = _substep(par, has, chain, axis, friction, room, now, cycle, held, middle)
     return desired_m.size
