@@ -12,7 +12,12 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.promise import Expected, Static, counted_loop, expect
-from pmac_comp.physics.compensate.unmodelled import Unmodelled, model_law, widened
+from pmac_comp.physics.compensate.unmodelled import (
+    Unmodelled,
+    model_law,
+    open_at_rest_um,
+    widened,
+)
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.approach import RELAXED, approach
@@ -78,7 +83,10 @@ class Promiser:
         own, exact = (
             self._of_loop(loop, motion, head, drawn_m) for loop in (self.loop, self.exact)
         )
-        found = widened(own.errors, _rest_of(self.compensation.law))
+        law, at_rest_um = self.compensation.law, 0.0
+        if self.compensation.route in TORQUE_ROUTES:
+            at_rest_um = open_at_rest_um(law, motion.position_m)
+        found = widened(own.errors, _rest_of(law), at_rest_um)
         return {**found, ROUNDING: rms_um(own.residual_m - exact.residual_m)}
 
     def _of_loop(

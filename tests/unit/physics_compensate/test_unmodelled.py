@@ -3,6 +3,7 @@
 import math
 from functools import cache
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
@@ -13,6 +14,7 @@ from pmac_comp.physics.compensate.unmodelled import (
     Unmodelled,
     joined_um,
     model_law,
+    open_at_rest_um,
     unmodelled,
     widened,
 )
@@ -79,6 +81,21 @@ def test_a_promise_without_captures_is_the_models_and_else_wider() -> None:
     off = widened(PROMISE, Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0), (0.1, 0.2)))
     assert off["total_after_lower_um"] == pytest.approx(0.48)
     assert off["total_after_upper_um"] == pytest.approx(0.72 + 2.0)
+
+
+def test_friction_at_rest_widens_the_upper_end_of_e_r_alone() -> None:
+    law = LAW.with_values(coulomb_m=0.9e-6)
+    rests = np.repeat([0.0, 0.01, 0.02], 400)  # three rests, with a step of the command between
+    assert open_at_rest_um(law, rests) == pytest.approx(0.9 / math.sqrt(3.0), rel=0.01)
+    half = np.concatenate([rests, np.linspace(0.02, 0.04, rests.size)])
+    assert open_at_rest_um(law, half) == pytest.approx(0.9 / math.sqrt(6.0), rel=0.01)
+    assert open_at_rest_um(law.with_values(coulomb_m=0.0), half) == 0.0
+    found = Unmodelled((0.1, 0.2, 0.4), (0.5, 1.0, 2.0))
+    firm, stuck = widened(PROMISE, found), widened(PROMISE, found, 0.3)
+    assert firm["e_r_after_upper_um"] == pytest.approx(0.6)
+    assert stuck["e_r_after_upper_um"] == pytest.approx(math.hypot(0.6, 0.3))
+    assert {k: v for k, v in stuck.items() if firm[k] != v}.keys() == {"e_r_after_upper_um"}
+    assert widened(PROMISE, None, 0.3) == widened(PROMISE, None)
 
 
 def test_rest_adds_plainly_to_an_error_that_stays_and_in_squares_to_one_that_goes() -> None:
