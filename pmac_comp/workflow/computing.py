@@ -16,15 +16,15 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.clearance import with_clearance
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
+from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
 from pmac_comp.workflow.backlash import has_backlash
+from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
@@ -44,13 +44,6 @@ from pmac_comp.workflow.foreseen import (
     require_motion,
     too_large,
 )
-from pmac_comp.workflow.late_scale import (
-    in_time,
-    noted_age,
-    read_together,
-    scale_age_s,
-    scale_remarks,
-)
 from pmac_comp.workflow.law_cost import (
     CHEAP_FRAC,
     CheaperLaw,
@@ -58,20 +51,12 @@ from pmac_comp.workflow.law_cost import (
     cost_remarks,
     share_frac,
 )
-from pmac_comp.workflow.law_model import made_with
-from pmac_comp.workflow.loose_nut import (
-    clearance_note,
-    clearance_remarks,
-    found_clearance,
-    loosened,
-)
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.promises import Promiser, worse_remarks
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
-from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
@@ -128,29 +113,20 @@ def compute_compensation(
     check_route(route)
     check_options(bench, route, motion, every_cycles)
     check_slow_runs(bench, route, slow, whole_travel=limit is Limit.REFUSE)
-    age = noted_age(bench, model, captures, progress)
-    model, provenance = in_time(model, age), {**(provenance or {}), **age}
-    together = [read_together(run, scale_age_s(age)) for run in (*captures, *slow)]
-    bed = noted_bed(bench, model, together[: len(captures)], progress)
-    model, provenance = on_bed(model, bed), {**provenance, **bed}
-    begun = with_starts(without_turn(model), together)
-    captures, slow = tuple(begun[: len(captures)]), tuple(begun[len(captures) :])
-    if route != "table":  # that one takes the whole difference of the directions as it is
-        if progress is not None and captures:
-            progress("looking for a gap in the nut", 0.0)
-        clearance = found_clearance(bench, model, slow, captures)
-        model = model if clearance is None else with_clearance(model, clearance.values)
-        provenance |= clearance_note(clearance)
+    shown = shown_by_runs(
+        bench, model, captures, slow, with_gap=route != "table", progress=progress
+    )
+    model, captures, slow = shown.model, shown.captures, shown.slow
     law = dynamic_law(
         bench,
         model,
         route,
         (*captures, *slow),
         every_cycles=every_cycles,
-        provenance=provenance,
+        provenance={**(provenance or {}), **shown.noted},
         progress=progress,
     )
-    model = loosened(model, law)
+    model = gripping_model(model, law)
     if progress is not None and slow:
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
@@ -287,9 +263,7 @@ def compensate_files(
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
-            *scale_remarks(law),
-            *bed_remarks(law),
-            *clearance_remarks(law),
+            *shown_remarks(law),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law, offers),
         ],

@@ -22,9 +22,9 @@ from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.approach import RELAXED, approach
 from pmac_comp.workflow.backlash import backlash_side
+from pmac_comp.workflow.beyond_model import made_with
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.dynamic_law import without_turn
-from pmac_comp.workflow.law_model import made_with
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.outcome import ROUNDING, WORSE, error_signals, grown_text
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES

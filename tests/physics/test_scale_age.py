@@ -10,7 +10,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow import computing
+from pmac_comp.workflow import beyond_model
 from pmac_comp.workflow.campaigns import calibration_motions
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.late_scale import scale_age_s
@@ -57,7 +57,9 @@ def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> No
 
 
 def test_the_law_leaves_alone_what_the_scale_alone_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(computing, "found_clearance", lambda *_: None)  # its fit is not the point
+    monkeypatch.setattr(
+        beyond_model, "found_clearance", lambda *_: None
+    )  # its fit is not the point
     laws = []
     for effects in ({}, {"channel_skew": {"time_us": 5.0}}):
         runs, model = identified(effects, seed=7)

@@ -12,7 +12,7 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.design import design_law, design_motions, model_loop, start_law
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import computing
+from pmac_comp.workflow import beyond_model, computing
 from pmac_comp.workflow.campaigns import lead_motions
 from pmac_comp.workflow.compensation_file import ROUTES
 from pmac_comp.workflow.computing import compensate_files, compute_compensation
@@ -50,7 +50,7 @@ def nothing_computed(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.fail("the law was computed before the refusal")
 
     monkeypatch.setattr(computing, "dynamic_law", never)
-    monkeypatch.setattr(computing, "found_clearance", never)
+    monkeypatch.setattr(beyond_model, "found_clearance", never)
     monkeypatch.setattr(
         "pmac_comp.workflow.identification.load_model", lambda *_args, **_more: MODEL
     )

@@ -11,6 +11,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.scale_age import ScaleAge
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow.beyond_model import made_with
 from pmac_comp.workflow.late_scale import (
     in_time,
     noted_age,
@@ -18,7 +19,6 @@ from pmac_comp.workflow.late_scale import (
     scale_age_s,
     scale_remarks,
 )
-from pmac_comp.workflow.law_model import made_with
 from pmac_comp.workflow.outcome import error_signals, outcome_of
 
 BENCH = load_bench("paper_x4")
