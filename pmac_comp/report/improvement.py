@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pmac_comp import __version__
 from pmac_comp.report.page import Page, Section, Table, write_page
-from pmac_comp.report.run import MEASURED, SIMULATED
+from pmac_comp.report.run import notice_of
 from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.improve import Improvement
 from pmac_comp.workflow.verification import Verification
@@ -20,7 +20,7 @@ def write_improvement_report(result: Improvement, path: Path) -> Path:
     page = Page(
         title="Improvement: the model grown, the error measured again",
         subtitle=f"kept: the compensation of the {result.kept} model",
-        notice=SIMULATED if first.simulated else MEASURED,
+        notice=notice_of(first),
         headline=[
             (f"{before:.2f} → {after:.2f} um", f"{name} error, measured rms, first → grown model")
             for name, before, after in result.means()

@@ -9,13 +9,24 @@ from pmac_comp.workflow.computing import describe
 from pmac_comp.workflow.demo import RunResult
 from pmac_comp.workflow.verification import Verification
 
-SIMULATED = (
+_SIMULATED = (
     "The controller and the drive behind it are simulated. Figures marked 'measured' are what the "
-    "simulated sensors read through the wire protocol, quantised as on the bench; figures marked "
-    "'true' are the plant's unquantised positions, which no sensor of a real axis sees; figures "
+    "simulated sensors read through the wire protocol, quantised as on the bench; {true}figures "
     "marked 'promised' come from the identified model alone."
 )
-MEASURED = "All figures marked 'measured' come from captures; 'promised' ones from the model."
+_TRUE = (
+    "figures marked 'true' are the plant's unquantised positions, which no sensor of a real axis "
+    "sees; "
+)
+_MEASURED = "All figures marked 'measured' come from captures; 'promised' ones from the model."
+
+
+def notice_of(verification: Verification) -> str:
+    """What the marks of the figures mean: those of this page."""
+    if not verification.simulated:
+        return _MEASURED
+    has_truth = any(motion.truth is not None for motion in verification.motions)
+    return _SIMULATED.format(true=_TRUE if has_truth else "")
 
 
 def write_run_report(result: RunResult, path: Path) -> Path:
@@ -23,7 +34,7 @@ def write_run_report(result: RunResult, path: Path) -> Path:
     page = Page(
         title=result.title,
         subtitle=f"{result.bench.name or 'bench'} – {result.controller}",
-        notice=SIMULATED,
+        notice=notice_of(result.verification),
         headline=headline(result.verification),
         sections=[
             *verification_sections(result.verification),
@@ -47,7 +58,7 @@ def write_verification_report(verification: Verification, path: Path) -> Path:
         subtitle=(f"route {verification.route}, " if verification.route else "")
         + f"{len(verification.motions)} motion"
         + "s" * (len(verification.motions) != 1),
-        notice=SIMULATED if verification.simulated else MEASURED,
+        notice=notice_of(verification),
         headline=headline(verification),
         sections=verification_sections(verification),
         facts={"pmac-comp": __version__, "sensor floor um rms": verification.floor_um},

@@ -45,10 +45,12 @@ from pmac_comp.workflow.foreseen import (
     too_large,
 )
 from pmac_comp.workflow.law_cost import (
+    ASKED,
     CHEAP_FRAC,
     CheaperLaw,
     cheaper_laws,
     cost_remarks,
+    fitting_cycles,
     share_frac,
 )
 from pmac_comp.workflow.motions import Motion, parse_motion
@@ -95,7 +97,8 @@ def compute_compensation(
     aim : Aim
         What their correction takes away: the total error, with the loop's lag in it, or e_r.
     every_cycles : int
-        Servo cycles between two passes of the law on the controller (route ``law``).
+        Servo cycles between two passes of the law on the controller (route ``law``); more where
+        its passes would take all of the processor's time.
     provenance : dict, optional
         Where the figures come from.
     limit : Limit
@@ -117,7 +120,7 @@ def compute_compensation(
         bench, model, captures, slow, with_gap=route != "table", progress=progress
     )
     model, captures, slow = shown.model, shown.captures, shown.slow
-    law = dynamic_law(
+    law = _law_that_fits(
         bench,
         model,
         route,
@@ -153,6 +156,36 @@ def compute_compensation(
         backlash = lead is not None and has_backlash(lead, route)
         law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
+
+
+def _law_that_fits(
+    bench: Bench,
+    model: Any,
+    route: str,
+    captures: tuple[Capture, ...],
+    *,
+    every_cycles: int,
+    provenance: dict[str, Any],
+    progress: Progress | None,
+) -> CompensationLaw:
+    """Law of a route, for fewer passes than asked where those would take the whole processor."""
+
+    def designed(every_cycles: int, provenance: dict[str, Any]) -> CompensationLaw:
+        return dynamic_law(
+            bench,
+            model,
+            route,
+            captures,
+            every_cycles=every_cycles,
+            provenance=provenance,
+            progress=progress,
+        )
+
+    law = designed(every_cycles, provenance)
+    fitting = fitting_cycles(bench, law)
+    if route != "law" or fitting == every_cycles:
+        return law
+    return designed(fitting, {**provenance, ASKED: every_cycles})
 
 
 def _for_motion(

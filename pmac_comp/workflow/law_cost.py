@@ -23,6 +23,7 @@ from pmac_comp.workflow.routes import LATENCY_CYCLES
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
+ASKED = "every_asked"  # of a law that would not fit into the rhythm that was asked for
 CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws are offered
 _SLOWEST_CYCLES = 4
 
@@ -66,6 +67,8 @@ def cost_text(bench: Bench, law: CompensationLaw) -> str:
     """What a pass of the law costs, for people."""
     every = law.every_cycles
     rhythm = "each servo cycle" if every == 1 else f"every {every} servo cycles"
+    if ASKED in law.provenance:
+        rhythm += f" (more often, every {law.provenance[ASKED]}, it would not fit)"
     share = 100.0 * share_frac(bench, law)
     return (
         f"PLC 0 takes about {_cost_us(bench, law):.0f} us in {rhythm}, {share:.0f} % of the "
@@ -83,13 +86,15 @@ def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
             "tasks, and the watchdog would stop the card.",
             code="PC-LAW-043",
             hint=f"Compute it for fewer passes (`pmac-comp compensate --every "
-            f"{_fitting_cycles(bench, law)}`), or for the open servo (--route servo).",
+            f"{fitting_cycles(bench, law)}`), or for the open servo (--route servo).",
         )
     ]
 
 
-def _fitting_cycles(bench: Bench, law: CompensationLaw) -> int:
-    return min(_SLOWEST_CYCLES, math.ceil(law.every_cycles * share_frac(bench, law)))
+def fitting_cycles(bench: Bench, law: CompensationLaw) -> int:
+    """Servo cycles between two passes of a law that leave the processor time: its own, or more."""
+    least = math.ceil(law.every_cycles * share_frac(bench, law))
+    return min(_SLOWEST_CYCLES, max(law.every_cycles, least))
 
 
 def cheaper_laws(

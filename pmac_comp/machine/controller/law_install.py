@@ -372,8 +372,9 @@ def _no_servo(context: Context, motor: int, mode: int) -> SafetyRefusal:
         f"The open servo does not run for motor #{motor} "
         f"(I{motor}59 = {mode}, no signature {SIGNATURE_SERVO} in P{context.block.p(0)}).",
         code="PC-LAW-024",
-        hint="Compile firmware_plc/feedforward_servo.txt with the vendor's tool, download it, and "
-        f"set I{motor}59 = 1 with the motor killed; or use --route law.",
+        hint="Compile firmware_plc/feedforward_servo.txt with the vendor's tool and download it (a "
+        "simulated card takes the file itself: `pmac-comp sim --servo`), then set "
+        f"I{motor}59 = 1 with the motor killed; or use --route law.",
         left=ControllerState.OLD,
     )
 

@@ -248,8 +248,22 @@ def _split(text: str) -> tuple[Path, str]:
     )
 
 
+def _module_name(path: Path) -> str:
+    """Name as which the file's author imports it, where no other module has it.
+
+    Compiled functions that numba keeps on disk are tied to it.
+    """
+    name = path.stem
+    known = sys.modules.get(name)
+    if known is not None:
+        ours = getattr(known, "__file__", None) == str(path)
+    else:
+        ours = name.isidentifier() and importlib.util.find_spec(name) is None
+    return name if ours else f"pmac_comp_user_plant_{name}"
+
+
 def _module_from(path: Path) -> object:
-    name = f"pmac_comp_user_plant_{path.stem}"
+    name = _module_name(path)
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise ConfigError(

@@ -1,6 +1,8 @@
 """Plants of a user's own: loading, guarding, recording."""
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -74,6 +76,54 @@ def test_files_that_do_not_load_are_refused(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         load_plant(str(path), BENCH)
     assert caught.value.code == "PC-PLT-011"
+
+
+COMPILED = """
+from numba import njit
+
+
+@njit(cache=True)
+def halved(x):
+    return 0.5 * x
+
+
+@njit(cache=True)
+def advanced(x, torque):
+    return x + 1e-9 * halved(torque)
+
+
+class Axis:
+    def reset(self, table_position_m=0.0):
+        self.x = table_position_m
+
+    def step(self, torque_command_Nm):
+        self.x = advanced(self.x, torque_command_Nm)
+        return self.x, self.x
+
+
+def make_plant(bench):
+    axis = Axis()
+    axis.reset()
+    return axis
+"""
+
+
+def test_compiled_functions_that_its_author_ran_are_found_again(tmp_path, monkeypatch):
+    (tmp_path / "my_compiled_axis.py").write_text(COMPILED)
+    code = "import my_compiled_axis as a; print(a.advanced(0.0, 2.0))"
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    plant = load_plant(str(tmp_path / "my_compiled_axis.py"), BENCH)
+    assert plant.step(2.0)[0] == pytest.approx(1e-9)
+    again = load_plant(str(tmp_path / "my_compiled_axis.py"), BENCH)  # as a changed file would be
+    assert again.step(2.0)[0] == pytest.approx(1e-9)
+
+
+def test_a_file_named_like_a_module_does_not_take_its_place(tmp_path):
+    import json
+
+    (tmp_path / "json.py").write_text(COMPILED)
+    load_plant(str(tmp_path / "json.py"), BENCH)
+    assert sys.modules["json"] is json
 
 
 WRONG = """
