@@ -4,8 +4,9 @@ What lives here: the order in which it is looked for, and the model with all of 
 from a law's provenance. What may not: each of the findings (``late_scale``, ``swinging_bed``,
 ``loose_nut``).
 
-A gap in the nut leaves more than the rest, and is looked for where readings belong together and
-nothing swings. It hides both where it is large: with it in the model they are looked for again.
+A late scale and a bed that swings hide each other, and a gap in the nut hides both, and friction.
+The gap is looked for where readings belong together and nothing swings; with it in the model the
+drive is fitted anew, and both are looked for again.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
+from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.workflow.dynamic_law import without_turn
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
+_WHOLE = "whole_model"  # of a law: all that was fitted beside the gap
+_LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave
 
 
 @dataclass(frozen=True)
@@ -81,12 +85,9 @@ def shown_by_runs(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    age = noted_age(bench, model, captures, progress)
-    captures, slow = (_together(runs, age) for runs in (captures, slow))
-    shown = _begun(in_time(model, age), captures, slow, age)
-    bed = noted_bed(bench, shown.model, shown.captures, progress)
-    if bed:
-        shown = _begun(on_bed(shown.model, bed), shown.captures, shown.slow, {**age, **bed})
+    shown = _timed_and_still(
+        bench, Shown(model, tuple(captures), tuple(slow), {}), progress, first=True
+    )
     if not with_gap:  # the route takes the whole difference of the directions as it is
         return shown
     if progress is not None and captures:
@@ -95,36 +96,79 @@ def shown_by_runs(
     return shown if gap is None else _beside_gap(bench, shown, gap, progress)
 
 
-def _together(runs: Sequence[Capture], noted: dict[str, Any]) -> tuple[Capture, ...]:
-    return tuple(read_together(run, scale_age_s(noted)) for run in runs)
-
-
-def _begun(
-    model: "DriveModel", captures: Sequence[Capture], slow: Sequence[Capture], noted: dict[str, Any]
+def _timed_and_still(
+    bench: Bench, shown: Shown, progress: Progress | None, *, first: bool
 ) -> Shown:
-    runs = with_starts(without_turn(model), [*captures, *slow])
-    return Shown(model, tuple(runs[: len(captures)]), tuple(runs[len(captures) :]), noted)
+    """With the scale's age and the bed, each beside the other, where they are not known yet."""
+    found = _timed(bench, shown, progress)
+    swung = _on_its_bed(bench, found, progress)
+    if swung is not found:
+        swung = _timed(bench, swung, progress)  # what the bed hid
+    return _begun(swung) if first or swung is not shown else shown
+
+
+def _timed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    if scale_age_s(shown.noted) != 0.0:
+        return shown
+    age = noted_age(bench, shown.model, shown.captures, progress)
+    if not age:
+        return shown
+    captures, slow = (
+        tuple(read_together(run, scale_age_s(age)) for run in runs)
+        for runs in (shown.captures, shown.slow)
+    )
+    return Shown(in_time(shown.model, age), captures, slow, {**shown.noted, **age})
+
+
+def _on_its_bed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    bed = noted_bed(bench, shown.model, shown.captures, progress)
+    if not bed:
+        return shown
+    return replace(shown, model=on_bed(shown.model, bed), noted={**shown.noted, **bed})
+
+
+def _begun(shown: Shown) -> Shown:
+    """With what friction held as the runs began."""
+    n = len(shown.captures)
+    runs = with_starts(without_turn(shown.model), [*shown.captures, *shown.slow])
+    return replace(shown, captures=tuple(runs[:n]), slow=tuple(runs[n:]))
 
 
 def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress | None) -> Shown:
-    """With the gap, and what it hid."""
-    loose, hidden = with_clearance(shown.model, gap.values), dict[str, Any]()
-    captures, slow = shown.captures, shown.slow
-    if scale_age_s(shown.noted) == 0.0:
-        hidden |= noted_age(bench, loose, captures, progress)
-        loose = in_time(loose, hidden)
-        captures, slow = (_together(runs, hidden) for runs in (captures, slow))
-    hidden |= noted_bed(bench, loose, captures, progress)
-    loose = on_bed(loose, hidden)
-    # The last fit moved the gap's own parameters as well.
-    gap = replace(gap, values={name: loose.parameters[name] for name in gap.values})
-    noted = {**shown.noted, **hidden, **clearance_note(gap)}
-    return _begun(loose, captures, slow, noted) if hidden else Shown(loose, captures, slow, noted)
+    """With the gap, the drive fitted anew beside it, and what it hid."""
+    from pmac_comp.physics.identify.refit import fitted_anew
+
+    loose = with_clearance(shown.model, gap.values)
+    if progress is not None:
+        progress("fitting the drive beside the gap", 0.0)
+    anew = fitted_anew(shown.captures, bench, loose)
+    if anew is not None:
+        moved = _moved(gap, anew.model, anew.left_um)
+        if _LEAST_KEPT * gap.gap_m < moved.gap_m < _MOST_KEPT * gap.gap_m:
+            loose, gap = anew.model, moved
+    found = _timed_and_still(bench, replace(shown, model=loose), progress, first=False)
+    gap = _moved(gap, found.model, gap.with_um)
+    own = [name for name in found.model.effects if name not in shown.model.effects]
+    whole = {"effects": own, "values": dict(found.model.parameters)}
+    return replace(found, noted={**found.noted, **clearance_note(gap), _WHOLE: whole})
+
+
+def _moved(gap: Clearance, model: "DriveModel", with_um: float) -> Clearance:
+    """The gap as a later fit has it."""
+    values = {name: model.parameters[name] for name in gap.values}
+    return replace(gap, values=values, with_um=with_um)
 
 
 def made_with(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
     """The model that a law was made with, from the model that it was computed from."""
-    return loosened(on_bed(in_time(model, law.provenance), law.provenance), law)
+    model = on_bed(in_time(model, law.provenance), law.provenance)
+    whole = law.provenance.get(_WHOLE)
+    if whole is None:
+        return loosened(model, law)
+    for name in whole["effects"]:
+        model = model if name in model.effects else model.with_effect(name)
+    known = {k: v for k, v in whole["values"].items() if k in model.parameters}
+    return gripping_model(model.with_parameters(known), law)
 
 
 def shown_remarks(law: CompensationLaw) -> list[str]:

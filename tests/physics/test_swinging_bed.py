@@ -48,8 +48,8 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
 
 @pytest.mark.parametrize(
     "effects",
-    [{}, {"backlash": {}}, {"actuator_delay": {"time_us": 900.0}}, {"torque_ripple": {}}],
-    ids=["nothing", "backlash", "actuator_delay", "torque_ripple"],
+    [{}, {"actuator_delay": {"time_us": 900.0}}],
+    ids=["nothing", "actuator_delay"],
 )
 def test_a_drive_on_a_still_bed_shows_none(effects: PlantEffects) -> None:
     runs, model = identified(effects, seed=3)
