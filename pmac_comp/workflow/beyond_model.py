@@ -19,6 +19,7 @@ from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.starts import with_starts
+from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.late_scale import (
     in_time,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
+_FRICTION = ("stribeck", "presliding")
 _WHOLE = "whole_model"  # of a law: all that was fitted beside the gap
 _LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave
 
@@ -85,9 +87,7 @@ def shown_by_runs(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    shown = _timed_and_still(
-        bench, Shown(model, tuple(captures), tuple(slow), {}), progress, first=True
-    )
+    shown = _timed_and_still(bench, Shown(model, tuple(captures), tuple(slow), {}), progress)
     if not with_gap:  # the route takes the whole difference of the directions as it is
         return shown
     if progress is not None and captures:
@@ -96,15 +96,13 @@ def shown_by_runs(
     return shown if gap is None else _beside_gap(bench, shown, gap, progress)
 
 
-def _timed_and_still(
-    bench: Bench, shown: Shown, progress: Progress | None, *, first: bool
-) -> Shown:
+def _timed_and_still(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
     """With the scale's age and the bed, each beside the other, where they are not known yet."""
     found = _timed(bench, shown, progress)
     swung = _on_its_bed(bench, found, progress)
     if swung is not found:
         swung = _timed(bench, swung, progress)  # what the bed hid
-    return _begun(swung) if first or swung is not shown else shown
+    return _begun(swung)
 
 
 def _timed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
@@ -146,7 +144,7 @@ def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress |
         moved = _moved(gap, anew.model, anew.left_um)
         if _LEAST_KEPT * gap.gap_m < moved.gap_m < _MOST_KEPT * gap.gap_m:
             loose, gap = anew.model, moved
-    found = _timed_and_still(bench, replace(shown, model=loose), progress, first=False)
+    found = _timed_and_still(bench, replace(shown, model=loose), progress)
     gap = _moved(gap, found.model, gap.with_um)
     own = [name for name in found.model.effects if name not in shown.model.effects]
     whole = {"effects": own, "values": dict(found.model.parameters)}
@@ -173,4 +171,17 @@ def made_with(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
 
 def shown_remarks(law: CompensationLaw) -> list[str]:
     """What was found beyond the model, for people."""
-    return [*scale_remarks(law), *bed_remarks(law), *clearance_remarks(law)]
+    said = [*scale_remarks(law), *bed_remarks(law), *clearance_remarks(law)]
+    return [*said, *_friction_remarks(law)]
+
+
+def _friction_remarks(law: CompensationLaw) -> list[str]:
+    """Friction that showed as soon as the gap was in the model."""
+    whole = law.provenance.get(_WHOLE, {"effects": []})
+    forms = [name for name in whole["effects"] if split_name(name)[0] in _FRICTION]
+    if not forms:
+        return []
+    return [
+        f"beside the gap the runs show friction that it hid ({', '.join(forms)}): the law is "
+        "computed with it, `pmac-comp diagnose` gives its figures"
+    ]

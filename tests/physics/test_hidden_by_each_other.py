@@ -4,22 +4,16 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.identify import identify
-from pmac_comp.simulator.closed_loop import closed_loop_capture
-from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
-from pmac_comp.workflow.campaigns import calibration_motions
+from tests.generators.identified import identified
 
 BENCH = load_bench("paper_x4")
 
 
 def shown(effects: PlantEffects, *, seed: int = 4) -> Shown:
     """What the calibration runs of a simulated drive show beyond the base model of them."""
-    plant = make_plant(BENCH, effects=effects, seed=seed)
-    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in calibration_motions(BENCH)]
-    model = identify(runs, BENCH).model
-    assert model is not None
+    runs, model = identified(BENCH, effects, seed)
     found = shown_by_runs(BENCH, model, runs, ())
     again = made_with(model, CompensationLaw(provenance=found.noted))
     assert set(again.effects) == set(found.model.effects)

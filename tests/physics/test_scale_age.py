@@ -3,8 +3,6 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify import identify
 from pmac_comp.physics.identify.scale_age import measured_scale_age
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -14,22 +12,14 @@ from pmac_comp.workflow import beyond_model
 from pmac_comp.workflow.campaigns import calibration_motions
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.late_scale import scale_age_s
+from tests.generators.identified import identified
 
 BENCH = load_bench("paper_x4")
 
 
-def identified(effects: PlantEffects, seed: int) -> tuple[list[Capture], DriveModel]:
-    """Calibration runs of a simulated drive and the base model of them."""
-    plant = make_plant(BENCH, effects=effects, seed=seed)
-    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in calibration_motions(BENCH)]
-    model = identify(runs, BENCH).model
-    assert model is not None
-    return runs, model
-
-
 @pytest.mark.parametrize("time_us", [5.0, -2.0])
 def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float) -> None:
-    runs, model = identified({"channel_skew": {"time_us": time_us}}, seed=7)
+    runs, model = identified(BENCH, {"channel_skew": {"time_us": time_us}}, seed=7)
     found = measured_scale_age(runs, BENCH, model)
     assert found is not None
     assert found.time_s == pytest.approx(1e-6 * time_us, abs=0.6e-6)
@@ -52,7 +42,7 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
     ids=["nothing", "viscous", "viscous_nonlinear", "chain_damping", "actuator_delay"],
 )
 def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> None:
-    runs, model = identified(effects, seed=3)
+    runs, model = identified(BENCH, effects, seed=3)
     assert measured_scale_age(runs, BENCH, model) is None
 
 
@@ -62,7 +52,7 @@ def test_the_law_leaves_alone_what_the_scale_alone_says(monkeypatch: pytest.Monk
     )  # its fit is not the point
     laws = []
     for effects in ({}, {"channel_skew": {"time_us": 5.0}}):
-        runs, model = identified(effects, seed=7)
+        runs, model = identified(BENCH, effects, seed=7)
         laws.append(compute_compensation(BENCH, model, route="law", captures=tuple(runs)).law)
     plain, late = laws
     # Taken for an error of the table, 5 us would be in it whole.

@@ -5,24 +5,11 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify import identify
 from pmac_comp.physics.identify.swinging_bed import measured_bed
-from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
-from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.campaigns import calibration_motions
+from tests.generators.identified import identified
 
 BENCH = load_bench("paper_x4")
-
-
-def identified(effects: PlantEffects, seed: int) -> tuple[list[Capture], DriveModel]:
-    """Calibration runs of a simulated drive and the base model of them."""
-    plant = make_plant(BENCH, effects=effects, seed=seed)
-    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in calibration_motions(BENCH)]
-    model = identify(runs, BENCH).model
-    assert model is not None
-    return runs, model
 
 
 @pytest.mark.parametrize(
@@ -37,7 +24,7 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
     frequency_Hz: float, ratio: float, beside: PlantEffects
 ) -> None:
     swings = {"frequency_Hz": frequency_Hz, "mass_ratio": ratio, "damping_ratio": 0.03}
-    runs, model = identified({"base_mode": swings, **beside}, seed=5)
+    runs, model = identified(BENCH, {"base_mode": swings, **beside}, seed=5)
     found = measured_bed(runs, BENCH, model)
     assert found is not None
     assert found.frequency_Hz == pytest.approx(frequency_Hz, rel=0.02)
@@ -52,12 +39,12 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
     ids=["nothing", "actuator_delay"],
 )
 def test_a_drive_on_a_still_bed_shows_none(effects: PlantEffects) -> None:
-    runs, model = identified(effects, seed=3)
+    runs, model = identified(BENCH, effects, seed=3)
     assert measured_bed(runs, BENCH, model) is None
 
 
 def test_samples_that_are_lost_do_not_hide_it() -> None:
-    runs, model = identified({"base_mode": {}}, seed=5)
+    runs, model = identified(BENCH, {"base_mode": {}}, seed=5)
     lost = []
     for run in runs:
         table = np.array(run.table_position_m)
