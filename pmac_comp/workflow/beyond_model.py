@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 _FRICTION = ("stribeck", "presliding")
-_WHOLE = "whole_model"  # of a law: all that was fitted beside the gap
+_WHOLE = "whole_model"  # of a law: all that the last fit has
 _LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave
 
 
@@ -88,12 +88,16 @@ def shown_by_runs(
         Called with a step and a fraction.
     """
     shown = _timed_and_still(bench, Shown(model, tuple(captures), tuple(slow), {}), progress)
-    if not with_gap:  # the route takes the whole difference of the directions as it is
+    if with_gap:  # else the route takes the whole difference of the directions as it is
+        if progress is not None and captures:
+            progress("looking for a gap in the nut", 0.0)
+        gap = found_clearance(bench, shown.model, shown.slow, shown.captures)
+        shown = shown if gap is None else _beside_gap(bench, shown, gap, progress)
+    if not shown.noted:
         return shown
-    if progress is not None and captures:
-        progress("looking for a gap in the nut", 0.0)
-    gap = found_clearance(bench, shown.model, shown.slow, shown.captures)
-    return shown if gap is None else _beside_gap(bench, shown, gap, progress)
+    own = [name for name in shown.model.effects if name not in model.effects]
+    whole = {"effects": own, "values": dict(shown.model.parameters)}
+    return replace(shown, noted={**shown.noted, _WHOLE: whole})
 
 
 def _timed_and_still(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
@@ -146,9 +150,7 @@ def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress |
             loose, gap = anew.model, moved
     found = _timed_and_still(bench, replace(shown, model=loose), progress)
     gap = _moved(gap, found.model, gap.with_um)
-    own = [name for name in found.model.effects if name not in shown.model.effects]
-    whole = {"effects": own, "values": dict(found.model.parameters)}
-    return replace(found, noted={**found.noted, **clearance_note(gap), _WHOLE: whole})
+    return replace(found, noted={**found.noted, **clearance_note(gap)})
 
 
 def _moved(gap: Clearance, model: "DriveModel", with_um: float) -> Clearance:

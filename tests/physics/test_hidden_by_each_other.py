@@ -6,7 +6,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
-from tests.generators.identified import identified
+from tests.physics.identified import identified
 
 BENCH = load_bench("paper_x4")
 

@@ -12,7 +12,7 @@ from pmac_comp.workflow import beyond_model
 from pmac_comp.workflow.campaigns import calibration_motions
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.late_scale import scale_age_s
-from tests.generators.identified import identified
+from tests.physics.identified import identified
 
 BENCH = load_bench("paper_x4")
 

@@ -7,7 +7,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
-from tests.generators.identified import identified
+from tests.physics.identified import identified
 
 BENCH = load_bench("paper_x4")
 

@@ -56,7 +56,7 @@ def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) ->
         None where the runs do not carry it.
     """
     trial = Trial(captures, bench)
-    best = trial.half(model, None)
+    best = trial.half(model, None, "all")  # not near yet: what hid the rest moved it as well
     if best is None or best.model is None:
         return None
     errors = trial.errors(best)
