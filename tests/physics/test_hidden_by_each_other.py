@@ -29,6 +29,7 @@ def test_stribeck_friction_behind_play_is_found() -> None:
     assert found["stribeck.speed_m_per_s"] == pytest.approx(4.3e-3, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_bed_that_swings_behind_play_is_found() -> None:
     swings = {"frequency_Hz": 25.0, "mass_ratio": 0.12}
     found = shown({"base_mode": swings, "backlash": {"gap_um": 2.0}})
