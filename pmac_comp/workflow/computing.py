@@ -7,6 +7,7 @@ law (``physics.compensate``), registers, conversations.
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,23 +170,12 @@ def _law_that_fits(
     progress: Progress | None,
 ) -> CompensationLaw:
     """Law of a route, for fewer passes than asked where those would take the whole processor."""
-
-    def designed(every_cycles: int, provenance: dict[str, Any]) -> CompensationLaw:
-        return dynamic_law(
-            bench,
-            model,
-            route,
-            captures,
-            every_cycles=every_cycles,
-            provenance=provenance,
-            progress=progress,
-        )
-
-    law = designed(every_cycles, provenance)
+    designed = partial(dynamic_law, bench, model, route, captures, progress=progress)
+    law = designed(every_cycles=every_cycles, provenance=provenance)
     fitting = fitting_cycles(bench, law)
     if route != "law" or fitting == every_cycles:
         return law
-    return designed(fitting, {**provenance, ASKED: every_cycles})
+    return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})
 
 
 def _for_motion(

@@ -403,7 +403,8 @@ def evaluate(
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     passed = np.abs(v) * p.S_INV
-    felt = _felt_of_bed(p, a, s, passed / (1.0 + passed))
+    share = passed / (1.0 + passed)
+    felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
     elastic = p.A0 * a + p.V0 * v + p.S0 * s + felt
     c = (1.0 + p.C1 * r) * elastic
@@ -412,7 +413,7 @@ def evaluate(
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank
         first = start.get("g", held)
-        flank = _towards(goal, passed / (1.0 + passed), first)
+        flank = _towards(goal, share, first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)
         c = c + p.GH * (lagged - held)
         q = q + p.TG * (flank - np.concatenate([[first], lagged[:-1]]))
