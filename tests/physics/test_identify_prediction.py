@@ -96,20 +96,22 @@ def test_damping_of_bristles_does_not_bend_the_other_parameters() -> None:
         assert abs(estimate.value - truth) < 4.0 * estimate.std, name
 
 
-def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction() -> None:
+@pytest.mark.parametrize("seed", [0, 4])
+def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) -> None:
     # Cogging and a joint that stiffens leave as much elsewhere as presliding does at reversals.
     effects = {
         "presliding": {"distance_um": 20.0, "place": "guide"},
         "axial_stiffness_nonlinear": {"preload_N": 1200.0},
         "cogging": {"amplitude_Nm": 0.05, "order_per_rev": 6.0},
     }
-    plant = make_plant(BENCH, effects=effects, seed=0)
+    plant = make_plant(BENCH, effects=effects, seed=seed)
     names = {"sine_low_end", "sine_middle", "sine_small", "sine_long", "move_long"}
     motions = [m for m in calibration_motions(BENCH) if m.name in names]
     runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
     found = identify_with_friction(runs, BENCH)
     assert found.model is not None
-    assert "presliding" in found.model.effects
+    # One half of the runs shows Stribeck friction in a corner, all of them nothing of it.
+    assert found.model.effects == ("coulomb", "viscous", "presliding")
     assert found.parameters["presliding.distance_m"].value == pytest.approx(20e-6, rel=0.2)
 
 

@@ -203,7 +203,7 @@ def identify_with_friction(
     best = _chosen(trial, base.model, errors, figures)
     final = None
     if best is not None and best.model is not None:
-        final = trial.settled(best.model)
+        final = _without_nothing(trial, trial.settled(best.model))
     if final is None or best is None:
         base = trial.plain(base)
         return replace(base, figures={**base.figures, **figures})
@@ -239,6 +239,14 @@ def _chosen(
     left = trial.errors(other)
     figures["held_out_gms_um"] = rms_um(left)
     return other if is_better(left, errors, _RATHER) else found
+
+
+def _without_nothing(trial: _FrictionTrial, final: Identification | None) -> Identification | None:
+    """The fit again without Stribeck friction of which all captures together leave nothing."""
+    excess = None if final is None else final.parameters.get("stribeck.excess_N")
+    if final is None or final.model is None or excess is None or excess.value > excess.std:
+        return final
+    return trial.settled(final.model.without_effect("stribeck")) or final
 
 
 def _set_in(

@@ -29,6 +29,7 @@ _SEGMENT_s = 0.8  # held out and fitted by turns
 _BLOCK_s = 0.4
 _GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
 _FEW_BLOCKS = 8
+_ALONE = 1.0  # standard errors more where table minus motor alone is to be clear
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,8 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
 
     Either in what they gain, or in the share of its own that each block gains: where a few blocks
     hold most of the misfit, as those with a reversal do, they also make most of the scatter, and
-    the first alone would call a misfit that falls to a fifth in nearly every block unclear.
+    the first alone would call a misfit that falls to a fifth in nearly every block unclear. Or in
+    table minus motor alone, by ``_ALONE`` more, where torque ripple makes most of the scatter.
     """
     if new.shape[0] < _FEW_BLOCKS:
         return False
@@ -135,8 +137,9 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
     both = old + new
     both[both == 0.0] = 1.0
     share = ((old - new) / both).sum(axis=1)
+    looks = ((gain, errors), (share, errors), (old[:, 0] - new[:, 0], errors + _ALONE))
     clear = any(
-        np.mean(found) > errors * np.std(found) / np.sqrt(found.size) for found in (gain, share)
+        np.mean(found) > least * np.std(found) / np.sqrt(found.size) for found, least in looks
     )
     return bool(clear and np.mean(gain) > _GAIN)
 

@@ -32,6 +32,19 @@ def test_chance_is_no_gain(seed: int) -> None:
     assert not is_better(new, old, 3.0)
 
 
+def test_torque_that_scatters_does_not_hide_a_clear_gain_of_table_minus_motor() -> None:
+    rng = np.random.default_rng(3)
+    old = rng.lognormal(0.0, 0.2, (39, 2))
+    torque = rng.permutation(old[:, 1])  # as large as before, block by block not
+    new = np.column_stack([old[:, 0] * rng.uniform(0.75, 1.05, 39), torque])
+    gain, share = (old - new) / old.mean(axis=0), (old - new) / (old + new)
+    for both in (gain.sum(axis=1), share.sum(axis=1)):
+        assert both.mean() < 3.0 * both.std() / np.sqrt(both.size)
+    assert is_better(new, old, 3.0)
+    new[:, 1] += 0.3 * old[:, 1].mean()  # a torque that gets worse by more is not outweighed
+    assert not is_better(new, old, 3.0)
+
+
 def test_small_gains_everywhere_do_not_outweigh_a_large_loss() -> None:
     old = blocks(1)
     new = 0.5 * old
