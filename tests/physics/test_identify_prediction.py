@@ -115,6 +115,25 @@ def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) 
     assert found.parameters["presliding.distance_m"].value == pytest.approx(20e-6, rel=0.2)
 
 
+def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> None:
+    # Around reversals the base model leaves no more than elsewhere by the ratio of Coulomb friction.
+    bench = load_bench("paper")
+    effects = {
+        "stribeck": {"excess_N": 25.0, "speed_m_per_s": 0.01},
+        "torque_ripple": {},
+        "lead_cyclic": {"amplitude_um": 3.0, "order_per_rev": 1.0},
+    }
+    plant = make_plant(bench, effects=effects, seed=0)
+    names = {"sine_low_end", "sine_middle", "sine_small", "sine_long", "move_long"}
+    motions = [m for m in calibration_motions(bench) if m.name in names]
+    runs = [closed_loop_capture(bench, plant, m.position_m) for m in motions]
+    found = identify_with_friction(runs, bench)
+    assert found.model is not None
+    assert found.model.effects == ("coulomb", "viscous", "stribeck")
+    assert found.parameters["stribeck.excess_N"].value == pytest.approx(25.0, rel=0.3)
+    assert found.parameters["stribeck.speed_m_per_s"].value == pytest.approx(0.01, rel=0.4)
+
+
 def _sharp(plant: BallscrewPlant, distance_m: float) -> BallscrewPlant:
     """Bristles everywhere that give way within a distance, a twentieth of critically damped."""
     par, turning = plant.par, distance_m / BENCH.lead_m_per_rad

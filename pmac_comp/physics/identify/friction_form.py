@@ -1,9 +1,8 @@
 """Which form of friction the captures themselves ask for.
 
-What lives here: Coulomb friction first, forms with presliding and Stribeck where the moments after
-reversals contradict it, and the choice between them on samples that were not fitted. What may not:
-how those are parted and judged (``trial``), causes other than friction (``diagnose`` names those).
-Imports this package.
+What lives here: Coulomb friction first, forms with presliding and Stribeck beside it, and the
+choice between them on samples that were not fitted. What may not: how those are parted and judged
+(``trial``), causes other than friction (``diagnose`` names those). Imports this package.
 
 Coulomb and viscous friction stay the base. A form is added only if it predicts the held-out samples
 of the same captures clearly better, and the result says so.
@@ -170,13 +169,13 @@ def identify_with_friction(
 ) -> Identification:
     """``identify``, with the form of friction chosen by what the captures show.
 
-    The base model is fitted first, to within the noise. Where it leaves clearly more around
-    reversals than elsewhere, or than the sensors' steps make, presliding at guide, nut and motor
-    with Stribeck friction is fitted to alternate stretches of the captures and judged, like the
-    base model, by table minus motor on the other stretches; then the same with memory at the guide.
-    Where nothing comes of it, Coulomb friction that sets in over some tenths of a micrometre is
-    tried in the same way. What is clearly better, without the parts that came out as nothing, is
-    fitted to everything. Otherwise the fit of the base model goes on to its end.
+    The base model is fitted first, to within the noise. Presliding at guide, nut and motor with
+    Stribeck friction is fitted to alternate stretches of the captures and judged, like the base
+    model, by table minus motor and torque on the other stretches; then the same with memory at the
+    guide. Where nothing comes of it, and the base model leaves clearly more around reversals than
+    elsewhere, or than the sensors' steps make, Coulomb friction that sets in over some tenths of a
+    micrometre is tried in the same way. What is clearly better, without the parts that came out as
+    nothing, is fitted to everything. Otherwise the fit of the base model goes on to its end.
 
     Parameters
     ----------
@@ -196,11 +195,13 @@ def identify_with_friction(
     """
     trial = _FrictionTrial(captures, bench, progress, executor)
     base = trial.outlined()
-    if base is None or base.model is None or not trial.suspects(base):
+    if base is None or base.model is None:
         return trial.plain(base)
     errors = trial.errors(base)
     figures = {"held_out_coulomb_um": rms_um(errors)}
     best = _chosen(trial, base.model, errors, figures)
+    if best is None and trial.suspects(base):
+        best = _set_in(trial, base.model, errors, figures)
     final = None
     if best is not None and best.model is not None:
         final = _without_nothing(trial, trial.settled(best.model))
@@ -220,10 +221,10 @@ def _chosen(
     """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
     found = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
     if found is None or not is_better(trial.errors(found), plain, _CLEARLY):
-        return _set_in(trial, base, plain, figures)
+        return None
     form = _form_of(found)
     if form.is_coulomb:
-        return _set_in(trial, base, plain, figures)
+        return None
     if not form.is_whole:
         # What came out as nothing is left out, from the start: it can hold the rest in a corner.
         found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
