@@ -84,12 +84,12 @@ def config_check(
     bench: BenchArgument,
     json_target: JsonOption = "",
 ) -> None:
-    """Check a bench file: keys, values, and whether its figures fit each other."""
+    """Check a bench file: keys, values, whether its figures fit each other and its gains ring."""
     from pmac_comp.files.bench import load_bench
-    from pmac_comp.workflow.bench_remarks import remarks
+    from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
 
     loaded = load_bench(bench)
-    found = remarks(loaded)
+    found = remarks(loaded) + loop_remarks(loaded)
 
     def show() -> None:
         output.echo(f"{bench}: no wrong keys or values")

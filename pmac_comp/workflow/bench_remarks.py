@@ -18,6 +18,7 @@ _RESONANCE_Hz = (5.0, 3000.0)
 _GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
 _DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
 _FULL_DAC = 32768.0
+_PEAK_OF_SENSITIVITY = 2.5  # 1.3 to 2 is usual (Aastroem and Murray, Feedback Systems, 10.3)
 _NO_LIMIT_Nm = 999.0  # benches without torque data state a limit that is never met
 
 
@@ -53,6 +54,30 @@ def remarks(bench: Bench) -> list[str]:
     if bench.controller.kind == "pmac" and bench.controller.ivariables.get("I8", 2.0) != 0.0:
         out.append("I8 is not 0: the route law will not run every servo cycle")
     return out + implausible(bench)
+
+
+def loop_remarks(bench: Bench) -> list[str]:
+    """Whether the gains of a bench file ring with its drive, at the ends or in the middle.
+
+    Compiles the drive's model at the first use.
+    """
+    from pmac_comp.physics.model.drive import DriveModel
+    from pmac_comp.physics.model.margin import sensitivity_peak
+
+    model = DriveModel.base(bench)
+    places_m = (bench.travel.min_mm / MM_PER_M, bench.mid_travel_m, bench.travel.max_mm / MM_PER_M)
+    peaks = [(sensitivity_peak(model, place_m), place_m) for place_m in places_m]
+    peak, place_m = max(peaks, key=lambda pair: pair[0].value)
+    if peak.value <= _PEAK_OF_SENSITIVITY:
+        return []
+    where = f"{peak.frequency_Hz:.0f} Hz, at {place_m * MM_PER_M:g} mm of the travel"
+    check = "lower the gains, or check stiffnesses, inertias, mass and actuator_delay_us"
+    if math.isinf(peak.value):
+        return [f"with these gains the loop of this drive is unstable ({where}): {check}"]
+    return [
+        f"with these gains the loop of this drive rings: what disturbs it comes through "
+        f"{peak.value:.1f} times ({where}; 2 is usual): {check}"
+    ]
 
 
 def implausible(bench: Bench) -> list[str]:

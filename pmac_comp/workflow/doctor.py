@@ -10,7 +10,7 @@ from pmac_comp import __version__
 from pmac_comp.base.errors import FlashSuspect, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.resources import data_folder
-from pmac_comp.workflow.bench_remarks import remarks
+from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
 
 if TYPE_CHECKING:
     from pmac_comp.workflow.axis import Axis
@@ -46,6 +46,7 @@ def examine(
     findings += [Finding("note", "bench file", line) for line in remarks(loaded)]
     if compile_kernels:
         findings += list(_compiled(loaded, progress))
+        findings += [Finding("note", "bench file", line) for line in loop_remarks(loaded)]
     if url:
         findings += list(_controller(url, loaded, backup))
     return findings

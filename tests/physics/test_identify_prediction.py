@@ -116,7 +116,7 @@ def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) 
 
 
 def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> None:
-    # Around reversals the base model leaves no more than elsewhere by the ratio of Coulomb friction.
+    # Around reversals the base model leaves no more over elsewhere than Coulomb friction would.
     bench = load_bench("paper")
     effects = {
         "stribeck": {"excess_N": 25.0, "speed_m_per_s": 0.01},

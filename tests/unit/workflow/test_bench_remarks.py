@@ -3,7 +3,7 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench, parse_bench
-from pmac_comp.workflow.bench_remarks import implausible, remarks
+from pmac_comp.workflow.bench_remarks import implausible, loop_remarks, remarks
 
 TEXT = load_bench("paper").text
 
@@ -30,3 +30,25 @@ def test_existing_benches_are_plausible(name):
 def test_a_value_in_another_unit_is_remarked_on(old, new, said):
     assert old in TEXT
     assert said in " ".join(remarks(parse_bench(TEXT.replace(old, new, 1))))
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_x4", "emps"])
+def test_gains_of_existing_benches_do_not_ring(name):
+    assert loop_remarks(load_bench(name)) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("I130 = 34862", "I130 = 69724", "rings"),  # twice: 4 times at 157 Hz, as a step shows
+        ("I131 = 2774", "I131 = 8322", "rings"),
+        ("I130 = 34862", "I130 = 139448", "unstable"),
+        ("actuator_delay_us = 442.0", "actuator_delay_us = 1400.0", "unstable"),
+    ],
+)
+def test_gains_that_ring_are_remarked_on(old, new, said):
+    text = load_bench("paper_x4").text
+    assert old in text
+    (line,) = loop_remarks(parse_bench(text.replace(old, new, 1)))
+    assert said in line
+    assert "mm of the travel" in line
