@@ -338,6 +338,10 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
         out["taken up with a lag of ms"] = law.gap_lag_s * 1e3
+    if law.has_stribeck:
+        out["friction at rest beyond that um (each side)"] = law.stribeck_m * UM_PER_M
+        out["friction torque at rest beyond that Nm"] = law.torque_stribeck_Nm
+        out["fades with the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M
     if law.bed_share > 0.0:
         out["bed that swings, its share of the acceleration %"] = 100.0 * law.bed_share
         out["bed that swings Hz"] = math.sqrt(law.bed_stiffness_per_s2) / (2.0 * math.pi)

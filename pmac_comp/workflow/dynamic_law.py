@@ -21,6 +21,7 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import (
     LoopRunner,
     NutGap,
+    Stribeck,
     SwungBed,
     constant_load_N,
     design_law,
@@ -92,6 +93,7 @@ def dynamic_law(
             every_cycles=every_cycles,
             gap=nut_gap(model),
             bed=swung_bed(model),
+            stribeck=stribeck_friction(model),
             load_Nm=load_torque_Nm(model),
             provenance={**(provenance or {}), **noted},
             progress=progress,
@@ -222,6 +224,22 @@ def swung_bed(model: "DriveModel") -> SwungBed | None:
         damping_per_s=(1.0 - share) * 2.0 * own["damping_ratio"] * omega,
         stiffness_per_s2=(1.0 - share) * omega**2,
         torque_Nm_s2_per_m=model.kernel_vector()[slots.M_TABLE] * model.bench.lead_m_per_rad,
+    )
+
+
+def stribeck_friction(model: "DriveModel") -> Stribeck | None:
+    """Friction of a model that is higher near standstill; None without it."""
+    if "stribeck.speed_m_per_s" not in model.parameters:
+        return None
+    own = model.values_of("stribeck")
+    guide_N, excess_N = model.parameters["coulomb.guide_N"], own.get("excess_N", 0.0)
+    torque_Nm = own.get("excess_Nm", 0.0) + excess_N * model.bench.lead_m_per_rad
+    if torque_Nm <= 0.0:
+        return None
+    return Stribeck(
+        guide_frac=excess_N / guide_N if guide_N > 0.0 else 0.0,
+        torque_Nm=torque_Nm,
+        speed_m_per_s=own["speed_m_per_s"],
     )
 
 

@@ -60,6 +60,7 @@ def _cost_us(bench: Bench, law: CompensationLaw) -> float:
         per_turn=law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
         gap=law.gap_half_m > 0.0,
         bed=law.bed_share > 0.0,
+        stribeck=law.has_stribeck,
     )
 
 

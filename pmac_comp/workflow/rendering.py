@@ -72,6 +72,9 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         BS=zero * law.inertia_s2 * law.bed_share / T**2,
         BD=law.bed_damping_per_s * pass_s,
         BO=law.bed_stiffness_per_s2 * pass_s**2,
+        SX=zero * law.stribeck_m * K,
+        TX=law.torque_stribeck_Nm / q,
+        SS=1.0 / (law.stribeck_speed_m_per_s * pass_s * K) if law.has_stribeck else 0.0,
         BT=_per_correction(law.torque_bed_Nm_s2_per_m / q, zero * law.inertia_s2 * K),
     )
 

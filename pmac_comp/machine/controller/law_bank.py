@@ -19,10 +19,12 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
     70..79  manifest of the last upload     80..85  lease, guard, number of the last change
             (``manifest`` and ``lease`` have the meaning)
-    86..88    bed that swings: b, its speed and place, of both forms
-    100..129  working variables of the PLC 0 form, 130..159 of the open servo
-    160..189  working copy of the bank in use (PLC 0 form), with 89, 138, 198 and 199
-    190..193  rest of bank 0           194..197  rest of bank 1
+    86..92  rest of bank 0   93..99  rest of bank 1
+    100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
+              form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place) and
+              140..148 (copy of the bank's rest), the open servo 117..129 (127..129 bed)
+    160..189  working copy of the bank in use (PLC 0 form)
+    190..199  parameters of the motion and homing programs, no part of the law
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
@@ -36,16 +38,17 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     y = BS a + BD y1 + BO y2                              bed that swings: its acceleration, speed
     y1 = y1 - y          y2 = y2 + y1                     and place, in passes and by the correction
     b = (b - h y) / (1 + h)                               what the table feels of it, but
-        between -y - S0 (1 + s) and -y + S0 (1 - s)
-    e = A0 a + V0 v + S0 s + b
+        between -y - B0 (1 + s) and -y + B0 (1 - s)     B0 = S0 + SX
+    z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction
+    e = A0 a + V0 v + (S0 + SX w) s + b
     f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK j + TB v + (TC + TE |a| + TR sin(NR p + PR)) t + T0 + TH sin(NH p + PH)
-        + TG (g - l) + BT b
+    q = TJ a + TK j + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
+        + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -70,15 +73,15 @@ from pmac_comp.machine.controller.numbers import nine_digits
 SIGNATURE_PLC: Final = 20261
 SIGNATURE_SERVO: Final = 20262
 SEAL: Final = 20261
-BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands behind the working copy
-REST_SIZE: Final = 4
+BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands elsewhere
+REST_SIZE: Final = 7
 BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
-_LAYOUT: Final = 4  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 5  # of a bank: the checksum begins with it, so that another layout's does not fit
 _CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE", "BS")  # nothing without a jerk limit
@@ -101,11 +104,12 @@ class Index(IntEnum):
     MANIFEST = 70
     LEASE = 80
     CHANGE = 85  # number of the last change: positive under way, negative ended, 0 none
-    BED = 86
+    RESTS = 86
     WORK_PLC = 100
+    BED_SERVO = 127
     WORK_SERVO = 130
+    BED_PLC = 131
     COPY = 160
-    RESTS = 190
 
 
 class WorkIndex(IntEnum):
@@ -164,6 +168,9 @@ class BankIndex(IntEnum):
     BD = 31  # 1/pass, damping of the bed
     BO = 32  # 1/pass^2, stiffness of the bed
     BT = 33  # DAC units per count, torque of the table's mass
+    SX = 34  # counts, friction at rest beyond S0
+    TX = 35  # DAC units, friction torque at rest beyond TC
+    SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
 
 
 @dataclass(frozen=True)
@@ -262,12 +269,15 @@ class LawParameters:
     BD: float = 0.0
     BO: float = 0.0
     BT: float = 0.0
+    SX: float = 0.0
+    TX: float = 0.0
+    SS: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BS", "BD", "BO")
+        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BS", "BD", "BO", "SX", "TX", "SS")
         negative = [n for n in sizes if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
@@ -345,7 +355,8 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        names = ("A0", "V0", "S0", "J0", "TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT")
+        torque = ("TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX")
+        names = ("A0", "V0", "S0", "J0", "SX", *torque)
         return all(getattr(self, name) == 0.0 for name in names)
 
 
@@ -399,14 +410,16 @@ def evaluate(
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
     t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), p.RF)
     angle = r + p.L1 * v
-    level = p.TC + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
+    slowness = (way * p.SS) ** 2
+    slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
+    level = p.TC + p.TX * slow + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
-    elastic = p.A0 * a + p.V0 * v + p.S0 * s + felt
+    elastic = p.A0 * a + p.V0 * v + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:
         foreseen = p.GB + elastic + p.L1 * (p.A0 * j + p.V0 * a)
@@ -432,14 +445,15 @@ def _felt_of_bed(
     if p.BS == 0.0:
         return np.zeros_like(acceleration)
     felt = np.empty_like(acceleration)
+    breaks = p.S0 + p.SX
     speed = place = value = 0.0
     for k in range(acceleration.size):
         swing = -(p.BS * acceleration[k] + p.BD * speed + p.BO * place)
         speed += swing
         place += speed
         value += share[k] * (swing - value)
-        free = swing - p.S0 * friction[k]
-        value = min(max(value, free - p.S0), free + p.S0)
+        free = swing - breaks * friction[k]
+        value = min(max(value, free - breaks), free + breaks)
         felt[k] = value
     return felt
 

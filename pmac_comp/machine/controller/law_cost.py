@@ -12,16 +12,19 @@ def operation_count(
     per_turn: bool = True,
     gap: bool = True,
     bed: bool = True,
+    stribeck: bool = True,
 ) -> int:
     """Interpreted operations of one pass of PLC 0: operators, functions, stores and tests.
 
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
-    a law with or without torque per turn, the gap of a nut, a bed that swings.
+    a law with or without torque per turn, the gap of a nut, a bed that swings,
+    Stribeck friction.
     """
     body = lines if lines is not None else law_program(LawBlock(), 1).lines
     skipped = set(_SKIPPED)
     skipped |= set() if gap else {"IF(P7186>0)"}
-    skipped |= set() if bed else {"IF(P7089>0)"}
+    skipped |= set() if bed else {"IF(P7140>0)"}
+    skipped |= set() if stribeck else {"IF(P7146>0)"}
     skipped |= set() if per_turn else {"IF(P7188>0)"}
     return sum(_operations(line) for line in _pass(body, skipped))
 
@@ -33,7 +36,7 @@ _SKIPPED = (
     "IF(P7115=0)",
     "IF(P7127>0)",
     "IF(ABS(P7118)>P7174)",
-    "IF(ABS(P7086-P7121)>P7164)",
+    "IF(ABS(P7131-P7121)>P7147)",
     "IF(ABS(P7122)>P7004)",
     "IF(ABS(P7124)>P7181)",
     "IF(P7005!<0)",
@@ -68,7 +71,13 @@ def _operations(line: str) -> int:
 
 
 def law_cost_us(
-    cpu_clock_MHz: float, *, per_turn: bool = True, gap: bool = True, bed: bool = True
+    cpu_clock_MHz: float,
+    *,
+    per_turn: bool = True,
+    gap: bool = True,
+    bed: bool = True,
+    stribeck: bool = True,
 ) -> float:
     """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual)."""
-    return 3.0 * 80.0 / cpu_clock_MHz * operation_count(per_turn=per_turn, gap=gap, bed=bed)
+    n = operation_count(per_turn=per_turn, gap=gap, bed=bed, stribeck=stribeck)
+    return 3.0 * 80.0 / cpu_clock_MHz * n

@@ -92,11 +92,12 @@ class LawHead:
 def read_law_head(link: Link, block: LawBlock) -> LawHead:
     """Head and outputs in one question."""
     first, work = block.p(0), block.p(Index.WORK_PLC)
-    servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED)
+    servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED_SERVO)
     lines = link.query(f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{bed}")
     values = [float(v) for v in lines]
     head, plc, own = values[:10], values[10:24], values[24:38]
-    running = own if int(head[0]) == SIGNATURE_SERVO else plc
+    in_servo = int(head[0]) == SIGNATURE_SERVO
+    running = own if in_servo else plc
     live = int(running[WorkIndex.LIVE])
     return LawHead(
         signature=int(head[Index.SIGNATURE]),
@@ -114,7 +115,7 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         position_ct=running[WorkIndex.POSITION],
         friction_state=running[WorkIndex.STATE],
         flank_state=running[WorkIndex.FLANK],
-        bed_state=values[-1],
+        bed_state=values[-1] if in_servo else own[Index.BED_PLC - Index.WORK_SERVO],
     )
 
 

@@ -96,6 +96,8 @@ _TORQUE_SCALES = {
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
+_STRIBECK_SCALES = {"stribeck_m": 0.5e-6, "stribeck_speed_m_per_s": 5e-3}
+_STRIBECK_TORQUE_SCALES = {"torque_stribeck_Nm": 0.05}
 _BED_TORQUE_SCALES = {"torque_bed_Nm_s2_per_m": 0.02}
 _LOWEST = {
     "breakaway_m": 0.5e-6,
@@ -104,6 +106,9 @@ _LOWEST = {
     "gap_half_m": 0.0,
     "gap_width_m": _LEAST_WIDTH_m,
     "gap_lag_s": 0.0,
+    "stribeck_m": 0.0,
+    "torque_stribeck_Nm": 0.0,
+    "stribeck_speed_m_per_s": 1e-3,
 }
 
 
@@ -174,6 +179,25 @@ class SwungBed:
     damping_per_s: float
     stiffness_per_s2: float
     torque_Nm_s2_per_m: float
+
+
+@dataclass(frozen=True)
+class Stribeck:
+    """Friction that is higher near standstill.
+
+    Parameters
+    ----------
+    guide_frac : float
+        At the guide, what it has at rest beyond its level in motion, as a share of that.
+    torque_Nm : float
+        The same of all friction, at the motor.
+    speed_m_per_s : float
+        Speed at which 1/e of it is left.
+    """
+
+    guide_frac: float
+    torque_Nm: float
+    speed_m_per_s: float
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
@@ -300,6 +324,7 @@ def design_law(
     every_cycles: int = 1,
     gap: NutGap | None = None,
     bed: SwungBed | None = None,
+    stribeck: Stribeck | None = None,
     load_Nm: float = 0.0,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
@@ -325,6 +350,8 @@ def design_law(
         Clearance of the nut.
     bed : SwungBed, optional
         Bed that swings.
+    stribeck : Stribeck, optional
+        Friction that is higher near standstill.
     load_Nm : float
         Torque that holds the constant load of the model: a law with torque sends it.
     motions : sequence of Trajectory, optional
@@ -361,6 +388,8 @@ def design_law(
         start = _taking_up(gap, start)
     if bed is not None:
         start = _swinging(bed, start)
+    if stribeck is not None:
+        start = _gripping_slow(stribeck, start)
     law = _refined(start, loop, chosen, latency_cycles, progress)
     if gap is not None and gap.edge_m_per_s2 == 0.0:
         law = replace(law, gap_width_m=_SHARPENED_FRAC * law.gap_width_m)
@@ -389,6 +418,15 @@ def _swinging(bed: SwungBed, law: CompensationLaw) -> CompensationLaw:
         bed_damping_per_s=bed.damping_per_s,
         bed_stiffness_per_s2=bed.stiffness_per_s2,
         torque_bed_Nm_s2_per_m=bed.torque_Nm_s2_per_m if law.torque_limit_Nm > 0.0 else 0.0,
+    )
+
+
+def _gripping_slow(stribeck: Stribeck, law: CompensationLaw) -> CompensationLaw:
+    return replace(
+        law,
+        stribeck_m=stribeck.guide_frac * abs(law.coulomb_m),
+        torque_stribeck_Nm=stribeck.torque_Nm if law.torque_limit_Nm > 0.0 else 0.0,
+        stribeck_speed_m_per_s=stribeck.speed_m_per_s,
     )
 
 
@@ -511,6 +549,8 @@ def _refined(
         lower["coulomb_m"] = LEAST_COULOMB_m
     if start.bed_share > 0.0 and has_torque:
         scales |= _BED_TORQUE_SCALES
+    if start.has_stribeck:
+        scales |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})
     names = list(scales)
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size

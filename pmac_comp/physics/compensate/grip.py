@@ -20,7 +20,7 @@ from scipy.signal import butter, sosfiltfilt
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
-from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_levels, friction_state
 from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 from pmac_comp.physics.model.effect import split_name
 
@@ -126,9 +126,10 @@ def _missing_Nm(
         return np.zeros(capture.n)
     period = capture.sample_period_s
     way = _speed(capture.motor_position_m, period)
-    start = state_at_start(capture, law.torque_coulomb_Nm)
+    start = state_at_start(capture, law.breaks_loose_Nm)
     states = [friction_state(way, distance, period, start) for distance in (model_m, drive_m)]
-    return np.asarray(law.torque_coulomb_Nm * (states[0] - states[1]))
+    _, friction_Nm = friction_levels(law, way)
+    return np.asarray(friction_Nm * (states[0] - states[1]))
 
 
 def _speed(position_m: FloatArray, period_s: float) -> FloatArray:

@@ -12,14 +12,15 @@ the distance from the law's origin::
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
     y" = -M a - D y' - O y                              acceleration of the bed that swings
     b' = |v| (y" - b) / break-away distance             what the table feels of it
-    e  = A0 (a + b) + V0 v + S0 s                       elastic, as the force in the nut
+    w  = 1 / (1 + q + q^2/2),  q = (p' / VS)^2           what speed leaves of Stribeck friction
+    e  = A0 (a + b) + V0 v + (S0 + SS w) s              elastic, as the force in the nut
     f  = B + e + L (A0 j + V0 a)                        with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK j + TB v + (TC + TE |a| + TR sin(m q + PR)) t + T0 + TH sin(n q + PH)
-             + TG (g - h) + TY b                        added to the output
+    torque = TJ a + TK j + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t + T0
+             + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
@@ -66,7 +67,7 @@ acceleration as its own (ballscrew facts 3): positions are relative to the bed. 
 on a spring, driven by the commanded acceleration; M is its share of that, TY the torque of the
 table's mass. As the command comes to rest the guide holds the table against the bed, as far as its
 friction reaches: ``b`` follows the way of the command as the friction states do, and where that is
-not enough stays between ``y" - (1 + s) S0/A0`` and ``y" + (1 - s) S0/A0``.
+not enough stays between ``y" - (1 + s) R`` and ``y" + (1 - s) R``, with R = (S0 + SS)/A0.
 
 The motor needs time for the crossing: the correction takes the gap up with a lag M, as the drive
 does. While it crosses, nut and table have parted, and the torque that is meant to accelerate both
@@ -76,7 +77,7 @@ and 4 um of play both together leave six tenths of e_r in sinusoids and three qu
 
 import math
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
@@ -90,6 +91,7 @@ UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
 _STILL_m = 1e-12  # of a cycle: a card's register of the commanded position has coarser steps
+_Speed = TypeVar("_Speed", float, FloatArray)
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 
 
@@ -123,6 +125,8 @@ class CompensationLaw:
         TR, m and PR: friction that changes m times per turn.
     ripple_Nm, ripple_order, ripple_phase_rad : float
         TH, n, PH: cogging, the strongest order of it.
+    stribeck_m, torque_stribeck_Nm, stribeck_speed_m_per_s : float
+        SS, TS and VS: friction at rest beyond that in motion, and the speed that takes it away.
     bed_share, bed_damping_per_s, bed_stiffness_per_s2 : float
         M, D and O of a bed that swings; without a share there is none.
     torque_bed_Nm_s2_per_m : float
@@ -173,6 +177,9 @@ class CompensationLaw:
     gap_lag_s: float = 0.0
     gap_torque_Nm: float = 0.0
     gap_load_m: float = 0.0
+    stribeck_m: float = 0.0
+    torque_stribeck_Nm: float = 0.0
+    stribeck_speed_m_per_s: float = 0.01
     bed_share: float = 0.0
     bed_damping_per_s: float = 0.0
     bed_stiffness_per_s2: float = 0.0
@@ -190,7 +197,7 @@ class CompensationLaw:
         finite_array("law coefficients", [getattr(self, name) for name in coefficient_names()])
         small = [
             name
-            for name in ("breakaway_m", "torque_breakaway_m", "turn_m")
+            for name in ("breakaway_m", "torque_breakaway_m", "turn_m", "stribeck_speed_m_per_s")
             if getattr(self, name) <= 0.0
         ]
         if not 1 <= self.every_cycles <= _MOST_CYCLES:
@@ -209,7 +216,8 @@ class CompensationLaw:
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
-        not_negative = ("rest_fade_per_s", "bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
+        bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
+        not_negative = ("rest_fade_per_s", "stribeck_m", "torque_stribeck_Nm", *bed)
         small += [name for name in not_negative if getattr(self, name) < 0.0]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
@@ -233,7 +241,17 @@ class CompensationLaw:
         swung = 1.0 + 2.0 * self.bed_share
         fast = swung * abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
         fast += abs(self.viscous_s) * self.valid_speed_m_per_s
-        return fast + abs(self.coulomb_m) + self.gap_half_m
+        return fast + abs(self.coulomb_m) + self.stribeck_m + self.gap_half_m
+
+    @property
+    def breaks_loose_Nm(self) -> float:
+        """Torque that friction holds at rest."""
+        return self.torque_coulomb_Nm + self.torque_stribeck_Nm
+
+    @property
+    def has_stribeck(self) -> bool:
+        """Whether friction is higher near standstill."""
+        return max(self.stribeck_m, self.torque_stribeck_Nm) > 0.0
 
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""
@@ -251,6 +269,7 @@ TORQUE_NAMES = (
     "turn_friction_Nm",
     "ripple_Nm",
     "gap_torque_Nm",
+    "torque_stribeck_Nm",
     "torque_bed_Nm_s2_per_m",
 )
 
@@ -332,6 +351,17 @@ def evaluate_law(
     )
 
 
+def friction_levels(
+    law: CompensationLaw, speed_m_per_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Friction of a law at speeds, shape (n,): its elastic error in m and its torque in N m."""
+    slow = _slow_share(speed_m_per_s / law.stribeck_speed_m_per_s)
+    return (
+        law.coulomb_m + law.stribeck_m * slow,
+        law.torque_coulomb_Nm + law.torque_stribeck_Nm * slow,
+    )
+
+
 def friction_state(
     speed_m_per_s: FloatArray, breakaway_m: float, period_s: float, start: float = 0.0
 ) -> FloatArray:
@@ -361,12 +391,24 @@ def _flank(force: float, width: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _taken_over(
-    state: float, wound: float, beyond: float, torque_coulomb: float
-) -> tuple[float, float]:
+def _taken_over(state: float, wound: float, beyond: float, breaks_Nm: float) -> tuple[float, float]:
     """Friction state as the output held it over a rest, and the rest of the torque it winds."""
-    stands = min(max(state + (beyond + wound) / torque_coulomb, -1.0), 1.0)
-    return stands, wound + torque_coulomb * (state - stands)
+    stands = min(max(state + (beyond + wound) / breaks_Nm, -1.0), 1.0)
+    return stands, wound + breaks_Nm * (state - stands)
+
+
+@njit(cache=True, nogil=True)
+def _slow_share(speed: _Speed) -> _Speed:
+    """Share of Stribeck friction at a speed over its own: exp(-speed^2), its series inverted."""
+    square = speed * speed
+    return 1.0 / (1.0 + square * (1.0 + 0.5 * square))
+
+
+@njit(cache=True, nogil=True)
+def _by_turn(p: FloatArray, place: float) -> tuple[float, float]:
+    """Friction and cogging by the turn at a place; ``p`` is turn, TR, m, PR, TH, n, PH."""
+    angle = 2.0 * math.pi * place / p[0]
+    return p[1] * math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
 
 
 @njit(cache=True, nogil=True)
@@ -422,15 +464,14 @@ def _evaluate(
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
     torque_constant, torque_breakaway, rest_fade = p[12:15]
-    turn, turn_friction, turn_order, turn_phase, ripple, ripple_order, ripple_phase = p[15:22]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load = p[22:27]
-    bed_share, torque_bed, origin = p[27], p[30], p[31]
-    n = r.size
-    seen = output.size == n
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[22:30]
+    bed_share, torque_bed, origin = p[30], p[33], p[34]
+    n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
-    most = coulomb / inertia if inertia > 0.0 else math.inf
+    most, breaks = coulomb + stribeck, torque_coulomb + torque_stribeck
+    most = most / inertia if inertia > 0.0 else math.inf
     ahead = r[0]
     for k in range(n):
         v1, v = v, (r[k] - r[k - 1]) / period if k > 0 else 0.0
@@ -446,23 +487,23 @@ def _evaluate(
                 t *= 1.0 - rest_fade * period
                 s *= 1.0 - UNWIND_PER_CYCLE * every
         else:
-            if seen and rest >= REST_CYCLES and torque_coulomb > 0.0:
-                t, wound = _taken_over(t, wound, beyond, torque_coulomb)
+            if seen and rest >= REST_CYCLES and breaks > 0.0:
+                t, wound = _taken_over(t, wound, beyond, breaks)
             rest = 0.0
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        angle = 2.0 * math.pi * (r[k] + lookahead * v) / turn
-        wave = turn_friction * math.sin(turn_order * angle + turn_phase)
+        wave, cogging = _by_turn(p[15:22], r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * j + torque_viscous * v
-        sent += (torque_coulomb + torque_load * abs(a) + wave) * t + torque_constant + wound
-        sent += ripple * math.sin(ripple_order * angle + ripple_phase)
+        slow = _slow_share(step / period / fading)
+        level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
+        sent += level * t + torque_constant + wound + cogging
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(p[27:30], a, bed_speed, bed, period)
+            swing, bed_speed, bed = _swung(p[30:33], a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
-        e = inertia * (a + felt) + viscous * v + coulomb * s
+        e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
             f = gap_load + e + lookahead * (inertia * j + viscous * a)

@@ -18,7 +18,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import settled
 from pmac_comp.physics.compensate.design import LEAST_COULOMB_m, LoopRunner
 from pmac_comp.physics.compensate.grip import DISTANCES_m, gripping_torque
-from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.law import CompensationLaw, friction_levels, friction_state
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 
@@ -102,7 +102,7 @@ def _run(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap
     rest = measured - simulated - (0.0 if lead is None else lead.at(r))
     use = settled(capture) if law.gap_half_m > 0.0 else capture.mask
     motor = signals.motor_position_m
-    start = state_at_start(capture, law.torque_coulomb_Nm)
+    start = state_at_start(capture, law.breaks_loose_Nm)
     return _Run(motor, rest[use] - rest[use].mean(), use, capture.sample_period_s, start)
 
 
@@ -120,9 +120,10 @@ def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit
         s = friction_state(v, breakaway_m, run.period_s, run.start)
         own = friction_state(v, law.breakaway_m, run.period_s, run.start)
         along = 1.0 + law.compliance_slope_per_m * x
-        elastic = law.inertia_s2 * a + law.viscous_s * v + law.coulomb_m * s
+        friction_m, _ = friction_levels(law, v)
+        elastic = law.inertia_s2 * a + law.viscous_s * v + friction_m * s
         terms = np.column_stack([along * a, along * v, along * s, x * elastic])[run.use]
-        rest = run.rest_m - (along * law.coulomb_m * (own - s))[run.use]
+        rest = run.rest_m - (along * friction_m * (own - s))[run.use]
         columns.append(terms - terms.mean(axis=0))
         rests.append(rest - rest.mean())
     matrix, rest = np.concatenate(columns), np.concatenate(rests)

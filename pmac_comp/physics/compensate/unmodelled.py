@@ -187,7 +187,8 @@ def open_at_rest_um(law: CompensationLaw, position_m: FloatArray) -> float:
     stands; shape (n,).
     """
     rests = np.diff(position_m, prepend=position_m[0]) == 0.0
-    return abs(law.coulomb_m) / math.sqrt(3.0) * math.sqrt(float(np.mean(rests))) * UM_PER_M
+    holds_um = (abs(law.coulomb_m) + law.stribeck_m) * UM_PER_M
+    return holds_um / math.sqrt(3.0) * math.sqrt(float(np.mean(rests)))
 
 
 def widened(

@@ -102,7 +102,7 @@ LAW = LawParameters(
     A0=11.3, V0=0.0087, S0=0.93, RF=0.004, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
-    BS=1.4, BD=0.003, BO=0.004, BT=45.0,
+    BS=1.4, BD=0.003, BO=0.004, BT=45.0, SX=0.8, TX=150.0, SS=0.13,
 )  # fmt: skip
 
 
@@ -305,13 +305,14 @@ def test_cost_of_the_law_is_counted() -> None:
     assert law_cost.law_cost_us(80.0) == pytest.approx(3.0 * operations)
     assert law_cost.law_cost_us(160.0) == pytest.approx(1.5 * operations)
     # What a law does not have is passed over, at the price of a test.
-    plain = law_cost.operation_count(per_turn=False, gap=False, bed=False)
-    assert plain < 0.7 * operations
-    for lacks in ("per_turn", "gap", "bed"):
+    plain = law_cost.operation_count(per_turn=False, gap=False, bed=False, stribeck=False)
+    assert plain < 0.6 * operations
+    for lacks in ("per_turn", "gap", "bed", "stribeck"):
         assert plain < law_cost.operation_count(**{lacks: False}) < operations
-    # What may come together fits into a servo period, all but a gap on a bed that swings.
-    assert law_cost.law_cost_us(80.0, bed=False) < 442.0
-    assert law_cost.law_cost_us(80.0, gap=False) < 442.0
+    # Each of them fits into a servo period with torque by the turn, no two of the others together.
+    assert law_cost.law_cost_us(80.0, bed=False, stribeck=False) < 442.0
+    assert law_cost.law_cost_us(80.0, gap=False, stribeck=False) < 442.0
+    assert law_cost.law_cost_us(80.0, bed=False, gap=False) < 442.0
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
