@@ -1,5 +1,6 @@
 """Every file of firmware_plc on the simulated card: downloaded, listed back, executed."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.gather_plan import GatherPlan, GatherSource, bench_sources
 from pmac_comp.machine.controller.gather_samples import GatherResult
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
+from pmac_comp.machine.controller.law_bank import BankIndex, LawBlock, LawParameters, evaluate
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
     AXIS_LINES,
@@ -283,6 +284,31 @@ def test_motion_files_run_and_come_back(tmp_path: Path, name: str) -> None:
     assert highest == pytest.approx(expected[name], rel=0.02)
     bench.clock.sleep_s(0.3)
     assert abs(float(bench.link.query("#1P")[0])) < 20
+
+
+def variables_of(name: str) -> set[int]:
+    """Variables of the block that a firmware file's statements name, parameters included."""
+    text = firmware_path(name).read_text(encoding="utf-8")
+    lines = (line.partition(";")[0] for line in text.splitlines())
+    return {int(n) for line in lines for n in re.findall(r"(?<![A-Z])P(7[01]\d\d)\b", line)}
+
+
+def test_motions_and_homing_share_no_variable_with_the_law() -> None:
+    # A sinusoid that ran beside an armed law used to overwrite its bed, homing its bank.
+    moving = variables_of("homing.plc")
+    for name in ("motion_sine.pmc", "motion_trapezoid.pmc", "motion_pvt.pmc"):
+        moving |= variables_of(name)
+    law = variables_of("feedforward_law.plc0") | variables_of("feedforward_servo.txt")
+    block = LawBlock()
+    last = max(BankIndex)
+    law |= {block.bank(bank, k) for bank in (0, 1) for k in range(last + 1)}
+    assert len(law) > 100
+    assert min(moving) == 7190
+    assert not moving & law
+    kept = {block.bank(bank, k) for bank in (0, 1) for k in range(last + 1)}
+    assert len(kept) == 2 * (last + 1)  # no two values of the banks in one place
+    written = {7000 + n for n in (*range(70, 86), *range(10))}
+    assert not kept & written  # manifest, lease and head
 
 
 def test_files_move_to_another_block_and_motor() -> None:

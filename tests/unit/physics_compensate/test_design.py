@@ -21,7 +21,7 @@ from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
-from pmac_comp.workflow.dynamic_law import swung_bed
+from pmac_comp.workflow.dynamic_law import stribeck_friction, swung_bed
 
 BENCH = load_bench("paper")
 
@@ -136,6 +136,46 @@ def test_law_undoes_what_a_bed_that_swings_does_to_the_table() -> None:
     still = design_law(BENCH, model_loop(model), bed=bed, with_torque=False, motions=motions)
     assert still.bed_share == bed.share if bed is not None else False
     assert still.torque_bed_Nm_s2_per_m == 0.0
+
+
+def test_law_knows_friction_that_is_higher_near_standstill() -> None:
+    way = {"excess_N": 60.0, "speed_m_per_s": 0.02}  # a box way
+    model = DriveModel.base(BENCH).with_effect("stribeck", way)
+    motions, slow = design_motions(BENCH)[::2], stribeck_friction(model)
+    assert slow is not None
+    knows, lacks = (
+        design_law(BENCH, model_loop(model), stribeck=s, motions=motions) for s in (slow, None)
+    )
+    assert not lacks.has_stribeck
+    assert knows.stribeck_speed_m_per_s == pytest.approx(0.02, rel=0.5)
+    motion = trapezoid(
+        period_s=BENCH.servo_period_s,
+        distance_m=0.05,
+        speed_m_per_s=0.15,
+        acceleration_m_per_s2=2.0,
+        s_curve_s=0.015,
+        start_m=-0.05,
+        dwell_s=0.1,
+    )
+    new, old = (promise(law, model_loop(model), motion) for law in (knows, lacks))
+    assert new.e_r_after_um < 0.75 * old.e_r_after_um
+    assert new.total_after_um < 0.75 * old.total_after_um
+    still = design_law(BENCH, model_loop(model), stribeck=slow, with_torque=False, motions=motions)
+    assert still.stribeck_m > 0.0
+    assert still.torque_stribeck_Nm == 0.0
+
+
+def test_stribeck_friction_of_a_model_by_its_place() -> None:
+    base = DriveModel.base(BENCH)
+    assert stribeck_friction(base) is None
+    assert stribeck_friction(base.with_effect("stribeck", {"excess_N": 0.0})) is None
+    guide = stribeck_friction(base.with_effect("stribeck", {"excess_N": 20.0}))
+    assert guide is not None
+    assert guide.torque_Nm == pytest.approx(20.0 * BENCH.lead_m_per_rad)
+    assert guide.guide_frac == pytest.approx(20.0 / base.parameters["coulomb.guide_N"])
+    nut = stribeck_friction(base.with_effect("stribeck@nut", {"excess_Nm": 0.1}))
+    assert nut is not None
+    assert (nut.guide_frac, nut.torque_Nm) == (0.0, 0.1)
 
 
 def test_gap_under_a_load_is_taken_up_where_the_load_is_overcome() -> None:

@@ -7,7 +7,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.law_bank import evaluate
-from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law, friction_levels
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.scales import Scales
@@ -271,6 +271,27 @@ def test_load_that_nothing_lifts_leaves_no_gap_to_take_up() -> None:
     heavy = evaluate_law(LOOSE.with_values(gap_load_m=-50e-6), position, PERIOD)
     assert np.allclose(heavy.correction_m, plain.correction_m, atol=1e-15)
     assert np.allclose(heavy.torque_Nm, plain.torque_Nm, atol=1e-12)
+
+
+@pytest.mark.parametrize(("speed", "left"), [(1e-4, 1.0), (0.01, 0.4), (0.1, 0.0)])
+def test_friction_is_higher_near_standstill(speed: float, left: float) -> None:
+    plain = CompensationLaw(
+        coulomb_m=1e-6,
+        breakaway_m=1e-6,
+        torque_coulomb_Nm=0.4,
+        torque_breakaway_m=1e-6,
+        torque_limit_Nm=10.0,
+    )
+    law = plain.with_values(stribeck_m=0.5e-6, torque_stribeck_Nm=0.2, stribeck_speed_m_per_s=0.01)
+    path = speed * np.clip(np.arange(0.0, 1.0, PERIOD) - 0.01, 0.0, None)
+    last = evaluate_law(law, path, PERIOD)
+    moving = evaluate_law(plain, path, PERIOD)
+    assert last.correction_m[-1] - moving.correction_m[-1] == pytest.approx(0.5e-6 * left, abs=2e-9)
+    assert last.torque_Nm[-1] - moving.torque_Nm[-1] == pytest.approx(0.2 * left, abs=2e-3)
+    friction_m, friction_Nm = friction_levels(law, np.array([speed]))
+    assert friction_m[0] == pytest.approx(last.correction_m[-1], rel=0.02)
+    assert friction_Nm[0] == pytest.approx(last.torque_Nm[-1], rel=0.02)
+    assert law.breaks_loose_Nm == pytest.approx(0.6)
 
 
 def test_table_feels_the_bed_swing_on_after_an_acceleration_and_not_at_rest() -> None:
