@@ -54,6 +54,8 @@ class Interpreter:
     def background(self) -> None:
         """Execute the commands that programs have given since the last background cycle."""
         for _ in range(len(self._queue)):
+            if not self._queue:  # $$$ has emptied it
+                return
             text, modal, port = self._queue.popleft()
             self._execute_queued(text, modal, port)
 
@@ -223,7 +225,8 @@ class Interpreter:
 def _is_program_text(text: str) -> bool:
     try:
         for kind in (MOTION, PLC):
-            if StatementParser(Scanner(text), kind).statement() is not None:
+            statement = StatementParser(Scanner(text), kind).statement()
+            if statement is not None and statement.kind != "assign":
                 return True
     except CardError:
         return False

@@ -127,6 +127,12 @@ class Assembler:
         self.blocks.append(block)
         return used
 
+    def _do_condition_and(self, _index: int) -> None:
+        raise CardError(9, "AND without IF or WHILE")
+
+    def _do_condition_or(self, _index: int) -> None:
+        raise CardError(9, "OR without IF or WHILE")
+
     def _inline(self, index: int) -> bool:
         following = index + 1
         return (

@@ -44,6 +44,8 @@ def test_listing_can_be_entered_again_and_lists_the_same(ask: Ask) -> None:
         ["ENDWHILE"],
         ["WHILE(P1=1)", "ENDIF"],
         ["IF(P1=1)", "ENDWHILE"],
+        ["P1=1", "AND(P2=1)"],
+        ["IF(P1=1)", "P2=1", "OR(P2=1)", "ENDIF"],
     ],
 )
 def test_structure_errors_are_told_at_close_and_close_anyway(ask: Ask, lines: list[str]) -> None:
@@ -137,6 +139,14 @@ def test_command_in_plc_is_executed_after_the_scan_with_its_own_addressing(
     card.run_cycles(30)
     assert ask("P20 P21 I8") == "123 0 5"
     assert ask("&3Q5") == "77"
+
+
+def test_a_plc_may_reset_the_card_whatever_it_commands_behind_it(card: Card, ask: Ask) -> None:
+    enter(ask, "P7=5 I5=2", "OPEN PLC 3 CLEAR", 'CMD"P7=6"', 'CMD"$$$"', 'CMD"P7=7"', "CLOSE")
+    enter(ask, "ENABLE PLC 3")
+    card.run_cycles(100)
+    assert ask("P7") == "0"
+    assert ask("LIST PLC 3") == "ERR003"
 
 
 def test_pause_and_resume(card: Card, ask: Ask) -> None:
