@@ -26,6 +26,7 @@ from pmac_comp.simulator.programs import Program
 if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
 
+_MOVES = ("move", "dwell", "delay", "home")  # what may stand between two jumps back (p. 433)
 _CALCULATION_BUDGET = 50_000
 _AHEAD = 1  # moves that wait behind the executing one
 _MOST_TAG = 1 << 30
@@ -335,7 +336,10 @@ class CoordinateSystem(AxisPositions):
         status = self.card.machine.run(frame.program.assembled.compiled, frame.context, budget)
         used = max(int(frame.context.state[vm.S_STEPS]), 1)
         for index, arguments in frame.context.take_events():
-            execute(self, frame.program.statements[index], arguments)
+            statement = frame.program.statements[index]
+            execute(self, statement, arguments)
+            if statement.kind in _MOVES:
+                self._forget_jumps()
         if status == vm.FINISHED:
             self._finished()
         elif status == vm.FAULT:
@@ -345,6 +349,10 @@ class CoordinateSystem(AxisPositions):
             self.settle()
             self.wait_until(lambda: True)
         return used
+
+    def _forget_jumps(self) -> None:
+        for frame in self.frames:
+            frame.context.state[vm.S_JUMPS] = 0
 
     def _finished(self) -> None:
         if len(self.frames) > 1:

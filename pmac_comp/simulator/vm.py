@@ -57,7 +57,7 @@ FINISHED, SCAN_END, EVENTS, OUT_OF_BUDGET, FAULT, JUMPED_BACK = range(6)
     S_SUSPEND,
     S_R1,  # base + $30 of the motor (open servo)
     S_MOTOR,
-    S_JUMPS,  # backward jumps since the last event
+    S_JUMPS,  # backward jumps since the last move
     S_STEPS,  # instructions of the last run
     S_MOTOR_ADDRESS,  # modal motor of a PLC (ADDRESS statement)
     N_STATE,
@@ -696,7 +696,6 @@ def run(
                 events[used + 2 + k] = stack[sp + k]
             used += 2 + count
             pc += 2
-            state[S_JUMPS] = 0
             if state[S_SUSPEND] != 0:
                 status = EVENTS
                 break

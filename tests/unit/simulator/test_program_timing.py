@@ -47,6 +47,27 @@ def test_dwell_keeps_its_time_and_dwell_0_takes_a_cycle(card: Card, ask: Ask) ->
         run_ms(card, 10.0)
 
 
+def test_a_loop_of_commands_takes_two_turns_at_a_time(card: Card, ask: Ask) -> None:
+    # SRM p. 433: without a move in it a loop is suspended after two jumps back.
+    enter(ask, "OPEN PROG 6 CLEAR", 'WHILE(1=1) P61=P61+1 CMD"P62=P62+1" ENDWHILE', "CLOSE")
+    ask("P61=0 P62=0 B6R")
+    card.run_cycles(100)
+    assert 2 < int(ask("P61")) < 50
+    assert 2 < int(ask("P62")) < 50
+
+
+def test_moves_in_a_called_program_keep_a_loop_blended(card: Card, ask: Ask) -> None:
+    enter(ask, "OPEN PROG 8 CLEAR", "X1", "RETURN", "CLOSE")
+    enter(ask, "OPEN PROG 6 CLEAR", *MOVES[:1], "WHILE(1=1) CALL8 ENDWHILE", "CLOSE")
+    ask("B6R")
+    run_ms(card, 700.0)
+    speeds = []
+    for _ in range(40):
+        run_ms(card, 20.0)
+        speeds.append(float(ask("V")))
+    assert min(speeds) > 0.8 * max(speeds) > 0.0
+
+
 def test_program_runs_until_its_end_is_calculated(card: Card, ask: Ask) -> None:
     # SRM p. 285: the bit goes before the last moves are executed.
     enter(ask, "OPEN PROG 6 CLEAR", *MOVES, "CLOSE")
