@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from pmac_comp.machine.wire.dialog import (
+    MAX_LINE,
     CommandLine,
     ControlCharacter,
     LineReader,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from pmac_comp.simulator.card import Card
 
 _TAB, _CHECKSUM, _CANCEL, _CONTROL_T, _CONTROL_Z = 0x09, 0x0E, 0x18, 0x14, 0x1A
+_BLANK = 0x20
 _ERROR_LINE_TOO_LONG = 3
 _ERROR_CHARACTER = 4
 # Most of a download is one constant per line; it needs no parser.
@@ -60,7 +62,20 @@ class Port:
 
     def verdict(self, raw: bytes) -> int | None:
         """Execute one command line for its error number only, None if it was carried out."""
-        return self.execute(raw, [])[0]
+        if len(raw) <= MAX_LINE and min(raw, default=_BLANK) >= _BLANK:
+            return self.execute(raw, [])[0]
+        # Lines of a file may be indented by tabs and still carry their CR.
+        for event in self._reader.receive(raw.replace(b"\t", b" ") + b"\r"):
+            error = None
+            if isinstance(event, CommandLine):
+                error = self.execute(event.text, [])[0]
+            elif isinstance(event, ControlCharacter):
+                self.control(event)
+            else:
+                error = _ERROR_LINE_TOO_LONG
+            if error is not None:
+                return error
+        return None
 
     def execute(self, raw: bytes, lines: list[str]) -> tuple[int | None, bool]:
         """Execute a line into `lines`; its error and whether it ends without acknowledgement."""

@@ -145,6 +145,18 @@ def test_requests_of_the_packet_port(card: Card) -> None:
     assert not s.closed
 
 
+def test_a_downloaded_line_is_taken_as_a_typed_one(card: Card) -> None:
+    s = EthernetSession(card)
+    lines = [b"OPEN PLC 9 CLEAR\r", b"P1=1\r\n", b"", b"IF(P1=1)\tP2=1", b"ENDIF\r", b"CLOSE\r"]
+    assert ask(s, ethernet_requests.write_buffer(lines)) == b"\0\0\0\0"
+    assert ask(s, ethernet_requests.get_response(b"LIST PLC 9")).startswith(b"P1=1\rIF(P1=1)\r")
+    assert ask(s, ethernet_requests.write_buffer([b"P1=1", b"P1=2\rNONSENSE\r", b"P1=3"])) == (
+        b"\2\0\3\x80"
+    )
+    assert ask(s, ethernet_requests.get_response(b"P1")) == b"2\r\x06"
+    assert ask(s, ethernet_requests.write_buffer([b"#1J/\x0b"])) == b"\0\0\0\0"
+
+
 def test_client_that_vanishes_leaves_no_open_buffer(card: Card) -> None:
     gone, stays = EthernetSession(card), EthernetSession(card)
     ask(gone, ethernet_requests.get_response(b"OPEN PLC 7 CLEAR"))
