@@ -30,6 +30,7 @@ from pmac_comp.simulator.memory import (
     Memory,
     read_float48,
     read_long,
+    saturated_long,
     write_long,
 )
 from pmac_comp.simulator.plant.door import Plant
@@ -272,7 +273,7 @@ class Card:
     def add_bias(self, motor: int, counts: float) -> None:
         """Change the position bias of a motor."""
         cell = r.motor_base(motor) + r.M_BIAS
-        units = round((self.bias(motor) + counts) * self.servo.unit(motor))
+        units = saturated_long((self.bias(motor) + counts) * self.servo.unit(motor))
         write_long(self.memory.x, self.memory.y, cell, units)
 
     def rapid_limits(self, motor: int) -> traj.JogLimits:

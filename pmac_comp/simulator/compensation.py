@@ -22,7 +22,14 @@ from numba import njit
 
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.memory import Memory, Space, read_long, read_word_signed, write_long
+from pmac_comp.simulator.memory import (
+    LARGEST_LONG,
+    Memory,
+    Space,
+    read_long,
+    read_word_signed,
+    write_long,
+)
 from pmac_comp.simulator.user_memory import (
     GATHER,
     LOOKAHEAD,
@@ -301,7 +308,7 @@ def _count(text: str) -> int | None:
     if not re.fullmatch(r"\d+(\.\d*)?", text):
         return None
     value = int(float(text))
-    return value if value >= 1 else None
+    return value if 1 <= value <= LARGEST_LONG else None
 
 
 def _write_header(memory: Memory, start: int, header: TableHeader) -> None:

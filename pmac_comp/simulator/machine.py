@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pmac_comp.simulator import vm
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, Compiled, compiled
+from pmac_comp.simulator.numbers import finite
 from pmac_comp.simulator.variables import Variables
 
 LINE_BUDGET = 20_000
@@ -73,11 +74,11 @@ class Machine:
         )
 
     def evaluate(self, code: Code, cs: int = 1) -> float:
-        """Value of an expression, Q-variables in the window of coordinate system `cs`."""
+        """Finite value of an expression, Q-variables in the window of coordinate system `cs`."""
         context = self._scratch
         context.restart()
         context.state[vm.S_CS] = cs - 1
         status = self.run(compiled(code), context, LINE_BUDGET)
         if status != vm.FINISHED:
             raise CardError(3, "expression cannot be evaluated")
-        return float(context.stack[0])
+        return finite(context.stack[0])

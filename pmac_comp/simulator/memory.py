@@ -18,6 +18,7 @@ Space = NDArray[np.int32]
 WORDS = 0x80000
 WORD_MASK = 0xFFFFFF
 LONG_MASK = 0xFFFFFFFFFFFF
+LARGEST_LONG = LONG_MASK >> 1  # of a 48-bit register
 DPRAM_START = 0x060000
 DPRAM_END_SMALL = 0x061000
 DPRAM_END_LARGE = 0x064000
@@ -51,6 +52,11 @@ def write_long(x: Space, y: Space, address: int, value: int) -> None:
     bits = np.int64(value)
     y[address] = bits & 0xFFFFFF
     x[address] = (bits >> 24) & 0xFFFFFF
+
+
+def saturated_long(value: float) -> int:
+    """Nearest integer that a 48-bit register holds."""
+    return round(min(max(value, -LARGEST_LONG), LARGEST_LONG))
 
 
 @njit(cache=True)

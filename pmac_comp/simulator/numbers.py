@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from decimal import Decimal
+
+
+def finite(value: float) -> float:
+    """Value as a double holds it: the card's own floating-point range is wider."""
+    if math.isfinite(value):
+        return float(value)
+    return 0.0 if math.isnan(value) else math.copysign(sys.float_info.max, value)
 
 
 def format_number(value: float) -> str:

@@ -21,6 +21,7 @@ from pmac_comp.simulator.memory import (
     read_float48,
     read_long,
     read_word_signed,
+    saturated_long,
     write_long,
 )
 
@@ -47,8 +48,8 @@ class Motors:
 
     @property
     def cycle_ms(self) -> float:
-        """Servo period by I10, in ms."""
-        return int(self.memory.x[reg.I10_REGISTER]) / 8388608.0
+        """Servo period by I10, in ms; never 0, for what is divided by it."""
+        return max(int(self.memory.x[reg.I10_REGISTER]), 1) / 8388608.0
 
     # --- what is where --------------------------------------------------------------------------
 
@@ -124,7 +125,7 @@ class Motors:
 
     def _write(self, motor: int, offset: int, value: float) -> None:
         address = reg.motor_base(motor) + offset
-        write_long(self.memory.x, self.memory.y, address, round(value))
+        write_long(self.memory.x, self.memory.y, address, saturated_long(value))
 
     def _offset(self, motor: int) -> int:
         """What is added to the commanded position: master and compensation, in units."""
@@ -265,7 +266,7 @@ class Motors:
         direction = 1 if target >= self.queue.state(motor)[0] else -1
         if not self._ready_to_move(motor, direction):
             return
-        self._plan_jog(motor, float(round(target)))
+        self._plan_jog(motor, float(saturated_long(target)))
         if until_trigger is not None:
             self._after_trigger[motor] = until_trigger
             base = reg.motor_base(motor)

@@ -154,11 +154,16 @@ class MotionQueue:
         return left if math.isfinite(left) else 0.0
 
     def last_position(self, motor: int) -> tuple[float, float]:
-        """Position and velocity at the end of everything queued (for planning ahead)."""
+        """Position and velocity at the end of everything queued (for planning ahead).
+
+        What has no end counts as where the motor is now commanded.
+        """
         count = int(self.index[motor, I_COUNT])
         if not count:
             return self.state(motor)
         row = self.segments[motor, (int(self.index[motor, I_HEAD]) + count - 1) % DEPTH]
+        if not math.isfinite(row[Q_DURATION]):
+            return self.state(motor)
         return Segment(float(row[Q_DURATION]), tuple(row[Q_C0 : Q_C5 + 1])).end()
 
 

@@ -17,7 +17,7 @@ from pmac_comp.simulator import vm
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.ivariables import TABLE, channel_address, compiled_table, lock_group
 from pmac_comp.simulator.memory import Memory, read_float48, write_float48
-from pmac_comp.simulator.numbers import format_hex, format_number
+from pmac_comp.simulator.numbers import finite, format_hex, format_number
 
 _FORMATS = {"U": vm.M_UNSIGNED, "S": vm.M_SIGNED, "D": vm.M_BCD, "C": vm.M_COMPLEMENT}
 _FORMAT_NAMES = {code: name for name, code in _FORMATS.items()}
@@ -39,11 +39,11 @@ class Variables:
         """Value of ``I``, ``P``, ``Q`` or ``M`` variable `number` (Q in the window of `cs`)."""
         m = self.memory
         if kind == "P":
-            return float(read_float48(m.x, m.y, r.P_VARIABLES + (number & 8191)))
+            return finite(read_float48(m.x, m.y, r.P_VARIABLES + (number & 8191)))
         if kind == "Q":
-            return float(read_float48(m.x, m.y, self.q_address(cs, number)))
+            return finite(read_float48(m.x, m.y, self.q_address(cs, number)))
         if kind == "M":
-            return float(vm.read_m(m.x, m.y, number))
+            return finite(vm.read_m(m.x, m.y, number))
         return self.read_i(number)
 
     def write(self, kind: str, number: int, value: float, cs: int = 1) -> None:

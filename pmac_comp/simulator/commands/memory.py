@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.memory import WORDS, read_long, read_word_signed, write_long
+from pmac_comp.simulator.memory import (
+    LONG_MASK,
+    WORDS,
+    read_long,
+    read_word_signed,
+    write_long,
+)
 
 _MOST_PER_LINE = 16
 
@@ -57,7 +63,7 @@ def _writer(space: str) -> None:
                 raise CardError(3)
             cell = address & (WORDS - 1)
             if space == "L":
-                write_long(memory.x, memory.y, cell, int(value))
+                write_long(memory.x, memory.y, cell, int(value) & LONG_MASK)
             elif space == "P":
                 memory.program[address] = int(value) & 0xFFFFFF
             else:

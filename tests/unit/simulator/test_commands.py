@@ -168,6 +168,56 @@ def test_identity_of_servo_clock(ask: Ask) -> None:
     assert int(640 / 9 * (2 * 6516 + 3) * 4) == 3707733
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "#1J=100000000000000000000",
+        "#1J==100000000000000000000",
+        "#1J^-100000000000000000000",
+        "&1#1->X X=100000000000000000000",
+        "&1#1->0.00000000000000000001X J+ Z",
+        "I10=0 #1J/ J+ J=5",
+        "M1->L:$10F0 WL$10F0,$7FFFFFFFFFFF M1 P1=M1*M1 P1",
+        "WL$10F0,$FFFFFFFFFFFFFFFFFFFFFFFF RL$10F0",
+        "DEFINE COMP 4,1000 DELETE COMP",
+    ],
+)
+def test_what_no_register_holds_is_kept_as_near_as_it_can(card: Card, ask: Ask, line: str) -> None:
+    ask("#1J/")
+    card.run_cycles(20)
+    assert "ERR" not in ask(line)
+    card.run_cycles(50)
+    assert ask("Q1=7 Q1") == "7"
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("DEFINE BLCOMP 4,100000000000000000000", 3),
+        ("DEFINE COMP 2.2,#1,1000,100000000000000000000", 3),
+        ("P(EXP(1000)*EXP(1000))", 3),
+        ("P(-5)=1", 3),
+        ("J=(P5)", 3),
+    ],
+)
+def test_numbers_out_of_range_are_data_errors(ask: Ask, line: str, code: int) -> None:
+    assert ask(line) == f"ERR{code:03d}"
+
+
+def test_an_axis_is_matched_and_renamed_during_an_endless_jog(card: Card, ask: Ask) -> None:
+    ask("&1#1->1000X")
+    ask("#1J/")
+    card.run_cycles(20)
+    ask("J+")
+    card.run_cycles(500)
+    assert ask("PMATCH") == ""
+    assert ask("X=5") == ""
+    assert float(ask("P")) == pytest.approx(5000, abs=200)
+    ask("J/")
+    card.run_cycles(2000)
+    assert float(ask("Z P")) == pytest.approx(0.0, abs=2)
+
+
 @pytest.mark.parametrize("text", ["TWS:$1", "Z:$10", "X", "Y:", "DP:", "SL:$10"])
 def test_a_bad_m_definition_is_refused_whole(ask: Ask, text: str) -> None:
     ask("M500->X:$10F0,24")
