@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pmac_comp.simulator.coordinate_system import CoordinateSystem
 
 _DWELL_END_CYCLES = 2.0
-_LONGEST_DWELL_ms = 8388607.0
+_LONGEST_TIME_ms = 8388607.0
 _DEEPEST_CALL = 15
 Arguments = tuple[float, ...]
 Doer = Callable[["CoordinateSystem", Statement, Arguments], None]
@@ -102,14 +102,18 @@ def _feed(system: CoordinateSystem, _statement: Statement, arguments: Arguments)
     system.modal.feed, system.modal.tm_ms = feed, None
 
 
+def _whole_ms(time_ms: float) -> float:
+    return float(math.floor(min(time_ms, _LONGEST_TIME_ms) + 0.5))
+
+
 @_does("ta")
 def _ramp_time(system: CoordinateSystem, _statement: Statement, arguments: Arguments) -> None:
-    system.modal.ta_ms = float(math.floor(arguments[0] + 0.5))
+    system.modal.ta_ms = _whole_ms(arguments[0])
 
 
 @_does("ts")
 def _s_curve_time(system: CoordinateSystem, _statement: Statement, arguments: Arguments) -> None:
-    system.modal.ts_ms = float(math.floor(arguments[0] + 0.5))
+    system.modal.ts_ms = _whole_ms(arguments[0])
 
 
 @_does("spindle")
@@ -249,7 +253,7 @@ def _dwell(system: CoordinateSystem, _statement: Statement, arguments: Arguments
     if system.planner is None:
         return
     tag = system.next_tag()
-    cycles = system.cycles(min(max(arguments[0], 0.0), _LONGEST_DWELL_ms))
+    cycles = system.cycles(min(max(arguments[0], 0.0), _LONGEST_TIME_ms))
     # Nothing is calculated before the dwell is over (p. 429): its last cycles tell. A shorter
     # piece than these could pass unseen; a DWELL0 is these alone.
     before = cycles - _DWELL_END_CYCLES

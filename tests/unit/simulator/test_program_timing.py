@@ -47,6 +47,13 @@ def test_dwell_keeps_its_time_and_dwell_0_takes_a_cycle(card: Card, ask: Ask) ->
         run_ms(card, 10.0)
 
 
+def test_times_beyond_the_longest_are_the_longest(card: Card, ask: Ask) -> None:
+    enter(ask, "OPEN PROG 6 CLEAR", "LINEAR INC TA(EXP(500)) TS(EXP(500)) F1", "X1", "CLOSE")
+    ask("B6R")
+    run_ms(card, 100.0)
+    assert card.servo.is_moving(1)
+
+
 def test_a_loop_of_commands_takes_two_turns_at_a_time(card: Card, ask: Ask) -> None:
     # SRM p. 433: without a move in it a loop is suspended after two jumps back.
     enter(ask, "OPEN PROG 6 CLEAR", 'WHILE(1=1) P61=P61+1 CMD"P62=P62+1" ENDWHILE', "CLOSE")
