@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Listener = Callable[[str, str], None]
 _LOCKS = r.INTERNAL_GLOBAL + 0xF4
 _LOCK_SHIFT = 4
+_MOST_COMMANDS = 256  # that wait for the background; a program that gives more is halted (p. 424)
 
 
 class Interpreter:
@@ -139,6 +140,8 @@ class Interpreter:
             port, body = data
             if len(body) == 1 and body < " ":
                 self.control_character(ord(body))
+            elif len(self._queue) >= _MOST_COMMANDS:
+                raise CardError(6, f"too many commands in {origin}")
             else:
                 self._queue.append((body, Modal(motor, cs), port))
         elif kind == "send":

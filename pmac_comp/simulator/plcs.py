@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import vm
+from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.statements import PLC, Statement
 from pmac_comp.simulator.machine import Context
 from pmac_comp.simulator.programs import PLC_DISABLED, PLC_OPEN, Program
@@ -132,8 +133,12 @@ class Plcs:
         else:
             status = vm.OUT_OF_BUDGET
         if status == vm.FAULT:
-            self.card.memory.x[r.PLC_TABLE + number] |= EXECUTION_ERROR
-            self.card.memory.y[r.PLC_TABLE + number] |= PLC_DISABLED
+            self._halt(number)
+
+    def _halt(self, number: int) -> None:
+        """An error while the program runs ends it."""
+        self.card.memory.x[r.PLC_TABLE + number] |= EXECUTION_ERROR
+        self.card.memory.y[r.PLC_TABLE + number] |= PLC_DISABLED
 
     def servo_events(self) -> None:
         """What PLC 0 asked for during the servo loop."""
@@ -152,7 +157,10 @@ class Plcs:
             return
         motor = max(int(context.state[vm.S_MOTOR_ADDRESS]), 1)
         cs = int(context.state[vm.S_CS]) + 1
-        self.card.interpreter.do_statement(statement, motor, cs, origin=f"{PLC}{number}")
+        try:
+            self.card.interpreter.do_statement(statement, motor, cs, origin=f"{PLC}{number}")
+        except CardError:
+            self._halt(number)
 
 
 def _readdress(context: Context, sign: str, value: float) -> None:

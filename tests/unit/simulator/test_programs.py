@@ -149,6 +149,22 @@ def test_a_plc_may_reset_the_card_whatever_it_commands_behind_it(card: Card, ask
     assert ask("LIST PLC 3") == "ERR003"
 
 
+def test_commands_that_start_their_own_program_again_do_not_pile_up(card: Card, ask: Ask) -> None:
+    enter(ask, "#1->1000X", "#1J/", 'OPEN PROG 5 CLEAR CMD"&1S" CMD"&1S P7=P7+1" CLOSE', "B5R")
+    card.run_cycles(150)
+    assert 0 < int(ask("P7")) <= 15 * 256  # each turn would double them
+
+
+def test_a_plc_that_floods_the_command_queue_is_halted(card: Card, ask: Ask) -> None:
+    many = [f'CMD"P{k}=1"' for k in range(50)]
+    for number in range(1, 8):
+        enter(ask, f"OPEN PLC {number} CLEAR", *many, "CLOSE", f"ENABLE PLC {number}")
+    enter(ask, "I5=2")
+    card.run_cycles(30)
+    stopped = [int(ask(f"RHY$31{number:02X}"), 16) >> 22 & 1 for number in range(1, 8)]
+    assert 0 < sum(stopped) < 7
+
+
 def test_pause_and_resume(card: Card, ask: Ask) -> None:
     enter(ask, "OPEN PLC 4 CLEAR", "P10=P10+1", "PAUSE PLC 4", "P11=P11+1", "CLOSE")
     enter(ask, "I5=2", "P10=0 P11=0", "ENABLE PLC 4")
