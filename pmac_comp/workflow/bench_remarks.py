@@ -5,10 +5,14 @@ is in another unit. What may not: whether keys and values are allowed (``files.b
 """
 
 import math
+from typing import TYPE_CHECKING
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
 from pmac_comp.workflow.bench_view import resonance_Hz, tuned_motors
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 _RESONANCE_MARGIN = 0.25
 # Wide enough for every catalogue axis: what lies outside differs by a power of ten, as units do.
@@ -56,27 +60,30 @@ def remarks(bench: Bench) -> list[str]:
     return out + implausible(bench)
 
 
-def loop_remarks(bench: Bench) -> list[str]:
-    """Whether the gains of a bench file ring with its drive, at the ends or in the middle.
+def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:
+    """Whether the gains of a bench file ring with its drive, or with one that was identified.
 
-    Compiles the drive's model at the first use.
+    At the ends of the travel and in the middle. Compiles the drive's model at the first use.
     """
     from pmac_comp.physics.model.drive import DriveModel
     from pmac_comp.physics.model.margin import sensitivity_peak
 
-    model = DriveModel.base(bench)
+    drive = DriveModel.base(bench) if model is None else model
     places_m = (bench.travel.min_mm / MM_PER_M, bench.mid_travel_m, bench.travel.max_mm / MM_PER_M)
-    peaks = [(sensitivity_peak(model, place_m), place_m) for place_m in places_m]
+    peaks = [(sensitivity_peak(drive, place_m), place_m) for place_m in places_m]
     peak, place_m = max(peaks, key=lambda pair: pair[0].value)
     if peak.value <= _PEAK_OF_SENSITIVITY:
         return []
     where = f"{peak.frequency_Hz:.0f} Hz, at {place_m * MM_PER_M:g} mm of the travel"
-    check = "lower the gains, or check stiffnesses, inertias, mass and actuator_delay_us"
+    check = "lower the gains"
+    if model is None:
+        check += ", or check stiffnesses, inertias, mass and actuator_delay_us"
     if math.isinf(peak.value):
         return [f"with these gains the loop of this drive is unstable ({where}): {check}"]
+    stays = "" if model is None else ", and compensation adds no damping"
     return [
         f"with these gains the loop of this drive rings: what disturbs it comes through "
-        f"{peak.value:.1f} times ({where}; 2 is usual): {check}"
+        f"{peak.value:.1f} times ({where}; 2 is usual){stays}: {check}"
     ]
 
 

@@ -25,6 +25,7 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.trim import trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
 from pmac_comp.workflow.backlash import has_backlash
+from pmac_comp.workflow.bench_remarks import loop_remarks
 from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
@@ -287,6 +288,7 @@ def compensate_files(
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
             *shown_remarks(law),
+            *loop_remarks(loaded, drive),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law, offers),
         ],

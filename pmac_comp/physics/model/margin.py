@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel, simulate
+from pmac_comp.physics.model.drive import DriveModel, simulate
 
 _LENGTH_s = 2.0  # of the answer: its spectrum resolves half a hertz
 _BLOW_FRAC = 1e-3  # of the torque limit: far from what would clip
@@ -34,8 +34,7 @@ def sensitivity_peak(model: DriveModel, position_m: float) -> SensitivityPeak:
     Parameters
     ----------
     model : DriveModel
-        The drive; its Coulomb and viscous friction are left out, which damp at some places and
-        speeds only.
+        The drive; only its chain counts: friction damps at some places and speeds only.
     position_m : float
         Where the table stands, in m.
 
@@ -45,14 +44,12 @@ def sensitivity_peak(model: DriveModel, position_m: float) -> SensitivityPeak:
     d is S, whatever the feed-forward. Aastroem and Murray, Feedback Systems, 2nd ed., section 10.3.
     """
     bench = model.bench
-    free = {name: 0.0 for name in model.parameters if name.partition(".")[0] in BASE_EFFECTS}
+    linear = DriveModel(bench, (), {f"chain.{k}": v for k, v in model.values_of("chain").items()})
     n = round(_LENGTH_s / bench.servo_period_s)
     blow = np.zeros(n)
     blow[_FIRST_CYCLE] = _BLOW_FRAC * bench.drive.torque_limit_Nm
     # Clipped torque keeps an unstable loop finite.
-    answer = simulate(
-        model.with_parameters(free), np.full(n, position_m), torque_feedforward_Nm=blow
-    ).torque_command_Nm
+    answer = simulate(linear, np.full(n, position_m), torque_feedforward_Nm=blow).torque_command_Nm
     sensitivity = np.abs(np.fft.rfft(answer)) / blow[_FIRST_CYCLE]
     frequency_Hz = np.fft.rfftfreq(n, bench.servo_period_s)
     sensitivity[frequency_Hz < _LEAST_Hz] = 0.0

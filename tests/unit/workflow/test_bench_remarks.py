@@ -3,6 +3,7 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench, parse_bench
+from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow.bench_remarks import implausible, loop_remarks, remarks
 
 TEXT = load_bench("paper").text
@@ -52,3 +53,13 @@ def test_gains_that_ring_are_remarked_on(old, new, said):
     (line,) = loop_remarks(parse_bench(text.replace(old, new, 1)))
     assert said in line
     assert "mm of the travel" in line
+
+
+def test_an_identified_drive_that_rings_is_remarked_on():
+    bench = load_bench("paper_x4")
+    model = DriveModel.base(bench).with_effect("presliding").with_effect("backlash")
+    assert loop_remarks(bench, model) == []
+    late = model.with_parameters({"chain.actuator_delay_s": 884e-6})
+    (line,) = loop_remarks(bench, late)
+    assert "4.0 times (140 Hz, at 0 mm" in line
+    assert "compensation adds no damping" in line
