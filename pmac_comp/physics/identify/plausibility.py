@@ -1,7 +1,8 @@
 """Captures that cannot be what the bench file says: refused before anything is fitted to them.
 
 What lives here: rough checks of signs, units, channels and samples, each with what to look at. What
-may not: statistics of a fit. Imports ``files``, ``base`` and the derivatives of this package.
+may not: statistics of a fit. Imports ``files``, ``base``, ``physics.model`` and this package's
+derivatives.
 
 Every bound here is far outside what friction, elasticity and tolerances can do.
 """
@@ -17,11 +18,15 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, motion_of
+from pmac_comp.physics.model.chain import is_rigid
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 
 _FEWEST = 100  # valid samples that say anything
 _MOVES_m = 2e-4  # less motion than this says nothing about ratios
 _FOLLOWS = (0.7, 1.4)  # motor over command
 _SCALE = 0.01  # table over motor less one: lead error and growth are below 1e-4
+_SOFTER = 2.0  # than stated, at most: a slender screw lets a fast sine grow by some per cent
 _LAGS_m = 5e-5  # more than friction and a worn nut hold back
 _REPEATED = 0.02  # share of moving samples
 _FLAT = 0.02  # share of samples at the very top of the torque
@@ -93,7 +98,7 @@ def _require_one_axis(capture: Capture, bench: Bench, name: str) -> None:
     _require_fresh_samples(capture, name)
     _require_motor_follows(capture, bench, name)
     _require_live_scale(capture, bench, name)
-    _require_table_follows(capture, name)
+    _require_table_follows(capture, bench, name)
 
 
 def _require_fresh_samples(capture: Capture, name: str) -> None:
@@ -204,11 +209,13 @@ def _require_live_scale(capture: Capture, bench: Bench, name: str) -> None:
         )
 
 
-def _require_table_follows(capture: Capture, name: str) -> None:
+def _require_table_follows(capture: Capture, bench: Bench, name: str) -> None:
     if capture.table_position_m is None:
         return
     ratio = _ratio(capture.table_position_m, capture.motor_position_m, capture)
     if ratio is None or abs(ratio - 1.0) < _SCALE:
+        return
+    if abs(ratio - 1.0) < _SCALE + _SOFTER * _stretch_share(capture, bench):
         return
     way_m = float(np.ptp(capture.motor_position_m[capture.mask]))
     if abs(ratio - 1.0) * way_m < _LAGS_m:
@@ -221,6 +228,17 @@ def _require_table_follows(capture: Capture, name: str) -> None:
         what = f"the table moved {ratio:.5g} times what the motor did"
         hint = "Check units and resolution_um of the scale, and pitch_mm and counts_per_rev."
     raise CaptureError(f"{name}: {what}.", code="PC-IDN-043", hint=hint)
+
+
+def _stretch_share(capture: Capture, bench: Bench) -> float:
+    """Size of the slope, on the motor's position, of what inertia stretches a drive as stated."""
+    mass_kg = bench.nominal.table_mass_kg
+    if mass_kg is None or is_rigid(bench):
+        return 0.0
+    motion = motion_of(capture.motor_position_m, capture.sample_period_s, capture.mask)
+    compliance = compliance_m_per_N(DriveModel.base(bench), motion.position_m)
+    stretch_m = compliance * mass_kg * motion.acceleration_m_per_s2
+    return abs(_ratio(stretch_m, capture.motor_position_m, capture) or 0.0)
 
 
 def _require_whole_torque(capture: Capture, bench: Bench, name: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.plausibility import require_plausible
+from pmac_comp.physics.identify.plausibility import require_plausible, require_positions
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -120,3 +120,25 @@ def test_whole_captures_pass_saturated_or_not(change: Callable[[Bench], Bench]) 
     bench = change(BENCH)
     run = closed_loop_capture(bench, make_plant(bench, effects={}, seed=4), MOTION.position_m)
     require_plausible([run], bench)
+
+
+def test_a_slender_screw_lets_a_fast_sine_grow_and_a_wrong_scale_is_still_told() -> None:
+    # At 4.5 Hz inertia stretches a screw with 35 Hz by 1.6 per cent of the way; at 1 Hz by 0.1.
+    soft = BENCH.nominal.model_copy(update={"axial_stiffness_N_per_um": 6.5})
+    slender = BENCH.model_copy(update={"nominal": soft})
+
+    def grown(ratio: float, frequency_Hz: float) -> Capture:
+        way = sinusoid(
+            period_s=BENCH.servo_period_s, amplitude_m=0.01, frequency_Hz=frequency_Hz, cycles=5
+        )
+        at = way.position_m
+        return Capture(way.time_s, at, at, table_position_m=ratio * at)
+
+    require_positions(grown(1.02, 4.5), slender, "run")
+    for bench, ratio, frequency_Hz in (
+        (BENCH, 1.02, 4.5),
+        (slender, 1.06, 4.5),
+        (slender, 1.02, 1.0),
+    ):
+        with pytest.raises(CaptureError, match="the table moved"):
+            require_positions(grown(ratio, frequency_Hz), bench, "run")
