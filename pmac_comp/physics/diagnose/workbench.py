@@ -333,7 +333,8 @@ class Workbench:
             fitted = (u & f for u, f in zip(usable, self.fitting, strict=True))
             usable = tuple(f if f.any() else u for u, f in zip(usable, fitted, strict=True))
         # Where a scale has its zero is no noise, least of all an infinitely slow one.
-        level = [n - n[u].mean(axis=0) for n, u in zip(noise_like, usable, strict=True)]
+        pairs = zip(noise_like, usable, strict=True)
+        level = [n - n[u].mean(axis=0) if u.any() else np.zeros_like(n) for n, u in pairs]
         whitener = fit_whitener(level, usable, order=_ORDER, floor=floor_m)
         weights = tuple(huber_weights(whitener.apply(n)) for n in level)
         if not foretold:

@@ -35,3 +35,15 @@ def test_what_columns_leave_where_they_were_not_fitted_is_no_noise():
     assert np.diag(gain) == pytest.approx(1e7, rel=0.25)
     assert noise.robust is not None
     assert np.all(noise.robust[0][~fitted] == 1.0)
+
+
+def test_a_run_in_which_rounding_decides_everything_is_no_noise():
+    # A short run between rests on a fine encoder may hold no evidence at all.
+    rng = np.random.default_rng(5)
+    runs = [1e-7 * rng.standard_normal((2000, 2)) for _ in range(2)]
+    counted = [np.ones(2000, dtype=np.bool_), np.zeros(2000, dtype=np.bool_)]
+    bench = SimpleNamespace(counted=counted, noise=None)
+    noise = Workbench.noise_from(bench, runs, np.full(2, 1e-10))  # type: ignore[arg-type]
+    assert np.diag(noise.whitener.scale) == pytest.approx(1e7, rel=0.2)
+    assert noise.robust is not None
+    assert all(np.all(np.isfinite(w)) for w in noise.robust)
