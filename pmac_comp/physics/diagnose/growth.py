@@ -22,7 +22,7 @@ from pmac_comp.physics.diagnose.contenders import (
     polished,
 )
 from pmac_comp.physics.diagnose.noise import noise_floor_um
-from pmac_comp.physics.diagnose.onset import not_outgrown, with_onset
+from pmac_comp.physics.diagnose.onset import freed, not_outgrown, with_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit, settled
 from pmac_comp.physics.diagnose.revision import Reviser, accepted_of
@@ -58,6 +58,9 @@ class Grown:
         All rounds, the last one without an accepted candidate unless the limit was reached.
     open_SI : Mapping of str to float
         Per parameter, how far it still moved between the last refits.
+    beside_onset : Screening or None
+        What flexible rivals earn beside the final model, where its friction sets in over a
+        distance that the model of the last round did not have.
     """
 
     bench: Workbench
@@ -65,6 +68,12 @@ class Grown:
     final: Fitted
     rounds: tuple[Round, ...] = field(default=())
     open_SI: Mapping[str, float] = field(default_factory=dict)
+    beside_onset: Screening | None = None
+
+    @property
+    def rivals(self) -> Screening:
+        """The look that tells what flexible rivals earn beside the final model."""
+        return self.rounds[-1].screening if self.beside_onset is None else self.beside_onset
 
     @property
     def accepted(self) -> tuple[Contender, ...]:
@@ -157,21 +166,23 @@ def grow(
             point, open_SI = settled(part, evaluate(part, whole.model))
     progress("looking at how friction sets in")
     final = with_onset(bench, evaluate(bench, point.model))
+    beside_onset: Screening | None = None
     if final.model.effects != point.model.effects:
-        # What stood for how friction sets in need not stay beside it.
+        # What stood for how friction sets in need not stay beside it, nor do flexible rivals.
         final, rounds = Reviser(bench, library, rules, progress).pruned(final, rounds)
-        final = not_outgrown(bench, final)
+        bench = _calmed(bench, final.model)
+        final = not_outgrown(bench, freed(bench, final))
+        beside_onset = _rivals_of(bench, final.model)
     grew = base is not None and bool(accepted_of(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
-    return Grown(bench, base_model, final, tuple(rounds), open_SI)
+    return Grown(bench, base_model, final, tuple(rounds), open_SI, beside_onset)
 
 
 def _look_around(
     bench: Workbench, point: Fitted, library: Mapping[str, Effect], last: Look | None
 ) -> tuple[Workbench, Fitted, Screening, Look]:
     """Columns at the point, a fresh noise estimate, the point refitted under it, the ranking."""
-    unruly = bench.unruly(point.model, bench.rounded(point.model))
-    bench = bench.with_noise(replace(bench.known_noise, unruly=unruly))
+    bench = _calmed(bench, point.model)
     part = bench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
@@ -183,6 +194,19 @@ def _look_around(
         seen = refreshed(part, point, seen, _promising(screening))
         screening = screen(part, moved, seen)
     return bench.with_noise(_spread(bench, noise)), moved, screening, seen
+
+
+def _calmed(bench: Workbench, model: DriveModel) -> Workbench:
+    """The bench without evidence from where, by this model, rounding decides the motion."""
+    unruly = bench.unruly(model, bench.rounded(model))
+    return bench.with_noise(replace(bench.known_noise, unruly=unruly))
+
+
+def _rivals_of(bench: Workbench, model: DriveModel) -> Screening:
+    """What flexible rivals earn beside a model, without any candidate."""
+    part = bench.fitting_bench()
+    point = evaluate(part, model)
+    return screen(part, point, look(part, model.bench, point, {}))
 
 
 def _promising(screening: Screening) -> frozenset[str]:

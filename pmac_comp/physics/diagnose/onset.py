@@ -15,7 +15,7 @@ from dataclasses import replace
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.diagnose.records import gap
-from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
+from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit, settled
 from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -65,6 +65,16 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     if after.position_um > _CLOSED * before.position_um:
         return point
     return evaluate(bench, fitted.model)
+
+
+def freed(bench: Workbench, point: Fitted) -> Fitted:
+    """The model with an onset, and what had stood for it gone back to where it belongs.
+
+    Before the onset was in the model, others were bent to stand for it, a delay above all.
+    """
+    part = _outspoken(bench.fitting_bench())
+    free, _ = settled(part, evaluate(part, point.model))
+    return evaluate(bench, point.model if _resolved(free.model) else free.model)
 
 
 def not_outgrown(bench: Workbench, point: Fitted) -> Fitted:

@@ -121,8 +121,8 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     Unless ``rivals_apply``, the rivals of the last round were those of another model.
     """
     last = grown.rounds[-1]
-    rivals = last.screening
-    fit_share = rivals.rival_gain / max(last.rows_fit, 1.0)
+    rivals = grown.rivals
+    fit_share = rivals.rival_gain / max(rivals.rows_fit, 1.0)
     floor_um = noise_floor_um(grown.bench, grown.final.model, calm=True)
     gap_um = _rms_um(grown, grown.final.model)
     excess_um, quiet_um, plain_um, settled_um = _excess_um(grown, gap_um, floor_um)

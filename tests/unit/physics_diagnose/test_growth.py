@@ -1,13 +1,15 @@
 """Rules of the growth loop that need no data."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from pmac_comp.physics.diagnose import contenders
+from pmac_comp.physics.diagnose import contenders, growth
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.diagnose import _broken_off
+from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import Gap
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.revision import Reviser, _start
@@ -167,3 +169,51 @@ def test_what_repeats_is_not_called_noise():
     told = _told((0.1, 0.1), (0.1, 0.1), (), where=(seen,))
     assert "the table residual over screw angle, 0.05 um) is too small for a name" in told
     assert "left is noise" not in told
+
+
+def _looked(gain: float) -> Any:
+    return SimpleNamespace(rival_gain=gain, frozen=None)
+
+
+def test_rivals_are_those_beside_the_onset_that_the_final_model_holds():
+    # What they earned beside friction that sets in at once, the onset may have taken.
+    done: Any = SimpleNamespace(screening=_looked(5e3))
+    nothing: Any = None
+    grown = Grown(nothing, nothing, nothing, (done,))
+    assert grown.rivals.rival_gain == 5e3
+    assert replace(grown, beside_onset=_looked(2e2)).rivals.rival_gain == 2e2
+
+
+def test_a_model_with_an_onset_is_asked_anew_where_rounding_decides_and_what_rivals_earn(
+    monkeypatch,
+):
+    # Calm and bare: as before the onset was in the model.
+    bench = SimpleNamespace(calm="bare", fitting_bench=lambda: bench)
+    calmed = SimpleNamespace(calm="onset", fitting_bench=lambda: calmed)
+    done: Any = SimpleNamespace(accepted=None, screening=_looked(5e3))
+
+    def fitted(effects: tuple[str, ...]) -> Any:
+        return SimpleNamespace(model=SimpleNamespace(effects=effects))
+
+    bare, gripping = fitted(("coulomb",)), fitted(("coulomb", "presliding@all"))
+    same = {
+        "first_noise": lambda bench, model: bench,
+        "refit": lambda bench, start, rounds: start,
+        "evaluate": lambda bench, model: SimpleNamespace(model=model),
+        "_look_around": lambda bench, point, library, seen: (bench, point, done.screening, None),
+        "_round": lambda *a: done,
+        "_slim": lambda done: done,
+        "with_onset": lambda bench, point: gripping,
+        "Reviser": lambda *a: SimpleNamespace(pruned=lambda whole, rounds: (whole, rounds)),
+        "_calmed": lambda bench, model: calmed if model is gripping.model else bench,
+        "freed": lambda bench, point: SimpleNamespace(model=point.model, on=bench.calm),
+        "not_outgrown": lambda bench, point: point,
+        "_rivals_of": lambda bench, model: _looked(2e2 if bench is calmed else 1e3),
+    }
+    for name, stand_in in same.items():
+        monkeypatch.setattr(growth, name, stand_in)
+    start: Any = bare.model
+    grown = growth.grow(bench, start, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
+    assert grown.bench is calmed
+    assert grown.final.on == "onset"  # type: ignore[attr-defined]
+    assert grown.rivals.rival_gain == 2e2

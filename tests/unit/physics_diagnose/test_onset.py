@@ -7,7 +7,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.diagnose import onset
-from pmac_comp.physics.diagnose.onset import holds_onset, not_outgrown, told, with_onset
+from pmac_comp.physics.diagnose.onset import freed, holds_onset, not_outgrown, told, with_onset
 from pmac_comp.physics.model.drive import DriveModel
 
 BENCH = load_bench("paper_x4")
@@ -44,3 +44,16 @@ def test_a_distance_that_an_encoder_resolves_is_no_onset(monkeypatch):
     grown: Any = SimpleNamespace(model=_gripping(0.03e-6, 2e-6))
     assert holds_onset(grown.model)
     assert not holds_onset(not_outgrown(bench, grown).model)
+
+
+@pytest.mark.parametrize(("distance_m", "kept"), [(0.05e-6, True), (3e-6, False)])
+def test_what_stood_for_an_onset_goes_back_unless_it_takes_the_onset_along(
+    monkeypatch, distance_m, kept
+):
+    moved = SimpleNamespace(model=_gripping(distance_m))
+    monkeypatch.setattr(onset, "_outspoken", lambda part: part)
+    monkeypatch.setattr(onset, "evaluate", lambda bench, model: SimpleNamespace(model=model))
+    monkeypatch.setattr(onset, "settled", lambda part, point: (moved, {}))
+    bench: Any = SimpleNamespace(fitting_bench=lambda: None)
+    point: Any = SimpleNamespace(model=_gripping(0.03e-6))
+    assert freed(bench, point).model is (moved.model if kept else point.model)

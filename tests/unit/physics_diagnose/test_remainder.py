@@ -31,11 +31,11 @@ def test_shapes_of_an_onset_explain_no_more_than_they_may():
 def test_twice_the_floor_is_unknown_whatever_might_excuse_it(
     monkeypatch, gap_um, plain_um, accepted, told_um
 ):
-    rivals = SimpleNamespace(rival_gain=0.0, rival_drop=np.zeros(30))
+    rivals = SimpleNamespace(rival_gain=0.0, rival_drop=np.zeros(30), rows_fit=1e4)
     done = SimpleNamespace(screening=rivals, rows_fit=1e4, rows_judge=5e3)
     point = SimpleNamespace(blocks=np.zeros(30), model=None)
     grown: Any = SimpleNamespace(
-        rounds=(done,), bench=None, base=point, final=point, accepted=accepted
+        rounds=(done,), rivals=rivals, bench=None, base=point, final=point, accepted=accepted
     )
     monkeypatch.setattr(remainder, "noise_floor_um", lambda *a, **k: 0.4)
     monkeypatch.setattr(remainder, "ambient_m2", lambda *a: 0.0)
