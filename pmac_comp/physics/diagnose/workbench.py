@@ -177,11 +177,11 @@ class Workbench:
 
     @property
     def calm_records(self) -> tuple[Record, ...]:
-        """The judging records without the samples that no evidence comes from."""
+        """The judging records without the samples that no evidence comes from, if any are left."""
         return tuple(
             replace(r, valid=r.valid & _fine(c & ~f, r))
             for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
-            if not f.all()
+            if np.any(c & ~f)
         )
 
     def whole_records(self, *, calm: bool) -> tuple[Record, ...]:
@@ -189,7 +189,7 @@ class Workbench:
         return tuple(
             replace(r, valid=r.valid & _fine(c, r)) if calm else r
             for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
-            if not f.all()
+            if (np.any(c & ~f) if calm else not f.all())
         )
 
     def concerned(self, directions: Sequence[Direction]) -> list[Direction]:
@@ -368,8 +368,11 @@ class Workbench:
         limit = max(_UNRULY * float(calm), _COUNTS * model.bench.motor_resolution_m)
         near = round(_BEFORE_AND_AFTER_s / self.records[0].coarse_period_s)
         found = tuple(maximum_filter1d(m > limit, 2 * near + 1) for m in moved)
-        left_out = sum(int(np.count_nonzero(x & u)) for x, u in zip(found, usable, strict=True))
-        if left_out > _MOST_UNRULY * sum(int(np.count_nonzero(u)) for u in usable):
+        some, every = (np.concatenate(c) for c in (found, usable))
+        left_out = np.count_nonzero(some & every) > _MOST_UNRULY * np.count_nonzero(every)
+        # Nor where no evidence would be left to fit or to judge by.
+        fitted = np.concatenate(self.fitting)
+        if left_out or not all(np.any(every & ~some & part) for part in (fitted, ~fitted)):
             return tuple(np.zeros_like(u) for u in usable)
         return found
 

@@ -1,11 +1,14 @@
 """What the workbench takes for noise."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pmac_comp.physics.diagnose.workbench import Workbench
+from pmac_comp.base.arrays import BoolArray
+from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 
 
 @pytest.mark.parametrize("zero_m", [0.0, 1e-6, 50e-6])
@@ -47,3 +50,46 @@ def test_a_run_in_which_rounding_decides_everything_is_no_noise():
     assert np.diag(noise.whitener.scale) == pytest.approx(1e7, rel=0.2)
     assert noise.robust is not None
     assert all(np.all(np.isfinite(w)) for w in noise.robust)
+
+
+def _judged(moved_m: list[float]) -> tuple[Workbench, list[Any]]:
+    """A fitted run and those that judge, and by how much rounding moves each of them."""
+    every = np.ones(400, dtype=np.bool_)
+    none: Any = None
+    records: Any = tuple(
+        Run(usable=every, valid=np.ones(800, dtype=np.bool_), factor=2) for _ in moved_m
+    )
+    fitting = tuple(np.full(400, i == 0) for i in range(len(moved_m)))
+    wave = np.sign(np.sin(np.arange(400) / 9.0))[:, None]
+    return Workbench(records, fitting, none), [size * wave for size in moved_m]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the workbench asks of a record here."""
+
+    usable: BoolArray
+    valid: BoolArray
+    factor: int
+    coarse_period_s: float = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "left_out", "calm"),
+    [
+        ([1e-8, 1e-8, 1e-8], [0, 0, 0], 2),
+        ([1e-8, 1e-8, 1e-8, 1e-5], [0, 0, 0, 400], 2),  # one of the judges says nothing
+        ([1e-8, 1e-8, 1e-5, 1e-5], [0, 0, 0, 0], 3),  # rounding is common
+        ([1e-8, 1e-8, 1e-8, 1e-8, 1e-5], [0, 0, 0, 0, 400], 3),
+        ([1e-5, 1e-8, 1e-8, 1e-8], [0, 0, 0, 0], 3),  # nothing would be left to fit
+    ],
+)
+def test_where_rounding_decides_is_left_out_as_long_as_evidence_is_left(moved_m, left_out, calm):
+    bench, rounded = _judged(moved_m)
+    model: Any = SimpleNamespace(bench=SimpleNamespace(motor_resolution_m=1e-7))
+    unruly = bench.unruly(model, rounded)
+    assert [int(u.sum()) for u in unruly] == left_out
+    whitener: Any = None
+    calmed = bench.with_noise(Noise(whitener, unruly=unruly))
+    assert len(calmed.calm_records) == len(calmed.whole_records(calm=True)) == calm
+    assert all(np.any(r.valid) for r in calmed.calm_records)
