@@ -15,6 +15,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.fine import FinePattern, fine_pattern
 from pmac_comp.physics.diagnose.growth import Grown
+from pmac_comp.physics.diagnose.imitations import ONSET, imitation
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.noise import ambient_m2, noise_floor_um
 from pmac_comp.physics.diagnose.onset import holds_onset
@@ -140,13 +141,14 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     far = excess_um > max(worth, _FAR * floor_um)
     beyond = quiet_um > worth or far or (excess_um > worth and not explained)
     # Effects that miss runs not used for fitting by so much have not been shown, whatever a fit to
-    # those runs would make of them.
+    # those runs would make of them; how friction sets in is no effect.
     raw_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
-    missed = bool(grown.accepted) and raw_um > max(_FAR * floor_um, _IDEAL * _MODEL_um)
+    named = [c for c in grown.accepted if imitation(c.effect, grown.final.model) != ONSET]
+    missed = bool(named) and raw_um > max(_FAR * floor_um, _IDEAL * _MODEL_um)
     if missed:
         beyond, excess_um = True, max(excess_um, raw_um)
     # Where nothing has a name, what the onset of friction might excuse is not nothing either.
-    if not grown.accepted and plain_um > max(_PLAIN * floor_um, _IDEAL * _MODEL_um, open_um):
+    if not named and plain_um > max(_PLAIN * floor_um, _IDEAL * _MODEL_um, open_um):
         beyond, excess_um = True, max(excess_um, plain_um)
     worth_um = max(floor_um, _MODEL_um, 0.25 * base_um)
     fine = _material_wave(grown, worth_um)
