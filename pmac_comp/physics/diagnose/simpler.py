@@ -1,7 +1,7 @@
 """One quantity of the bench file at another value, in place of a model that needs several.
 
 What lives here: the plainest answer where the data asks for what the bench file excludes. No
-effects. May import ``growth``, ``estimates`` and ``refit``.
+effects. May import ``growth``, ``estimates``, ``candidates`` and ``refit``.
 """
 
 import math
@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.candidates import own_directions
 from pmac_comp.physics.diagnose.estimates import finding_of
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import gap
@@ -23,6 +24,7 @@ _MOVED = (*_INERTIAS, "chain.table_mass_kg")
 _FREE = 1.0  # tolerance of a quantity that is taken for unknown
 _PINNED = 0.9
 _ROUNDS = 8
+_END = 1e-6  # in steps of a refit
 _NEARLY = 1.1
 _AS_CLOSE = 1.03  # to the runs that judge as the grown model
 
@@ -105,9 +107,16 @@ def _loosened(grown: Grown, spec: ParameterSpec) -> tuple[ParameterSpec, Fitted]
     nominal = {s.name: s.nominal for s in loose.specs if s.kind == "known" and s.name != spec.name}
     try:
         start = evaluate(part, loose.with_parameters(nominal))
-        return spec, refit(part, start, rounds=_ROUNDS)
+        fitted = refit(part, start, rounds=_ROUNDS)
     except ModelError:
         return None
+    return None if _at_an_end(fitted.model, spec.name) else (spec, fitted)
+
+
+def _at_an_end(model: DriveModel, name: str) -> bool:
+    """Whether a refit took a quantity as far as it may go: that is where it gave up, no value."""
+    ways = [d for d in own_directions(model) if d.label == name]
+    return any(d.lower > -_END or d.upper < _END for d in ways)
 
 
 def _unknown(bench: Bench, spec: ParameterSpec) -> Bench:

@@ -1,13 +1,16 @@
 """One quantity of the bench file in place of a model that needs several."""
 
+from dataclasses import replace
 from typing import Any
+
+import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.diagnose.growth import Grown, first_noise
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.result import Finding
-from pmac_comp.physics.diagnose.simpler import single_cause
+from pmac_comp.physics.diagnose.simpler import _at_an_end, _unknown, single_cause
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -49,3 +52,14 @@ def test_the_quantity_that_is_off_is_found_alone_with_its_value() -> None:
     # A fifth more of the rotor is a tenth more of all that the motor turns and moves.
     assert "gives 0.91" in found[1].text
     assert found[0].accepted == ()
+
+
+@pytest.mark.parametrize(
+    ("share", "ends"), [(0.02, True), (0.5, False), (1.2, False), (2.02, True)]
+)
+def test_a_quantity_that_a_refit_took_to_the_end_of_its_range_is_no_finding(share, ends) -> None:
+    # A table of 0.8 kg "did as well as any effects" where none did: the refit had stopped there.
+    base = DriveModel.base(BENCH)
+    spec = base.spec("chain.table_mass_kg")
+    loose = replace(base, bench=_unknown(BENCH, spec))
+    assert _at_an_end(loose.with_parameters({spec.name: share * spec.nominal}), spec.name) is ends
