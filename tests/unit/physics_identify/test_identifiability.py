@@ -86,3 +86,26 @@ def test_a_friction_that_something_unnamed_pushed_to_nothing_is_no_less_determin
     require_identifiable(fit_with_viscous_std(30.0), has_torque=True)
     with pytest.raises(NotIdentifiable, match="viscous friction of the guide"):
         require_identifiable(fit_with_viscous_std(200.0), has_torque=True)
+
+
+def test_damping_that_no_bench_file_states_is_not_told_as_a_value_of_the_bench_file() -> None:
+    names = ("chain.table_mass_kg", "chain.damping_time_s")
+    spec = MODEL.spec(names[1])
+
+    def fit(std: float, damping_s: float) -> Fit:
+        return replace(
+            fit_with(np.eye(4)),
+            model=MODEL.with_parameters({names[1]: damping_s}),
+            names=names,
+            covariance=np.diag([1e-6, std**2]),
+            scales=np.array([1e-3, 0.3 * spec.nominal]),
+            prior=np.ones(2),
+        )
+
+    assert statements(fit(1e-7, 3.4 * spec.nominal)) == (
+        "These values rest mainly on the bench file, not on the captures: table_mass_kg.",
+    )
+    assert (
+        "damping_time_us rests mainly on what is usual"
+        in statements(fit(0.3 * spec.nominal, spec.nominal))[-1]
+    )
