@@ -40,7 +40,7 @@ from pmac_comp.physics.diagnose.result import (
     Trace,
     Verdict,
 )
-from pmac_comp.physics.diagnose.simpler import single_cause
+from pmac_comp.physics.diagnose.simpler import single_cause, stretched
 from pmac_comp.physics.diagnose.statistics import sign_flip_p
 from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
@@ -119,7 +119,8 @@ def diagnose(
         estimates, findings = estimates_of(grown, told_of, rules.material)
         apart = inconstant(grown, told_of)
         beyond = unreached(grown)
-        simpler = single_cause(grown, findings, doubted=bool(beyond))
+        doubted = bool(beyond) or (not grown.accepted and stretched(grown.final.model))
+        simpler = single_cause(grown, findings, doubted=doubted)
         if simpler is not None:
             grown, estimates, findings = simpler[0], (), (simpler[1],)
         alone = simpler is not None

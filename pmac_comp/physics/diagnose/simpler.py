@@ -8,6 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from scipy.stats import chi2
+
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import own_directions
@@ -25,6 +27,8 @@ _FREE = 1.0  # tolerance of a quantity that is taken for unknown
 _PINNED = 0.9
 _ROUNDS = 8
 _END = 1e-6  # in steps of a refit
+_USUAL_ONLY = "chain.damping_time_s"  # no bench file states it
+_TOGETHER = 1e-3  # chance that stated quantities lie so far out within their tolerances
 _NEARLY = 1.1
 _AS_CLOSE = 1.03  # to the runs that judge as the grown model
 
@@ -41,7 +45,8 @@ def single_cause(
     findings : sequence of Finding
         What its model needs outside a tolerance; without any there is nothing to be simpler than.
     doubted : bool
-        Whether an effect of its model stands for a stated quantity without such a finding.
+        Whether its model stands for a stated quantity without such a finding: by an effect, or by
+        many others at the ends of their tolerances (``stretched``).
 
     Returns
     -------
@@ -75,6 +80,19 @@ def single_cause(
     return replace(grown, final=final, rounds=bare, open_SI={}), found
 
 
+def stretched(model: DriveModel) -> bool:
+    """Whether stated quantities are each within tolerance, but hardly ever all so far out at once.
+
+    One that is far outside its own can be shared out among the others' tolerances.
+    """
+    stated = [
+        (d.centre / d.sigma) ** 2
+        for d in own_directions(model)
+        if math.isfinite(d.sigma) and d.label != _USUAL_ONLY
+    ]
+    return bool(stated) and float(chi2.sf(sum(stated), len(stated))) < _TOGETHER
+
+
 def _as_torque(base: DriveModel, found: DriveModel) -> str:
     """An inertia out of tolerance as the torque constant that no run tells from it."""
     stated = base.with_parameters({name: base.spec(name).nominal for name in _MOVED})
@@ -96,7 +114,7 @@ def _shaft_inertia_kgm2(model: DriveModel) -> float:
 def _pinned(model: DriveModel, spec: ParameterSpec) -> bool:
     """Whether the base model holds a known quantity at the end of its tolerance."""
     width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
-    known = spec.kind == "known" and width > 0.0 and spec.name != "chain.damping_time_s"
+    known = spec.kind == "known" and width > 0.0 and spec.name != _USUAL_ONLY
     return known and abs(model.parameters[spec.name] - spec.nominal) > _PINNED * width
 
 

@@ -10,7 +10,7 @@ from pmac_comp.physics.diagnose.growth import Grown, first_noise
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.result import Finding
-from pmac_comp.physics.diagnose.simpler import _at_an_end, _unknown, single_cause
+from pmac_comp.physics.diagnose.simpler import _at_an_end, _unknown, single_cause, stretched
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -63,3 +63,18 @@ def test_a_quantity_that_a_refit_took_to_the_end_of_its_range_is_no_finding(shar
     spec = base.spec("chain.table_mass_kg")
     loose = replace(base, bench=_unknown(BENCH, spec))
     assert _at_an_end(loose.with_parameters({spec.name: share * spec.nominal}), spec.name) is ends
+
+
+def test_stated_quantities_all_at_the_ends_of_their_tolerances_are_doubted() -> None:
+    # A fifth more of mass was shared out among eight tolerances and called nothing missing.
+    base = DriveModel.base(BENCH)
+    known = [x for x in base.specs if x.kind == "known" and x.name != "chain.efficiency"]
+
+    def out(count: int, share: float) -> DriveModel:
+        moved = {x.name: x.nominal * (1 - share * (x.tolerance_frac or 0.0)) for x in known[:count]}
+        return base.with_parameters(moved)
+
+    assert not stretched(base)
+    assert not stretched(out(2, 1.0))
+    assert not stretched(out(9, 0.7))
+    assert stretched(out(8, 1.02))
