@@ -14,7 +14,7 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Values
 from pmac_comp.physics.model.parameters import ParameterSpec
 
-DAMPING_s = 7.3e-5  # zeta = 0.03 at 130.6 Hz (ballscrew facts 2.7)
+_DAMPING_RATIO = 0.03  # of the first mode, what is usual (ballscrew facts 2.7)
 COUPLING_INERTIA_FRAC = 1.0e-4 / 5.45e-4
 BEARING_OVER_NUT = 211.0 / 180.0
 _STIFF_COUPLING_Nm_per_rad = 2.0e4  # where the bench states none: stiffer than any in the catalogue
@@ -38,8 +38,13 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
     axial = (nominal.axial_stiffness_N_per_um or 0.0) * UM_PER_M
     mass = nominal.table_mass_kg or 0.0
     efficiency = nominal.efficiency or 0.96
+    usual_s = (
+        2.0
+        * _DAMPING_RATIO
+        / _first_mode_rad_per_s(bench, motor_kgm2 + screw_kgm2, mass, axial, torsion)
+    )
     damping = ParameterSpec(
-        "chain.damping_time_s", "s", DAMPING_s, 0.0, 2e-3, DAMPING_s, "known", 0.6,
+        "chain.damping_time_s", "s", usual_s, 0.0, max(2e-3, 10.0 * usual_s), usual_s, "known", 0.6,
         "damping_time_us", "us", US_PER_S, "structural damping over stiffness",
     )  # fmt: skip
     return (
@@ -53,6 +58,23 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
         *_actuator_specs(bench),
         damping,
     )
+
+
+def _first_mode_rad_per_s(
+    bench: Bench, rotary_kgm2: float, mass_kg: float, axial_N_per_m: float, torsion: float
+) -> float:
+    """First mode of the drive, motor free: as measured, or of two masses at mid travel.
+
+    Structural damping over stiffness is 2 zeta over that: a soft drive has more of it than a stiff
+    one of the same damping ratio.
+    """
+    if bench.known.resonance_Hz is not None:
+        return 2.0 * math.pi * bench.known.resonance_Hz
+    x_m = max(bench.screw_position_m(bench.mid_travel_m), 0.0)
+    lead = bench.lead_m_per_rad
+    compliance = 1.0 / axial_N_per_m + x_m / bench.screw_rigidity_N
+    compliance += lead**2 * (1.0 / torsion + x_m / bench.torsional_rigidity_Nm2)
+    return math.sqrt((1.0 / mass_kg + lead**2 / rotary_kgm2) / compliance)
 
 
 def _rigid_specs(bench: Bench) -> tuple[ParameterSpec, ...]:

@@ -9,10 +9,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
-from pmac_comp.files.bench import SiControl, load_bench
+from pmac_comp.files.bench import Known, SiControl, load_bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.model.effect import effect_library, load_effects
+from pmac_comp.physics.model.quasi_static import modes_Hz
 from pmac_comp.physics.model.terms import Coordinate, Factor, Site, TableTerm
 from pmac_comp.physics.signals import trajectory as tr
 
@@ -258,6 +259,7 @@ USER_EFFECT = """
 import numpy as np
 from pmac_comp.physics.model.effect import Effect, no_slots
 from pmac_comp.physics.model.parameters import parameter
+from pmac_comp.physics.model.quasi_static import modes_Hz
 from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
 
 def terms(values, bench):
@@ -354,3 +356,18 @@ def test_a_bench_that_states_no_delay_has_the_usual_one(stated_Hz, periods):
     spec = DriveModel.base(bench).spec("chain.actuator_delay_s")
     assert spec.nominal == pytest.approx(periods * bench.servo_period_s)
     assert (spec.kind, spec.tolerance_frac) == ("known", 1.0)
+
+
+def test_damping_that_is_usual_is_a_share_of_critical_and_not_a_time() -> None:
+    # 3 % of critical at 130.6 Hz is 73 us; at 40 Hz it is 240 us, which is no missing effect.
+    paper = load_bench("paper")
+    nominal = DriveModel.base(paper).spec("chain.damping_time_s").nominal
+    assert nominal == pytest.approx(7.31e-5, rel=1e-3)
+    unmeasured = paper.model_copy(update={"known": Known()})
+    again = DriveModel.base(unmeasured).spec("chain.damping_time_s").nominal
+    assert again == pytest.approx(nominal, rel=0.02)
+    soft = paper.nominal.model_copy(update={"axial_stiffness_N_per_um": 5.0})
+    slender = DriveModel.base(unmeasured.model_copy(update={"nominal": soft}))
+    first_Hz = float(modes_Hz(slender, 0.0)[0])
+    damping_s = slender.spec("chain.damping_time_s").nominal
+    assert damping_s * np.pi * first_Hz == pytest.approx(0.03, rel=0.03)
