@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.onset import without_onset
 from pmac_comp.physics.identify import identify, identify_with_friction
 from pmac_comp.physics.model.drive import DriveModel, simulate
@@ -12,6 +13,7 @@ from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
+from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.campaigns import calibration_motions
 from tools.acceptance import prediction_table as tool
 from tools.acceptance.identify_coverage import truth_si
@@ -96,6 +98,14 @@ def test_damping_of_bristles_does_not_bend_the_other_parameters() -> None:
         assert abs(estimate.value - truth) < 4.0 * estimate.std, name
 
 
+def some_runs(bench: Bench, effects: PlantEffects, seed: int = 0) -> list[Capture]:
+    """Half of the calibration runs of a plant."""
+    plant = make_plant(bench, effects=effects, seed=seed)
+    names = {"sine_low_end", "sine_middle", "sine_small", "sine_long", "move_long"}
+    motions = [m for m in calibration_motions(bench) if m.name in names]
+    return [closed_loop_capture(bench, plant, m.position_m) for m in motions]
+
+
 @pytest.mark.parametrize("seed", [0, 4])
 def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) -> None:
     # Cogging and a joint that stiffens leave as much elsewhere as presliding does at reversals.
@@ -104,15 +114,14 @@ def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) 
         "axial_stiffness_nonlinear": {"preload_N": 1200.0},
         "cogging": {"amplitude_Nm": 0.05, "order_per_rev": 6.0},
     }
-    plant = make_plant(BENCH, effects=effects, seed=seed)
-    names = {"sine_low_end", "sine_middle", "sine_small", "sine_long", "move_long"}
-    motions = [m for m in calibration_motions(BENCH) if m.name in names]
-    runs = [closed_loop_capture(BENCH, plant, m.position_m) for m in motions]
-    found = identify_with_friction(runs, BENCH)
+    found = identify_with_friction(some_runs(BENCH, effects, seed), BENCH)
     assert found.model is not None
-    # One half of the runs shows Stribeck friction in a corner, all of them nothing of it.
-    assert found.model.effects == ("coulomb", "viscous", "presliding")
-    assert found.parameters["presliding.distance_m"].value == pytest.approx(20e-6, rel=0.2)
+    # One half of the runs shows Stribeck friction in a corner, all of them nothing of it; whether
+    # the guide remembers earlier reversals is open beside the rest (its distance is half then).
+    (form,) = found.model.effects[2:]
+    assert form in {"presliding", "presliding_gms"}
+    distance_m = found.parameters[f"{form}.distance_m"].value
+    assert distance_m * (2.0 if form == "presliding_gms" else 1.0) == pytest.approx(20e-6, rel=0.2)
 
 
 def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> None:
@@ -123,11 +132,7 @@ def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> 
         "torque_ripple": {},
         "lead_cyclic": {"amplitude_um": 3.0, "order_per_rev": 1.0},
     }
-    plant = make_plant(bench, effects=effects, seed=0)
-    names = {"sine_low_end", "sine_middle", "sine_small", "sine_long", "move_long"}
-    motions = [m for m in calibration_motions(bench) if m.name in names]
-    runs = [closed_loop_capture(bench, plant, m.position_m) for m in motions]
-    found = identify_with_friction(runs, bench)
+    found = identify_with_friction(some_runs(bench, effects), bench)
     assert found.model is not None
     assert found.model.effects == ("coulomb", "viscous", "stribeck")
     assert found.parameters["stribeck.excess_N"].value == pytest.approx(25.0, rel=0.3)

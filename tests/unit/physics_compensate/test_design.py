@@ -20,7 +20,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s, e
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.workflow.dynamic_law import stribeck_friction, swung_bed
 
 BENCH = load_bench("paper")
@@ -113,6 +113,18 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
 
 
+def a_move(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> Trajectory:
+    return trapezoid(
+        period_s=BENCH.servo_period_s,
+        distance_m=distance_m,
+        speed_m_per_s=speed_m_per_s,
+        acceleration_m_per_s2=acceleration_m_per_s2,
+        s_curve_s=0.015,
+        start_m=-0.05,
+        dwell_s=0.1,
+    )
+
+
 def test_law_undoes_what_a_bed_that_swings_does_to_the_table() -> None:
     swings = {"frequency_Hz": 22.0, "mass_ratio": 0.14, "damping_ratio": 0.03}
     model = DriveModel.base(BENCH).with_effect("base_mode", swings)
@@ -121,15 +133,7 @@ def test_law_undoes_what_a_bed_that_swings_does_to_the_table() -> None:
         design_law(BENCH, model_loop(model), bed=b, motions=motions) for b in (bed, None)
     )
     assert without.bed_share == without.torque_bed_Nm_s2_per_m == 0.0
-    motion = trapezoid(
-        period_s=BENCH.servo_period_s,
-        distance_m=0.1,
-        speed_m_per_s=0.3,
-        acceleration_m_per_s2=4.0,
-        s_curve_s=0.015,
-        start_m=-0.05,
-        dwell_s=0.1,
-    )
+    motion = a_move(0.1, 0.3, 4.0)
     new, old = (promise(law, model_loop(model), motion) for law in (with_bed, without))
     assert new.e_r_after_um < 0.75 * old.e_r_after_um
     assert new.total_after_um < 0.6 * old.total_after_um
@@ -148,15 +152,7 @@ def test_law_knows_friction_that_is_higher_near_standstill() -> None:
     )
     assert not lacks.has_stribeck
     assert knows.stribeck_speed_m_per_s == pytest.approx(0.02, rel=0.5)
-    motion = trapezoid(
-        period_s=BENCH.servo_period_s,
-        distance_m=0.05,
-        speed_m_per_s=0.15,
-        acceleration_m_per_s2=2.0,
-        s_curve_s=0.015,
-        start_m=-0.05,
-        dwell_s=0.1,
-    )
+    motion = a_move(0.05, 0.15, 2.0)
     new, old = (promise(law, model_loop(model), motion) for law in (knows, lacks))
     assert new.e_r_after_um < 0.75 * old.e_r_after_um
     assert new.total_after_um < 0.75 * old.total_after_um
