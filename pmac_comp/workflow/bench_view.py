@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.model.chain import compliance_at_mid_travel_m_per_N, first_mode_rad_per_s
 
 
 def bench_rows(bench: Bench) -> list[tuple[str, Any, str, str]]:
@@ -55,10 +56,11 @@ def compliance_m_per_N(bench: Bench) -> float | None:
     nominal = bench.nominal
     if nominal.axial_stiffness_N_per_um is None or nominal.torsional_stiffness_Nm_per_rad is None:
         return None
-    x = bench.screw_position_m(bench.mid_travel_m)
-    torsion = 1.0 / nominal.torsional_stiffness_Nm_per_rad + x / bench.torsional_rigidity_Nm2
-    axial = 1.0 / (nominal.axial_stiffness_N_per_um * 1e6) + x / bench.screw_rigidity_N
-    return axial + bench.lead_m_per_rad**2 * torsion
+    return compliance_at_mid_travel_m_per_N(
+        bench,
+        nominal.axial_stiffness_N_per_um * UM_PER_M,
+        nominal.torsional_stiffness_Nm_per_rad,
+    )
 
 
 def resonance_Hz(bench: Bench) -> float | None:
@@ -67,11 +69,8 @@ def resonance_Hz(bench: Bench) -> float | None:
     if compliance is None or nominal.table_mass_kg is None or nominal.motor_inertia_kgm2 is None:
         return None
     rotary = nominal.motor_inertia_kgm2 + (nominal.screw_inertia_kgm2 or 0.0)
-    return (
-        math.sqrt((1.0 / nominal.table_mass_kg + bench.lead_m_per_rad**2 / rotary) / compliance)
-        / 2.0
-        / math.pi
-    )
+    mode = first_mode_rad_per_s(bench, rotary, nominal.table_mass_kg, compliance)
+    return mode / (2.0 * math.pi)
 
 
 def tuned_motors(bench: Bench) -> list[int]:

@@ -38,11 +38,9 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
     axial = (nominal.axial_stiffness_N_per_um or 0.0) * UM_PER_M
     mass = nominal.table_mass_kg or 0.0
     efficiency = nominal.efficiency or 0.96
-    usual_s = (
-        2.0
-        * _DAMPING_RATIO
-        / _first_mode_rad_per_s(bench, motor_kgm2 + screw_kgm2, mass, axial, torsion)
-    )
+    compliance = compliance_at_mid_travel_m_per_N(bench, axial, torsion)
+    mode = first_mode_rad_per_s(bench, motor_kgm2 + screw_kgm2, mass, compliance)
+    usual_s = _usual_damping_s(bench, mode)
     damping = ParameterSpec(
         "chain.damping_time_s", "s", usual_s, 0.0, max(2e-3, 10.0 * usual_s), usual_s, "known", 0.6,
         "damping_time_us", "us", US_PER_S, "structural damping over stiffness",
@@ -60,21 +58,32 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
     )
 
 
-def _first_mode_rad_per_s(
-    bench: Bench, rotary_kgm2: float, mass_kg: float, axial_N_per_m: float, torsion: float
+def compliance_at_mid_travel_m_per_N(
+    bench: Bench, axial_N_per_m: float, torsion_Nm_per_rad: float
 ) -> float:
-    """First mode of the drive, motor free: as measured, or of two masses at mid travel.
-
-    Structural damping over stiffness is 2 zeta over that: a soft drive has more of it than a stiff
-    one of the same damping ratio.
-    """
-    if bench.known.resonance_Hz is not None:
-        return 2.0 * math.pi * bench.known.resonance_Hz
+    """Axial compliance from motor to table with the nut at mid travel (ballscrew facts 2.8)."""
     x_m = max(bench.screw_position_m(bench.mid_travel_m), 0.0)
-    lead = bench.lead_m_per_rad
-    compliance = 1.0 / axial_N_per_m + x_m / bench.screw_rigidity_N
-    compliance += lead**2 * (1.0 / torsion + x_m / bench.torsional_rigidity_Nm2)
-    return math.sqrt((1.0 / mass_kg + lead**2 / rotary_kgm2) / compliance)
+    torsion = 1.0 / torsion_Nm_per_rad + x_m / bench.torsional_rigidity_Nm2
+    axial = 1.0 / axial_N_per_m + x_m / bench.screw_rigidity_N
+    return axial + bench.lead_m_per_rad**2 * torsion
+
+
+def first_mode_rad_per_s(
+    bench: Bench, rotary_kgm2: float, mass_kg: float, compliance_m_per_N: float
+) -> float:
+    """First resonance with the motor free, two masses (ballscrew facts 2.7)."""
+    inertias = 1.0 / mass_kg + bench.lead_m_per_rad**2 / rotary_kgm2
+    return math.sqrt(inertias / compliance_m_per_N)
+
+
+def _usual_damping_s(bench: Bench, computed_rad_per_s: float) -> float:
+    """Structural damping over stiffness that is usual: 2 zeta over the first mode, as measured.
+
+    A soft drive has more of it than a stiff one of the same damping ratio.
+    """
+    measured_Hz = bench.known.resonance_Hz
+    mode = computed_rad_per_s if measured_Hz is None else 2.0 * math.pi * measured_Hz
+    return 2.0 * _DAMPING_RATIO / mode
 
 
 def _rigid_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
