@@ -153,11 +153,15 @@ class Capture:
     def _check_grid(self) -> None:
         steps = np.diff(self.time_s)
         period_s = float(np.median(steps))
-        if period_s <= 0.0:
+        back = np.flatnonzero(steps <= 0.0)
+        if back.size:
+            i = int(back[0])
             raise SampleGap(
-                "Column time_s does not ascend.",
+                f"Column time_s does not ascend: {self.time_s[i + 1]:.6f} s follows "
+                f"{self.time_s[i]:.6f} s after sample {i} ({back.size} such places).",
                 code="PC-CAP-004",
-                hint="Sort the samples by time and remove doubled ones.",
+                hint="Sort the samples by time and remove doubled ones; two runs are two files.",
+                context={"index": i, "places": int(back.size)},
             )
         bad = np.flatnonzero(np.abs(steps - period_s) > _GAP_TOLERANCE * period_s)
         if bad.size:
