@@ -86,6 +86,17 @@ def test_words_say_where_friction_is_not_plain(found: Identification) -> None:
     assert "Around reversals" in " ".join(identify(runs, BENCH).statements)
 
 
+def test_words_say_where_the_model_leaves_more_than_the_sensors_steps(
+    found: Identification,
+) -> None:
+    assert "The model leaves" not in " ".join(found.statements)
+    plant = make_plant(BENCH, effects={"bias_force": {"force_N": 200.0}}, seed=11)  # a slanted axis
+    runs = [closed_loop_capture(BENCH, plant, r.position_m) for r in tool.motions(BENCH, 11)]
+    (text,) = (s for s in identify(runs, BENCH).statements if "The model leaves" in s)
+    assert "um rms of the motor's position (" in text
+    assert "diagnose" in text
+
+
 def test_sandwich_of_file_and_model(found: Identification) -> None:
     stored = to_model_file(found, BENCH, data=[("a.h5", "00")])
     assert stored.parameters["axial_stiffness_N_per_um"].value == pytest.approx(
