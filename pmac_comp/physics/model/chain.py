@@ -14,7 +14,7 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Values
 from pmac_comp.physics.model.parameters import ParameterSpec
 
-_DAMPING_RATIO = 0.03  # of the first mode, what is usual (ballscrew facts 2.7)
+_DAMPING_RATIO = 7.3e-5 * math.pi * 130.6  # usual: 0.03, of 73 us at 130.6 Hz (ballscrew facts 2.7)
 COUPLING_INERTIA_FRAC = 1.0e-4 / 5.45e-4
 BEARING_OVER_NUT = 211.0 / 180.0
 _STIFF_COUPLING_Nm_per_rad = 2.0e4  # where the bench states none: stiffer than any in the catalogue

@@ -362,7 +362,7 @@ def test_damping_that_is_usual_is_a_share_of_critical_and_not_a_time() -> None:
     # 3 % of critical at 130.6 Hz is 73 us; at 40 Hz it is 240 us, which is no missing effect.
     paper = load_bench("paper")
     nominal = DriveModel.base(paper).spec("chain.damping_time_s").nominal
-    assert nominal == pytest.approx(7.31e-5, rel=1e-3)
+    assert nominal == pytest.approx(7.3e-5, rel=1e-3)
     unmeasured = paper.model_copy(update={"known": Known()})
     again = DriveModel.base(unmeasured).spec("chain.damping_time_s").nominal
     assert again == pytest.approx(nominal, rel=0.02)
