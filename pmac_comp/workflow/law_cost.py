@@ -55,13 +55,13 @@ def share_frac(bench: Bench, law: CompensationLaw) -> float:
 
 def _cost_us(bench: Bench, law: CompensationLaw) -> float:
     """Time of a pass in us."""
-    return law_cost_us(
-        bench.controller.cpu_clock_MHz,
-        per_turn=law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
-        gap=law.gap_half_m > 0.0,
-        bed=law.bed_share > 0.0,
-        stribeck=law.has_stribeck,
-    )
+    has = {
+        "per_turn": law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
+        "gap": law.gap_half_m > 0.0,
+        "bed": law.bed_share > 0.0,
+        "stribeck": law.has_stribeck,
+    }
+    return law_cost_us(bench.controller.cpu_clock_MHz, [part for part in has if not has[part]])
 
 
 def cost_text(bench: Bench, law: CompensationLaw) -> str:

@@ -1,32 +1,28 @@
 """What one pass of PLC 0 costs the card, counted over its own statements."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Collection, Container, Sequence
 
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_install import law_program
 
+# What a law may lack, and the test by which a pass then leaves it out.
+_PARTS = {
+    "per_turn": "IF(P7188>0)",
+    "gap": "IF(P7186>0)",
+    "bed": "IF(P7140>0)",
+    "stribeck": "IF(P7146>0)",
+}
 
-def operation_count(
-    lines: Sequence[str] | None = None,
-    *,
-    per_turn: bool = True,
-    gap: bool = True,
-    bed: bool = True,
-    stribeck: bool = True,
-) -> int:
+
+def operation_count(lacks: Collection[str] = ()) -> int:
     """Interpreted operations of one pass of PLC 0: operators, functions, stores and tests.
 
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
-    a law with or without torque per turn, the gap of a nut, a bed that swings,
-    Stribeck friction.
+    a law that lacks some of: torque per turn (``per_turn``), the gap of a nut (``gap``), a bed that
+    swings (``bed``), Stribeck friction (``stribeck``).
     """
-    body = lines if lines is not None else law_program(LawBlock(), 1).lines
-    skipped = set(_SKIPPED)
-    skipped |= set() if gap else {"IF(P7186>0)"}
-    skipped |= set() if bed else {"IF(P7140>0)"}
-    skipped |= set() if stribeck else {"IF(P7146>0)"}
-    skipped |= set() if per_turn else {"IF(P7188>0)"}
-    return sum(_operations(line) for line in _pass(body, skipped))
+    skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
+    return sum(_operations(line) for line in _pass(law_program(LawBlock(), 1).lines, skipped))
 
 
 _SKIPPED = (
@@ -70,14 +66,9 @@ def _operations(line: str) -> int:
     return operators + functions + line.count("=") + line.count("AND") + line.count("OR")
 
 
-def law_cost_us(
-    cpu_clock_MHz: float,
-    *,
-    per_turn: bool = True,
-    gap: bool = True,
-    bed: bool = True,
-    stribeck: bool = True,
-) -> float:
-    """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual)."""
-    n = operation_count(per_turn=per_turn, gap=gap, bed=bed, stribeck=stribeck)
-    return 3.0 * 80.0 / cpu_clock_MHz * n
+def law_cost_us(cpu_clock_MHz: float, lacks: Collection[str] = ()) -> float:
+    """CPU time of one pass of PLC 0 in us: about 3 us per operation at 80 MHz (User Manual).
+
+    ``lacks`` as in ``operation_count``.
+    """
+    return 3.0 * 80.0 / cpu_clock_MHz * operation_count(lacks)

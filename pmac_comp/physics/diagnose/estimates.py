@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.refit import Fitted, linearised
 from pmac_comp.physics.diagnose.result import Estimate, Finding
 from pmac_comp.physics.diagnose.workbench import Columns, Direction, Noise, Workbench
 from pmac_comp.physics.identify.result import Z95
+from pmac_comp.physics.model.chain import USUAL_ONLY
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
 
@@ -298,7 +299,7 @@ def _findings(
         spec = model.spec(direction.label)
         width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
         value = model.parameters[spec.name]
-        if spec.kind != "known" or width <= 0.0 or spec.name == "chain.damping_time_s":
+        if spec.kind != "known" or width <= 0.0 or spec.name == USUAL_ONLY:
             continue
         if abs(value - spec.nominal) < _PINNED * width:
             continue

@@ -18,6 +18,7 @@ from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
 from pmac_comp.physics.diagnose.result import Finding
+from pmac_comp.physics.model.chain import USUAL_ONLY
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.parameters import ParameterSpec
 
@@ -27,7 +28,6 @@ _FREE = 1.0  # tolerance of a quantity that is taken for unknown
 _PINNED = 0.9
 _ROUNDS = 8
 _END = 1e-6  # in steps of a refit
-_USUAL_ONLY = "chain.damping_time_s"  # no bench file states it
 _TOGETHER = 1e-3  # chance that stated quantities lie so far out within their tolerances
 _NEARLY = 1.1
 _AS_CLOSE = 1.03  # to the runs that judge as the grown model
@@ -88,7 +88,7 @@ def stretched(model: DriveModel) -> bool:
     stated = [
         (d.centre / d.sigma) ** 2
         for d in own_directions(model)
-        if math.isfinite(d.sigma) and d.label != _USUAL_ONLY
+        if math.isfinite(d.sigma) and d.label != USUAL_ONLY
     ]
     return bool(stated) and float(chi2.sf(sum(stated), len(stated))) < _TOGETHER
 
@@ -114,7 +114,7 @@ def _shaft_inertia_kgm2(model: DriveModel) -> float:
 def _pinned(model: DriveModel, spec: ParameterSpec) -> bool:
     """Whether the base model holds a known quantity at the end of its tolerance."""
     width = abs(spec.nominal) * (spec.tolerance_frac or 0.0)
-    known = spec.kind == "known" and width > 0.0 and spec.name != _USUAL_ONLY
+    known = spec.kind == "known" and width > 0.0 and spec.name != USUAL_ONLY
     return known and abs(model.parameters[spec.name] - spec.nominal) > _PINNED * width
 
 

@@ -20,7 +20,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import share_after_reversals
-from pmac_comp.physics.identify.problem import step_floors
+from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
@@ -41,7 +41,6 @@ _STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for 
 _NO_ZONE_m = 0.0
 _SIGNIFICANT = 3.0  # standard deviations
 _SUSPECT = 1.9  # misfit after reversals over elsewhere; Coulomb friction alone gives 1.5 to 1.8
-_BEYOND_STEPS = 2.0  # of their rms; what the right model leaves is below it
 _CLEARLY, _RATHER = 3.0, 1.0  # standard errors of the mean over blocks
 
 
@@ -157,7 +156,7 @@ class _FrictionTrial(Trial):
         if levels is None:
             return False
         steps_m = step_floors(self.bench)["difference"]
-        return levels[1] > min(_SUSPECT * levels[0], _BEYOND_STEPS * steps_m)
+        return levels[1] > min(_SUSPECT * levels[0], BEYOND_STEPS * steps_m)
 
 
 def identify_with_friction(

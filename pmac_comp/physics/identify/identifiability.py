@@ -19,6 +19,7 @@ from pmac_comp.physics.identify.output_error import Fit
 from pmac_comp.physics.identify.persistence import file_key
 from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.result import correlation_of
+from pmac_comp.physics.model.chain import USUAL_ONLY
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import modes_Hz
 
@@ -61,7 +62,6 @@ _TIED = 0.95
 _RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
 _SURELY = 2.0  # standard deviations beyond the end of the tolerance
 _FROM_BENCH = 0.5  # share of the prior's variance that remains
-_USUAL_ONLY = "chain.damping_time_s"  # no bench file states it: its nominal value is what is usual
 
 
 def require_table(captures: Sequence[Capture]) -> None:
@@ -173,12 +173,12 @@ def _from_bench(fit: Fit) -> list[str]:
         for name, part in zip(fit.names, share, strict=True)
         if part < _FROM_BENCH and fit.model.spec(name).kind == "known"
     ]
-    stated = ", ".join(_in_files(fit, name) for name in names if name != _USUAL_ONLY)
+    stated = ", ".join(_in_files(fit, name) for name in names if name != USUAL_ONLY)
     found = []
     if stated:
         found.append(f"These values rest mainly on the bench file, not on the captures: {stated}.")
-    if _USUAL_ONLY in names:
-        usual = _in_files(fit, _USUAL_ONLY)
+    if USUAL_ONLY in names:
+        usual = _in_files(fit, USUAL_ONLY)
         found.append(f"{usual} rests mainly on what is usual of drives, not on the captures.")
     return found
 
@@ -188,7 +188,7 @@ def _outside_tolerance(fit: Fit) -> list[str]:
     found = []
     for i, name in enumerate(fit.names):
         spec = fit.model.spec(name)
-        if spec.kind != "known" or spec.tolerance_frac is None or name == _USUAL_ONLY:
+        if spec.kind != "known" or spec.tolerance_frac is None or name == USUAL_ONLY:
             continue
         off = fit.model.parameters[name] - spec.nominal
         beyond = abs(off) - spec.tolerance_frac * abs(spec.nominal)

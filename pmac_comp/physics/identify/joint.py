@@ -30,7 +30,7 @@ from pmac_comp.physics.identify.identifiability import (
 from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.identify.output_error import Fit, Stages, refine, require_converged
 from pmac_comp.physics.identify.plausibility import require_plausible
-from pmac_comp.physics.identify.problem import step_floors, working
+from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors, working
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
     CaptureResiduals,
@@ -57,9 +57,6 @@ _NO_DETAIL_AT_REST = {
     "viscous_nonlinear",
 }
 _WORSE = 2.2  # around reversals over elsewhere; plain Coulomb friction gives 1.5 to 1.8
-# What is left over what rounding makes: at most 1.4 on clean drives with 10 and 40 thousand counts
-# per turn; from 1.5 with effects that move a prediction.
-_BEYOND_STEPS = 2.0
 _FEW_ROWS = 50
 _RIGID_NAMES = {
     "mass_kg": "chain.mass_kg",
@@ -324,7 +321,7 @@ def _beyond_steps(bench: Bench, noise: NoiseLevels) -> tuple[str, ...]:
             ("the motor's position", "motor", noise.motor_m),
             ("table minus motor", "difference", noise.table_m),
         )
-        if level is not None and level > _BEYOND_STEPS * steps_m[channel]
+        if level is not None and level > BEYOND_STEPS * steps_m[channel]
     ]
     if not left:
         return ()

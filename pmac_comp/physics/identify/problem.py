@@ -20,6 +20,9 @@ from pmac_comp.physics.model.parameters import ParameterSpec
 
 # A tolerance is the half-width that a maker states: as a normal prior, two standard deviations.
 TOLERANCE_IN_STD = 2.0
+# What is left over the rms of the sensors' steps: at most 1.4 on clean drives with 10 and 40
+# thousand counts per turn; from 1.5 with effects that move a prediction.
+BEYOND_STEPS = 2.0
 # Bearing and nut share their friction in a way that most runs cannot see: the split is held by a
 # wide prior around the typical figure, so that the sum stays free.
 _FREE_PRIOR_SCALES = 2.0

@@ -15,6 +15,7 @@ from pmac_comp.physics.model.effect import Values
 from pmac_comp.physics.model.parameters import ParameterSpec
 
 _DAMPING_RATIO = 7.3e-5 * math.pi * 130.6  # usual: 0.03, of 73 us at 130.6 Hz (ballscrew facts 2.7)
+USUAL_ONLY = "chain.damping_time_s"  # no bench file states it: its nominal value is what is usual
 COUPLING_INERTIA_FRAC = 1.0e-4 / 5.45e-4
 BEARING_OVER_NUT = 211.0 / 180.0
 _STIFF_COUPLING_Nm_per_rad = 2.0e4  # where the bench states none: stiffer than any in the catalogue
@@ -38,11 +39,11 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
     axial = (nominal.axial_stiffness_N_per_um or 0.0) * UM_PER_M
     mass = nominal.table_mass_kg or 0.0
     efficiency = nominal.efficiency or 0.96
-    compliance = compliance_at_mid_travel_m_per_N(bench, axial, torsion)
-    mode = first_mode_rad_per_s(bench, motor_kgm2 + screw_kgm2, mass, compliance)
-    usual_s = _usual_damping_s(bench, mode)
+    usual_s = (
+        2.0 * _DAMPING_RATIO / _mode_rad_per_s(bench, motor_kgm2 + screw_kgm2, mass, axial, torsion)
+    )
     damping = ParameterSpec(
-        "chain.damping_time_s", "s", usual_s, 0.0, max(2e-3, 10.0 * usual_s), usual_s, "known", 0.6,
+        USUAL_ONLY, "s", usual_s, 0.0, max(2e-3, 10.0 * usual_s), usual_s, "known", 0.6,
         "damping_time_us", "us", US_PER_S, "structural damping over stiffness",
     )  # fmt: skip
     return (
@@ -76,14 +77,18 @@ def first_mode_rad_per_s(
     return math.sqrt(inertias / compliance_m_per_N)
 
 
-def _usual_damping_s(bench: Bench, computed_rad_per_s: float) -> float:
-    """Structural damping over stiffness that is usual: 2 zeta over the first mode, as measured.
+def _mode_rad_per_s(
+    bench: Bench, rotary_kgm2: float, mass_kg: float, axial_N_per_m: float, torsion: float
+) -> float:
+    """First mode of a drive, as measured or, where it was not, of two masses.
 
-    A soft drive has more of it than a stiff one of the same damping ratio.
+    Structural damping over stiffness is 2 zeta over it: a soft drive has more of that than a stiff
+    one of the same damping ratio.
     """
-    measured_Hz = bench.known.resonance_Hz
-    mode = computed_rad_per_s if measured_Hz is None else 2.0 * math.pi * measured_Hz
-    return 2.0 * _DAMPING_RATIO / mode
+    if bench.known.resonance_Hz is not None:
+        return 2.0 * math.pi * bench.known.resonance_Hz
+    compliance = compliance_at_mid_travel_m_per_N(bench, axial_N_per_m, torsion)
+    return first_mode_rad_per_s(bench, rotary_kgm2, mass_kg, compliance)
 
 
 def _rigid_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
