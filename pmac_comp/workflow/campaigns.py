@@ -11,6 +11,9 @@ from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.ringing import RINGING_NAME
 from pmac_comp.workflow.static_check import STATIC_NAME
 
+# A sinusoid that grows or fades within a cycle is accelerated by this much more than A omega^2.
+_RAMP_ACCELERATION = 1.113
+
 
 def calibration_motions(bench: Bench) -> list[Motion]:
     """Proposed campaign: several amplitudes and frequencies at three places of the travel.
@@ -26,7 +29,8 @@ def calibration_motions(bench: Bench) -> list[Motion]:
 
     def sine(name: str, amplitude: float, frequency: float, place: float, n: float) -> Motion:
         omega = 2.0 * math.pi * frequency
-        amplitude = min(amplitude, 0.15 * span, 0.9 * speed / omega, 0.85 * acceleration / omega**2)
+        room = min(0.15, 0.95 * (0.5 - abs(place))) * span
+        amplitude = min(amplitude, room, 0.9 * speed / omega, 0.85 * acceleration / omega**2)
         shape = tr.sinusoid(
             period_s=period,
             amplitude_m=amplitude,
@@ -50,10 +54,10 @@ def calibration_motions(bench: Bench) -> list[Motion]:
     slow = tr.triangle(
         period_s=period,
         amplitude_m=min(2e-3, 0.05 * span),
-        speed_m_per_s=2e-3,
+        speed_m_per_s=min(2e-3, speed),
         cycles=2,
         centre_m=middle,
-        acceleration_m_per_s2=0.5,
+        acceleration_m_per_s2=min(0.5, acceleration),
     )
     return [
         sine("sine_low_end", 0.010, 4.0, -0.40, 8.0),
@@ -75,7 +79,7 @@ def lead_motions(bench: Bench) -> list[Motion]:
         period_s=bench.servo_period_s,
         distance_m=high - low - 2.0 * margin,
         speed_m_per_s=min(0.06, 0.3 * usable_speed(bench)),
-        acceleration_m_per_s2=0.5,
+        acceleration_m_per_s2=min(0.5, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.05,
         start_m=low + margin,
     )
@@ -89,7 +93,8 @@ def verification_motions(
     rng = np.random.default_rng(seed)
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
     span, speed = high - low, usable_speed(bench)
-    acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
+    allowed = bench.safety.max_acceleration_m_per_s2
+    acceleration = min(allowed, 10.0)
     period = bench.servo_period_s
     motions: list[Motion] = []
     for _ in range(n_sine):
@@ -97,6 +102,7 @@ def verification_motions(
         omega = 2.0 * math.pi * frequency
         most = min(0.05, 0.1 * span, 0.95 * speed / omega, 0.98 * acceleration / omega**2)
         amplitude = float(rng.uniform(0.7, 1.0)) * most
+        amplitude = min(amplitude, allowed / (_RAMP_ACCELERATION * omega**2))
         centre = float(rng.uniform(low + 1.2 * amplitude, high - 1.2 * amplitude))
         name = f"sine {amplitude * 1e3:.1f} mm {frequency:.2f} Hz at {centre * 1e3:.0f} mm"
         cycles = max(3.0, min(6.0, math.ceil(1.5 * frequency)))

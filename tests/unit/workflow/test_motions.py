@@ -11,6 +11,7 @@ from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.workflow.campaigns import (
     calibration_motions,
     lead_motions,
+    positioning_motion,
     ringing_motion,
     verification_motions,
 )
@@ -136,6 +137,29 @@ def test_verification_motions_follow_the_seed_and_stay_within_limits() -> None:
     first = [m.name for m in verification_motions(BENCH, 1)]
     assert first == [m.name for m in verification_motions(BENCH, 1)]
     assert first != [m.name for m in verification_motions(BENCH, 2)]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_no_campaign_is_refused_on_a_bench_of_any_travel_and_limits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    half_mm, speed, acceleration = np.exp(rng.uniform(np.log([8, 5, 0.1]), np.log([2e3, 3e3, 30])))
+    middle_mm = float(rng.uniform(-1, 1)) * half_mm
+    limits = {"max_speed_mm_per_s": speed, "max_acceleration_m_per_s2": acceleration}
+    travel = {"min_mm": middle_mm - half_mm, "max_mm": middle_mm + half_mm}
+    bench = BENCH.model_copy(
+        update={
+            "travel": BENCH.travel.model_copy(update=travel),
+            "safety": BENCH.safety.model_copy(update=limits),
+        }
+    )
+    for motion in [
+        *calibration_motions(bench),
+        *lead_motions(bench),
+        *verification_motions(bench, seed, n_sine=6),
+        positioning_motion(bench),
+        ringing_motion(bench),
+    ]:
+        check_motion(motion, bench)
 
 
 def test_campaigns_fit_every_bundled_bench() -> None:
