@@ -95,6 +95,16 @@ def test_a_frozen_scale_passes_where_its_samples_are_marked() -> None:
     require_plausible([replace(RUN, table_position_m=FROZEN, valid=ALIVE)], BENCH)
 
 
+@pytest.mark.parametrize("frequency_Hz", [0.5, 1.0, 1.5])
+def test_a_slow_run_that_torque_ripple_shakes_passes(frequency_Hz: float) -> None:
+    ripple = {"cogging": {"amplitude_Nm": 0.4, "order_per_rev": 20.0}}
+    slow = sinusoid(
+        period_s=BENCH.servo_period_s, amplitude_m=0.01, frequency_Hz=frequency_Hz, cycles=3
+    )
+    plant = make_plant(BENCH, effects=ripple, seed=3)
+    require_plausible([closed_loop_capture(BENCH, plant, slow.position_m)], BENCH)
+
+
 def test_readings_without_counts_pass() -> None:
     exact = replace(
         RUN,
