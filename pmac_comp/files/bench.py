@@ -247,6 +247,13 @@ class Bench(_Table):
         return self.controller.servo_period_us / US_PER_S
 
     @property
+    def usable_speed_m_per_s(self) -> float:
+        """Highest speed in m/s: the safety limit or the rated speed of the motor."""
+        limit = self.safety.max_speed_mm_per_s / MM_PER_M
+        rpm = self.known.rated_speed_rpm
+        return limit if rpm is None else min(limit, rpm / 60.0 * self.pitch_m)
+
+    @property
     def pitch_m(self) -> float:
         """Screw pitch in m per revolution."""
         return self.screw.pitch_mm / MM_PER_M

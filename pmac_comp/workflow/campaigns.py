@@ -24,7 +24,7 @@ def calibration_motions(bench: Bench) -> list[Motion]:
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
     middle, span = 0.5 * (low + high), high - low
     period = bench.servo_period_s
-    speed = usable_speed(bench)
+    speed = bench.usable_speed_m_per_s
     acceleration = min(bench.safety.max_acceleration_m_per_s2, 8.0)
 
     def sine(name: str, amplitude: float, frequency: float, place: float, n: float) -> Motion:
@@ -78,7 +78,7 @@ def lead_motions(bench: Bench) -> list[Motion]:
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
         distance_m=high - low - 2.0 * margin,
-        speed_m_per_s=min(0.06, 0.3 * usable_speed(bench)),
+        speed_m_per_s=min(0.06, 0.3 * bench.usable_speed_m_per_s),
         acceleration_m_per_s2=min(0.5, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.05,
         start_m=low + margin,
@@ -92,7 +92,7 @@ def verification_motions(
     """Motions drawn by a seed: sinusoids within the rated speed and jerk-limited trapezoids."""
     rng = np.random.default_rng(seed)
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
-    span, speed = high - low, usable_speed(bench)
+    span, speed = high - low, bench.usable_speed_m_per_s
     allowed = bench.safety.max_acceleration_m_per_s2
     acceleration = min(allowed, 10.0)
     period = bench.servo_period_s
@@ -132,13 +132,6 @@ def verification_motions(
     return motions
 
 
-def usable_speed(bench: Bench) -> float:
-    """Highest speed in m/s: the safety limit or the rated speed of the motor."""
-    limit = bench.safety.max_speed_mm_per_s / MM_PER_M
-    rpm = bench.known.rated_speed_rpm
-    return limit if rpm is None else min(limit, rpm / 60.0 * bench.pitch_m)
-
-
 def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
     """One run of ISO 230-2: up through all targets and down again, with an overrun at both ends.
 
@@ -156,7 +149,7 @@ def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
     shape = tr.staircase(
         period_s=bench.servo_period_s,
         positions_m=[*stops, targets[0] - overrun],
-        speed_m_per_s=0.6 * usable_speed(bench),
+        speed_m_per_s=0.6 * bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(2.0, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.03,
         dwell_s=0.4,
@@ -170,7 +163,7 @@ def ringing_motion(bench: Bench) -> Motion:
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
         distance_m=0.15 * (high - low),
-        speed_m_per_s=0.4 * usable_speed(bench),
+        speed_m_per_s=0.4 * bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(3.0, bench.safety.max_acceleration_m_per_s2),
         start_m=low + 0.4 * (high - low),
         dwell_s=0.3,

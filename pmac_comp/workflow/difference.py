@@ -21,7 +21,6 @@ from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.campaigns import usable_speed
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.program import draw_motion
@@ -234,7 +233,7 @@ def reference_motion(bench: Bench) -> tr.Trajectory:
     return tr.trapezoid(
         period_s=bench.servo_period_s,
         distance_m=0.3 * (high - low),
-        speed_m_per_s=0.6 * usable_speed(bench),
+        speed_m_per_s=0.6 * bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(_REFERENCE_m_per_s2, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.015,
         start_m=low + 0.35 * (high - low),

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.covariance import root_of_inverse
@@ -21,7 +21,7 @@ from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.result import correlation_of
 from pmac_comp.physics.model.chain import USUAL_ONLY
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.model.quasi_static import modes_Hz
+from pmac_comp.physics.model.quasi_static import compliance_m_per_N, modes_Hz
 
 # Functionals that compensation needs; sums where the parts cannot be told apart by design.
 ESSENTIAL: Mapping[str, tuple[str, ...]] = {
@@ -58,6 +58,7 @@ _SEPARATORS = {
 }
 _UNDETERMINED = 0.5  # std over size: worse than this and the sign is all that is known
 _USUAL = 0.5  # of the usual size, at least
+_FAST = 0.6  # of the highest speed that the bench allows
 _TIED = 0.95
 _RESONANCE_FRAC = 0.05  # twice what tolerances of 5 % on the mass do to the frequency
 _SURELY = 2.0  # standard deviations beyond the end of the tolerance
@@ -100,13 +101,33 @@ def require_long_enough(records: Sequence[Record]) -> None:
         )
 
 
-def require_identifiable(fit: Fit, *, has_torque: bool) -> None:
-    """Raise NotIdentifiable where something that compensation needs is not determined."""
-    open_points = [
-        what
+def require_identifiable(
+    fit: Fit, *, has_torque: bool, speed_m_per_s: float = 0.0
+) -> tuple[str, ...]:
+    """Raise NotIdentifiable where something that compensation needs is not determined.
+
+    Parameters
+    ----------
+    fit : Fit
+        The refinement.
+    has_torque : bool
+        Whether a capture holds the torque.
+    speed_m_per_s : float
+        Highest speed of the captures in m/s.
+
+    Returns
+    -------
+    tuple of str
+        Viscous friction that is open although the captures reach the highest speeds of the bench,
+        in words: a small slow stage has no runs that would tell it.
+    """
+    stds = {
+        what: std
         for what, names in ESSENTIAL.items()
-        if _is_open(fit, names) and (has_torque or "nut and front" not in what)
-    ]
+        if (std := _open_std(fit, names)) and (has_torque or "nut and front" not in what)
+    }
+    fast = speed_m_per_s > _FAST * fit.model.bench.usable_speed_m_per_s
+    open_points = [what for what in stds if not (fast and "viscous" in what)]
     if open_points:
         runs = [_ADVICE[what] for what in open_points]
         raise NotIdentifiable(
@@ -115,6 +136,21 @@ def require_identifiable(fit: Fit, *, has_torque: bool) -> None:
             hint="Capture " + "; and ".join(runs) + ".",
             context={"parameters": [n for what in open_points for n in ESSENTIAL[what]]},
         )
+    return tuple(
+        f"The {what} is not determined, although the captures reach the highest speeds of the "
+        f"bench file{_bend(fit, what, std, speed_m_per_s)}."
+        for what, std in stds.items()
+    )
+
+
+def _bend(fit: Fit, what: str, std: float, speed_m_per_s: float) -> str:
+    """How far two standard deviations of the guide's friction bend the drive, in words."""
+    if "guide" not in what or fit.model.is_rigid:
+        return ""
+    travel = fit.model.bench.travel
+    ends_m = np.array([travel.min_mm, travel.max_mm]) / MM_PER_M
+    bend_m = 2.0 * std * speed_m_per_s * float(np.max(compliance_m_per_N(fit.model, ends_m)))
+    return f": what it may be bends the drive by up to {bend_m * UM_PER_M:.2g} um there"
 
 
 def informed_frac(fit: Fit) -> FloatArray:
@@ -129,10 +165,11 @@ def statements(fit: Fit) -> tuple[str, ...]:
     return (*_tied(fit), *_from_bench(fit), *_outside_tolerance(fit))
 
 
-def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
+def _open_std(fit: Fit, names: tuple[str, ...]) -> float:
+    """Standard deviation of a sum that the captures leave open, 0 where they determine it."""
     index = [fit.names.index(name) for name in names if name in fit.names]
     if len(index) < len(names):
-        return False
+        return 0.0
     # What the runs excite decides, not what the model misfits: that widens the intervals instead.
     root, _ = root_of_inverse(fit.information + np.diag(fit.prior))
     std = float(np.linalg.norm(fit.scales[index] @ root[index]))
@@ -141,7 +178,7 @@ def _is_open(fit: Fit, names: tuple[str, ...]) -> bool:
         sum(abs(fit.model.parameters[name]) for name in names),
         _USUAL * float(fit.scales[index].sum()),
     )
-    return std > _UNDETERMINED * size
+    return std if std > _UNDETERMINED * size else 0.0
 
 
 def _tied(fit: Fit) -> list[str]:

@@ -196,9 +196,12 @@ def _identify_elastic(
         responses = list(workers.map(_response_of_pair, jobs))
     if stages in {"all", "fine"}:
         require_converged(fit)
+    harmless: tuple[str, ...] = ()
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
-        require_identifiable(fit, has_torque=has_torque)
+        harmless = require_identifiable(
+            fit, has_torque=has_torque, speed_m_per_s=max(map(_top_speed_m_per_s, captures))
+        )
     residuals = tuple(
         _residuals_of(record, response, fit, column, i)
         for i, (record, response, column) in enumerate(
@@ -214,6 +217,7 @@ def _identify_elastic(
         noise=noise,
         residuals=residuals,
         statements=(
+            *harmless,
             *statements(fit),
             *resonance_statement(fit.model, bench),
             *(_after_reversals(records, residuals) if has_scale else ()),
@@ -225,6 +229,11 @@ def _identify_elastic(
         if shape is None
         else rec.map_from(shape, fit.nuisance[rec.n_leading(len(records)) :]),
     )
+
+
+def _top_speed_m_per_s(capture: Capture) -> float:
+    step_m = np.abs(np.diff(capture.commanded_position_m))
+    return float(np.nanquantile(step_m, 0.999)) / capture.sample_period_s
 
 
 def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:

@@ -1,5 +1,6 @@
 """What a fit says of parameters that the runs move together."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,15 @@ def test_a_friction_that_something_unnamed_pushed_to_nothing_is_no_less_determin
     require_identifiable(fit_with_viscous_std(30.0), has_torque=True)
     with pytest.raises(NotIdentifiable, match="viscous friction of the guide"):
         require_identifiable(fit_with_viscous_std(200.0), has_torque=True)
+
+
+def test_viscous_friction_that_no_run_of_this_bench_could_tell_is_said_and_not_refused() -> None:
+    fit, fastest = fit_with_viscous_std(200.0), MODEL.bench.usable_speed_m_per_s
+    with pytest.raises(NotIdentifiable, match="viscous friction of the guide"):
+        require_identifiable(fit, has_torque=True, speed_m_per_s=0.3 * fastest)
+    (text,) = require_identifiable(fit, has_torque=True, speed_m_per_s=0.7 * fastest)
+    assert "viscous friction of the guide is not determined" in text
+    assert re.search(r"bends the drive by up to [\d.]+ um", text)
 
 
 def test_damping_that_no_bench_file_states_is_not_told_as_a_value_of_the_bench_file() -> None:
