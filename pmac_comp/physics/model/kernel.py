@@ -21,7 +21,7 @@ from numba import njit
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.model import slots as s
-from pmac_comp.physics.model.kernel_chain import N_COLUMNS, N_STATES
+from pmac_comp.physics.model.kernel_chain import N_COLUMNS, N_STATES, share_of_bed
 
 _HISTORY = 256
 _MOST_RISE = 4.0  # of a level over its own part, as far as the bristle's distance follows
@@ -778,18 +778,18 @@ def _held_torque(
 
 @_part
 def _shake_base(par: FloatArray, base: FloatArray, table_a: float, h: float) -> float:
-    """Force of the moving base on the table over a substep; ``base`` is its place and speed.
+    """Force of the moving bed on the table over a substep; ``base`` is its place and speed.
 
-    Bed on its foundation, positions relative to the bed: the table feels -M x_b''.
+    Bed on its foundation, positions relative to the bed: the table feels -M x_b''. The part of it
+    that the table's own acceleration makes is in the chain's mass (``share_of_bed``): felt one
+    substep late it would drive the drive's own modes.
     """
-    omega = par[s.BASE_OMEGA]
-    base_a = (
-        -par[s.M_TABLE] * table_a
-        - par[s.BASE_MASS] * omega * (2.0 * par[s.BASE_ZETA] * base[1] + omega * base[0])
-    ) / (par[s.BASE_MASS] + par[s.M_TABLE])
-    base[1] += h * base_a
+    mass, bed, omega = par[s.M_TABLE], par[s.BASE_MASS], par[s.BASE_OMEGA]
+    before = omega * (2.0 * par[s.BASE_ZETA] * base[1] + omega * base[0])
+    base[1] += h * (-mass * table_a - bed * before) / (bed + mass)
     base[0] += h * base[1]
-    return float(-par[s.M_TABLE] * base_a)
+    after = omega * (2.0 * par[s.BASE_ZETA] * base[1] + omega * base[0])
+    return float(mass * share_of_bed(par) * 0.5 * (before + after))
 
 
 @_part

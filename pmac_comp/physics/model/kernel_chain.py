@@ -48,6 +48,16 @@ def _solve_inverse(matrix: FloatArray, size: int) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def share_of_bed(par: FloatArray) -> float:
+    """Mass with which a table moves relative to a bed that gives way, over its own mass.
+
+    Two bodies that push each other off part with the reduced mass M m_b / (M + m_b).
+    """
+    bed = par[s.BASE_MASS]
+    return float(bed / (bed + par[s.M_TABLE])) if bed > 0.0 else 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def chain_matrices(par: FloatArray, x_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mass, damping and stiffness of [motor angle, screw angle, screw axial, table] at x."""
     mass = np.zeros((4, 4))
@@ -71,7 +81,7 @@ def chain_matrices(par: FloatArray, x_m: float) -> tuple[FloatArray, FloatArray,
         + par[s.J_SCREW] * (1.0 - x / length)
     )
     mass[2, 2] = par[s.M_SCREW] * (x / length / 3.0 * (b * b + b + 1.0) + 1.0 - x / length)
-    mass[3, 3] = par[s.M_TABLE]
+    mass[3, 3] = par[s.M_TABLE] * share_of_bed(par)
     k_torsion = 1.0 / flexibility
     stiffness[0, 0] += k_torsion
     stiffness[0, 1] -= k_torsion
@@ -96,7 +106,7 @@ def _chain_system(par: FloatArray, x_m: float) -> tuple[FloatArray, float]:
     rho = par[s.LEAD]
     system = np.zeros((N_STATES, N_COLUMNS))
     if par[s.RIGID] > 0.5:
-        inertia = par[s.RIGID_MASS] * rho * rho
+        inertia = par[s.RIGID_MASS] * share_of_bed(par) * rho * rho
         drag = (
             par[s.GUIDE + s.VISCOUS] * rho * rho + par[s.NUT + s.VISCOUS] + par[s.MOTOR + s.VISCOUS]
         )

@@ -27,7 +27,6 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="bed",
-    min_substeps=6,
     source="Ball-screw facts 3: second order at f_base; positions are relative to the bed",
     signature="ringing at 20 to 60 Hz after each acceleration, in torque and table",
     separating_experiment="an accelerometer on bed and bracket",
