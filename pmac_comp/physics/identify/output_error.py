@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.covariance import covariance_of, root_of_inverse, tempered
+from pmac_comp.physics.identify.covariance import root_of_inverse, tempered, uncertainty_of
 from pmac_comp.physics.identify.normal_equations import (
     Normal,
     channel_costs,
@@ -83,8 +83,8 @@ class Fit:
         Scale of each parameter.
     nuisance : ndarray, shape (q,)
         Scale offsets and map coefficients.
-    freedom : int
-        Blocks of time less parameters: degrees of freedom of the covariance.
+    freedom : ndarray, shape (p,)
+        Degrees of freedom of each variance.
     rounds : int
         Steps that were tried.
     step : float
@@ -98,7 +98,7 @@ class Fit:
     prior: FloatArray
     scales: FloatArray
     nuisance: FloatArray
-    freedom: int
+    freedom: FloatArray
     rounds: int
     step: float
 
@@ -286,7 +286,7 @@ def _with_rounding(
             continue
         theta, best = tried, at
         goal, _ = _plain_step(problem, theta, at)
-        std = np.sqrt(np.diag(covariance_of(problem, theta, at)))
+        std = uncertainty_of(problem, theta, at).std
         step = float(np.sqrt(np.mean(((goal - theta) / std) ** 2)))
         tried = theta + gain * (goal - theta)
         if i > 0 and step < _QUANTISED_DONE:
@@ -304,18 +304,18 @@ def _foreseeable(
 
 
 def _finished(problem: Problem, theta: FloatArray, final: Normal, rounds: int, step: float) -> Fit:
-    covariance = covariance_of(problem, theta, final)
+    found = uncertainty_of(problem, theta, final)
     scales = problem.slopes_at(theta)
     outer = np.outer(scales, scales)
     return Fit(
         model=problem.model_at(theta),
         names=tuple(spec.name for spec in problem.specs),
-        covariance=covariance * outer,
+        covariance=found.covariance * outer,
         information=final.hessian,
         prior=problem.weight,
         scales=scales,
         nuisance=final.nuisance,
-        freedom=max(final.scores.shape[0] - theta.size, 1),
+        freedom=found.freedom,
         rounds=rounds,
         step=step,
     )
