@@ -58,6 +58,15 @@ def test_a_base_model_starts_without_a_bias(
     assert "bias_force.force_N" not in start.parameters
 
 
+def test_intervals_of_a_vertical_axis_hold_its_friction_and_weight(
+    hanging: tuple[list[Capture], dict[str, float]],
+) -> None:
+    found = identify(hanging[0], BENCH, model=DriveModel.base(BENCH).with_effect("bias_force"))
+    assert not missed(found, hanging[1])
+    weight = found.parameters["bias_force.force_N"]
+    assert weight.std < 0.02 * abs(GRAVITY_N)
+
+
 def test_intervals_hold_where_coarse_counts_dither_friction() -> None:
     bench = bench_of(COARSE, "4000 counts over 16 mm")
     plant = make_plant(bench, effects={}, seed=1)

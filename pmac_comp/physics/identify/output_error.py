@@ -28,7 +28,7 @@ from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of, wo
 from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.rounding import (
     QUANTISED_GAINS,
-    equations_at_end,
+    equations_over_interval,
     settled_with_rounding,
 )
 from pmac_comp.physics.identify.steps import damped_step
@@ -193,7 +193,7 @@ def _refine(
     if weights == "coloured" and rounding:
         tell("accounting for what the encoder rounds", rounds / _ALL_ROUNDS)
         settled = settled_with_rounding(problem, theta, _slopes_near(problem, at), filters)
-        last = equations_at_end(problem, settled)
+        last = equations_over_interval(problem, settled)
         theta, step = settled.theta, settled.step
         rounds += settled.rounds
     tell("refined", 1.0)

@@ -19,11 +19,11 @@ from pmac_comp.physics.identify.normal_equations import (
     without_nuisances,
 )
 from pmac_comp.physics.identify.problem import Problem, jacobian
+from pmac_comp.physics.identify.secants import Slopes, over_interval
 from pmac_comp.physics.identify.steps import plain_step
 from pmac_comp.physics.identify.whitening import Whitener
 
 Filters = list[list[Whitener]]
-Slopes = list[list[FloatArray]]
 
 # Each of these rounds sees other chances of rounding: full steps first, then ever smaller shares,
 # so that the last points are averages instead of the last throw.
@@ -109,9 +109,14 @@ def settled_with_rounding(
     return Settled(theta, step, before + len(QUANTISED_GAINS), slopes, filters, left)
 
 
-def equations_at_end(problem: Problem, at: Settled) -> Normal:
-    """Normal equations where the refinement ended."""
-    return tempered(problem, normal_equations(problem, at.filters, at.left, at.slopes))
+def equations_over_interval(problem: Problem, at: Settled) -> Normal:
+    """Normal equations at the end whose derivatives hold over the interval that they leave."""
+
+    def equations(slopes: Slopes) -> Normal:
+        return normal_equations(problem, at.filters, at.left, slopes, scatter=False)
+
+    slopes = over_interval(problem, at.theta, at.slopes, equations)
+    return tempered(problem, normal_equations(problem, at.filters, at.left, slopes))
 
 
 def _away_from_smooth(
