@@ -4,11 +4,12 @@ What lives here: which of them can be foreseen, and steps on their mean. What ma
 (``output_error``), simulation (``problem``). Imports this package.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.physics.identify.considered import considered_scores
 from pmac_comp.physics.identify.covariance import tempered, uncertainty_of
 from pmac_comp.physics.identify.normal_equations import (
     Normal,
@@ -110,13 +111,18 @@ def settled_with_rounding(
 
 
 def equations_over_interval(problem: Problem, at: Settled) -> Normal:
-    """Normal equations at the end whose derivatives hold over the interval that they leave."""
+    """Normal equations at the end whose derivatives hold over the interval that they leave.
+
+    Their scores scatter by what is held at a stated value too.
+    """
 
     def equations(slopes: Slopes) -> Normal:
         return normal_equations(problem, at.filters, at.left, slopes, scatter=False)
 
     slopes = over_interval(problem, at.theta, at.slopes, equations)
-    return tempered(problem, normal_equations(problem, at.filters, at.left, slopes))
+    found = normal_equations(problem, at.filters, at.left, slopes)
+    held = considered_scores(problem, at.theta, at.filters, slopes)
+    return tempered(problem, replace(found, prior_scores=found.prior_scores + held))
 
 
 def _away_from_smooth(
