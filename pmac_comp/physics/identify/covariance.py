@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.stats import t as student
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.identify.normal_equations import Normal
@@ -22,6 +23,8 @@ _DISAGREE = 3.0
 _LEAST_STRETCHES = 8  # a campaign of fewer runs is cut into about so many stretches
 _NO_PRIOR = 1e-12
 _TINY, _KNOWN = 1e-300, 1e3
+_FEWEST, _MANY = 2.0, 1e6  # degrees of freedom; with fewer than two there is no variance
+_LEVEL = 0.975
 _ROUNDING = float(np.finfo(np.float64).eps)
 _BASE = ("chain", "coulomb", "viscous")
 
@@ -59,30 +62,80 @@ def uncertainty_of(problem: Problem, theta: FloatArray, final: Normal) -> Uncert
 
     No parameter gets less than the information of its whitened residuals leaves: scatter of a fit
     that has nearly as many parameters as clusters comes out too small by chance. No stated value
-    gets more than the error of who asks the bench file alone.
+    gets more than the error of who asks the bench file alone. A variance that few blocks decide is
+    itself hardly known, which is Student's factor.
 
     Source: the larger of the usual and the robust standard error (Angrist and Pischke 2009, 8.1);
     cluster-robust inference with runs as clusters (Cameron and Miller 2015, VI: as many
-    degrees of freedom as clusters less one).
+    degrees of freedom as clusters less one); effective number of blocks (Carter, Schnepel and
+    Steigerwald 2017).
     """
     covariance = _sandwich(problem, theta, final)
+    usual = final.untempered or final
     least = np.diag(covariance)
     if final.untempered is not None:
         least = np.maximum(least, np.diag(_sandwich(problem, theta, final.untempered)))
     least = np.where(_is_free(problem), least, np.diag(covariance))
-    least = np.maximum(least, _by_information(problem, final.untempered or final))
-    freedom = np.full(theta.size, float(max(final.scores.shape[0] - theta.size, 1)))
-    among, scattered = _among_runs(problem, final.untempered or final)
-    # A prior is known: only what the runs give of a variance has few degrees of freedom
-    # (Satterthwaite 1946).
+    least = np.maximum(least, _by_information(problem, usual))
+    among, scattered = _among_runs(problem, usual)
     clusters = np.unique(_stretches(final.runs)).size
-    known = np.clip(among / np.maximum(scattered, _TINY), 1.0, _KNOWN)
-    most = _most_of_known(problem, theta)
-    few = (least < among) & (among < most)
-    freedom = np.where(few, (clusters - 1) * known**2, freedom)
-    variance = np.minimum(np.maximum(least, among), most)
+    variance, freedom = _widest(
+        problem,
+        theta,
+        (
+            least,
+            _beside_prior(least, _effective_blocks(problem, usual) - 1.0, _data(problem, usual)),
+        ),
+        (among, _beside_prior(among, np.full(theta.size, clusters - 1.0), scattered)),
+    )
     wider = np.sqrt(variance / np.diag(covariance))
     return Uncertainty(np.asarray(covariance * np.outer(wider, wider)), freedom)
+
+
+def _widest(
+    problem: Problem, theta: FloatArray, *found: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Of variances and their degrees of freedom those with the widest interval, shape (p,) each.
+
+    For stated values at most the interval that the bench file gives by itself.
+    """
+    half = np.stack([student.ppf(_LEVEL, freedom) * np.sqrt(size) for size, freedom in found])
+    first = np.argmax(half, axis=0)[np.newaxis]
+    variance, freedom = (
+        np.take_along_axis(np.stack(column), first, axis=0)[0]
+        for column in zip(*found, strict=True)
+    )
+    most = _most_of_known(problem, theta)
+    beyond = half.max(axis=0) > student.ppf(_LEVEL, _MANY) * np.sqrt(most)
+    return np.where(beyond, most, variance), np.where(beyond, _MANY, freedom)
+
+
+def _beside_prior(variance: FloatArray, freedom: FloatArray, part: FloatArray) -> FloatArray:
+    """Degrees of freedom of variances of which only a part is estimated, shape (p,).
+
+    A prior is known (Satterthwaite 1946).
+    """
+    known = np.clip(variance / np.maximum(part, _TINY), 1.0, _KNOWN)
+    return np.asarray(np.minimum(np.maximum(freedom, _FEWEST) * known**2, _MANY))
+
+
+def _data(problem: Problem, final: Normal) -> FloatArray:
+    """Part of the variances by information that the captures bring, shape (p,)."""
+    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
+    inverse = root @ root.T
+    return np.asarray(np.diag(inverse @ final.hessian @ inverse))
+
+
+def _effective_blocks(problem: Problem, final: Normal) -> FloatArray:
+    """By how many blocks each parameter is determined, were they all to count alike, shape (p,).
+
+    Delay and current loop show where an acceleration begins: some tenths of a second of a campaign
+    decide, and as many independent residuals, not as all of its blocks, say how well.
+    """
+    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
+    inverse = root @ root.T
+    share = np.einsum("ij,bjk,ik->bi", inverse, final.block_hessians, inverse)
+    return np.asarray(share.sum(axis=0) ** 2 / np.maximum(np.sum(share**2, axis=0), _TINY))
 
 
 def _by_information(problem: Problem, final: Normal) -> FloatArray:

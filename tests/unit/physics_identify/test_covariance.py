@@ -1,5 +1,6 @@
 """Inverse of information matrices that hardly part two parameters; scatter of blocks and runs."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -93,3 +94,14 @@ def test_a_stated_value_errs_by_its_tolerance_and_its_distance_at_most(
     found = uncertainty_of(_problem(["known", "free"]), theta, normal)
     assert found.std[0] == pytest.approx(most, rel=1e-6)
     assert found.std[1] > 2.0 * most
+
+
+def test_what_few_blocks_decide_has_few_degrees_of_freedom() -> None:
+    runs = np.repeat(np.arange(8), 20)
+    normal = _normal(np.random.default_rng(1).standard_normal((160, 1)) / np.sqrt(160.0), runs)
+    shares = np.zeros(160)
+    shares[[3, 4, 70]] = 1.0 / 3.0
+    few = replace(normal, block_hessians=shares[:, None, None] * np.eye(1))
+    problem, theta = _problem(["free"]), np.zeros(1)
+    assert uncertainty_of(problem, theta, normal).freedom[0] > 50.0
+    assert uncertainty_of(problem, theta, few).freedom[0] == pytest.approx(2.0, abs=0.1)
