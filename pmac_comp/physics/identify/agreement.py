@@ -10,6 +10,7 @@ import numpy as np
 
 from pmac_comp.physics.identify.persistence import file_key
 from pmac_comp.physics.identify.result import (
+    Z95,
     Identification,
     ParameterEstimate,
     correlation_of,
@@ -55,9 +56,8 @@ def widened_where_apart(found: Identification, other: Identification) -> Identif
     covariance = found.correlation * np.outer(std, std) + np.outer(apart, apart)
     wider = np.sqrt(np.diag(covariance))
     parameters = dict(found.parameters)
-    half_width = _half_width_std(found)
     for name, size in zip(names, wider, strict=True):
-        parameters[name] = _with_std(found, name, float(size), half_width)
+        parameters[name] = _with_std(found, name, float(size))
     listed = ", ".join(
         file_key(model.spec(name), rigid=model.is_rigid)
         for name, is_far in zip(names, far, strict=True)
@@ -75,18 +75,15 @@ def widened_where_apart(found: Identification, other: Identification) -> Identif
     )
 
 
-def _half_width_std(found: Identification) -> float:
-    """Half width of the 95 % intervals in standard deviations."""
-    widths = [
-        max(entry.upper95 - entry.value, entry.value - entry.lower95) / entry.std
-        for entry in found.parameters.values()
-        if entry.std > 0.0
-    ]
-    return max(widths)
+def _half_width_std(entry: ParameterEstimate) -> float:
+    """Half width of a 95 % interval in standard deviations, where bounds do not cut it."""
+    half = max(entry.upper95 - entry.value, entry.value - entry.lower95)
+    return max(half / entry.std, Z95) if entry.std > 0.0 else Z95
 
 
-def _with_std(found: Identification, name: str, std: float, half_width: float) -> ParameterEstimate:
+def _with_std(found: Identification, name: str, std: float) -> ParameterEstimate:
     entry = found.parameters[name]
+    half_width = _half_width_std(entry)
     low, high = -np.inf, np.inf
     if found.model is not None:
         spec = found.model.spec(name)

@@ -1,15 +1,16 @@
-"""How sure a refinement is: the covariance of its parameters from blocks of time.
+"""How sure a refinement is: the covariance of its parameters from blocks of time and from runs.
 
-What lives here: the sandwich over blocks with what steady rows alone would say. What may not:
-simulation, steps. Imports ``problem`` and ``normal_equations``.
+What lives here: the sandwich over blocks and over runs, with what steady rows alone would say. What
+may not: simulation, steps. Imports ``problem`` and ``normal_equations``.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.stats import t as student
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.physics.identify.normal_equations import Normal
 from pmac_comp.physics.identify.problem import Problem
 
@@ -19,44 +20,174 @@ _MAX_LEVERAGE = 0.7
 _LEAST_OF_PRIOR = 1e-2  # counted as information, so that the equations can be solved
 # Scatter over information from which on blocks disagree, over the most that so few show by chance.
 _DISAGREE = 3.0
-_FEW_RUNS = 4
+_LEAST_STRETCHES = 8  # a campaign of fewer runs is cut into about so many stretches
 _NO_PRIOR = 1e-12
+_TINY, _KNOWN = 1e-300, 1e3
+_FEWEST, _MANY = 2.0, 1e6  # degrees of freedom; with fewer than two there is no variance
+_LEVEL = 0.975
 _ROUNDING = float(np.finfo(np.float64).eps)
 _BASE = ("chain", "coulomb", "viscous")
 
 
-def covariance_of(problem: Problem, theta: FloatArray, final: Normal) -> FloatArray:
-    """Covariance of the scaled parameters, prior included, shape (p, p).
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of scaled parameters, and how well it is known itself.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (p, p)
+        Of the scaled parameters, prior included.
+    freedom : ndarray, shape (p,)
+        Degrees of freedom of each variance, for Student's factor.
+    """
+
+    covariance: FloatArray
+    freedom: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations of the scaled parameters, shape (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def uncertainty_of(problem: Problem, theta: FloatArray, final: Normal) -> Uncertainty:
+    """How sure the scaled parameters are, prior included.
 
     A parameter that no maker's tolerance holds keeps at least the interval that it has without
     tempering: weights that follow the scatter of blocks promise more than the usual ones, and what
-    blocks get wrong alike is no scatter. With friction in detail every parameter keeps at least
-    what whole runs give, up to its tolerance: a run that repeats its motion meets the same
-    fractions of a count at each reversal, so that its blocks err alike.
+    blocks get wrong alike is no scatter. Every parameter keeps at least what the scatter of whole
+    runs gives: what a model, the numerics of a simulation or the rounding of a repeated motion gets
+    wrong is the same in all blocks of a run and another in the next run, which moves otherwise.
+    Fine encoders let short blocks promise hundredths of a nanometre, which no model keeps.
+
+    No parameter gets less than the information of its whitened residuals leaves: scatter of a fit
+    that has nearly as many parameters as clusters comes out too small by chance. No stated value
+    gets more than the error of who asks the bench file alone. A variance that few blocks decide is
+    itself hardly known, which is Student's factor.
+
+    Source: the larger of the usual and the robust standard error (Angrist and Pischke 2009, 8.1);
+    cluster-robust inference with runs as clusters (Cameron and Miller 2015, VI: as many
+    degrees of freedom as clusters less one); effective number of blocks (Carter, Schnepel and
+    Steigerwald 2017).
     """
     covariance = _sandwich(problem, theta, final)
+    usual = final.untempered or final
     least = np.diag(covariance)
     if final.untempered is not None:
         least = np.maximum(least, np.diag(_sandwich(problem, theta, final.untempered)))
-    free = np.array([spec.kind != "known" for spec in problem.specs])
-    least = np.where(free, least, np.diag(covariance))
-    if final.steady is not None:
-        tolerance = np.where(free, np.inf, 1.0 / np.maximum(problem.weight, _NO_PRIOR))
-        between = np.minimum(_between_runs(problem, final), tolerance)
-        least = np.maximum(least, between)
-    wider = np.sqrt(least / np.diag(covariance))
-    return np.asarray(covariance * np.outer(wider, wider))
+    least = np.where(_is_free(problem), least, np.diag(covariance))
+    least = np.maximum(least, _by_information(problem, usual))
+    among, scattered = _among_runs(problem, usual)
+    clusters = np.unique(_stretches(final.runs)).size
+    variance, freedom = _widest(
+        problem,
+        theta,
+        (
+            least,
+            _beside_prior(least, _effective_blocks(problem, usual) - 1.0, _data(problem, usual)),
+        ),
+        (among, _beside_prior(among, np.full(theta.size, clusters - 1.0), scattered)),
+    )
+    wider = np.sqrt(variance / np.diag(covariance))
+    return Uncertainty(np.asarray(covariance * np.outer(wider, wider)), freedom)
 
 
-def _between_runs(problem: Problem, final: Normal) -> FloatArray:
-    """Variances of the parameters from the scatter of whole runs, shape (p,); few runs: none."""
-    runs = np.unique(final.runs)
-    if runs.size < _FEW_RUNS:
-        return np.zeros(problem.weight.size)
+def _widest(
+    problem: Problem, theta: FloatArray, *found: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Of variances and their degrees of freedom those with the widest interval, shape (p,) each.
+
+    For stated values at most the interval that the bench file gives by itself.
+    """
+    half = np.stack([student.ppf(_LEVEL, freedom) * np.sqrt(size) for size, freedom in found])
+    first = np.argmax(half, axis=0)[np.newaxis]
+    variance, freedom = (
+        np.take_along_axis(np.stack(column), first, axis=0)[0]
+        for column in zip(*found, strict=True)
+    )
+    most = _most_of_known(problem, theta)
+    beyond = half.max(axis=0) > student.ppf(_LEVEL, _MANY) * np.sqrt(most)
+    return np.where(beyond, most, variance), np.where(beyond, _MANY, freedom)
+
+
+def _beside_prior(variance: FloatArray, freedom: FloatArray, part: FloatArray) -> FloatArray:
+    """Degrees of freedom of variances of which only a part is estimated, shape (p,).
+
+    A prior is known (Satterthwaite 1946).
+    """
+    known = np.clip(variance / np.maximum(part, _TINY), 1.0, _KNOWN)
+    return np.asarray(np.minimum(np.maximum(freedom, _FEWEST) * known**2, _MANY))
+
+
+def _data(problem: Problem, final: Normal) -> FloatArray:
+    """Part of the variances by information that the captures bring, shape (p,)."""
     root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
-    pulls = np.stack([root @ root.T @ final.scores[final.runs == run].sum(axis=0) for run in runs])
-    pulls = pulls - pulls.mean(axis=0)
-    return np.asarray(runs.size / (runs.size - 1) * np.sum(pulls**2, axis=0))
+    inverse = root @ root.T
+    return np.asarray(np.diag(inverse @ final.hessian @ inverse))
+
+
+def _effective_blocks(problem: Problem, final: Normal) -> FloatArray:
+    """By how many blocks each parameter is determined, were they all to count alike, shape (p,).
+
+    Delay and current loop show where an acceleration begins: some tenths of a second of a campaign
+    decide, and as many independent residuals, not as all of its blocks, say how well.
+    """
+    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
+    inverse = root @ root.T
+    share = np.einsum("ij,bjk,ik->bi", inverse, final.block_hessians, inverse)
+    return np.asarray(share.sum(axis=0) ** 2 / np.maximum(np.sum(share**2, axis=0), _TINY))
+
+
+def _by_information(problem: Problem, final: Normal) -> FloatArray:
+    """Variances that independent residuals of the whitened size would leave, shape (p,)."""
+    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
+    return np.asarray(np.sum(root**2, axis=1))
+
+
+def _is_free(problem: Problem) -> BoolArray:
+    return np.array([spec.kind != "known" for spec in problem.specs], dtype=np.bool_)
+
+
+def _most_of_known(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Mean square distance of the truth from the estimate by the bench file alone, shape (p,).
+
+    That is a tolerance around the stated value, which may be far from the estimate.
+    """
+    stated = 1.0 / np.maximum(problem.weight, _NO_PRIOR) + (theta - problem.centre) ** 2
+    return np.where(_is_free(problem), np.inf, stated)
+
+
+def _among_runs(problem: Problem, final: Normal) -> tuple[FloatArray, FloatArray]:
+    """Variances with runs as clusters, and the part of them that is scatter, shape (p,) each."""
+    prior = np.diag(problem.weight)
+    root, unroot = root_of_inverse(final.hessian + prior)
+    inverse = root @ root.T
+    pulls = _jackknifed(_joined(final), root, unroot) @ inverse
+    scattered = np.sum(pulls**2, axis=0)
+    return scattered + np.diag(inverse @ (prior + final.prior_scores) @ inverse), scattered
+
+
+def _joined(final: Normal) -> Normal:
+    """The same equations with runs, or long stretches of few runs, for blocks."""
+    stretch = _stretches(final.runs)
+    labels = np.unique(stretch)
+    return replace(
+        final,
+        scores=np.stack([final.scores[stretch == n].sum(axis=0) for n in labels]),
+        block_hessians=np.stack([final.block_hessians[stretch == n].sum(axis=0) for n in labels]),
+        runs=labels,
+    )
+
+
+def _stretches(runs: IntArray) -> IntArray:
+    """Numbers of the runs of blocks, shape (b,), where they are few those of parts of runs."""
+    names = np.unique(runs)
+    parts = -(-_LEAST_STRETCHES // names.size)
+    found = np.zeros_like(runs)
+    for i, name in enumerate(names):
+        where = np.flatnonzero(runs == name)
+        found[where] = i * parts + np.arange(where.size) * parts // where.size
+    return found
 
 
 def _sandwich(problem: Problem, theta: FloatArray, final: Normal) -> FloatArray:

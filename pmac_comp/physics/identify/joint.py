@@ -238,12 +238,12 @@ def _top_speed_m_per_s(capture: Capture) -> float:
 
 def _estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     share = informed_frac(fit)
-    width = float(student.ppf(0.975, fit.freedom))
+    widths = np.asarray(student.ppf(0.975, fit.freedom))
     found = {}
     for i, name in enumerate(fit.names):
         spec = fit.model.spec(name)
         value, std = fit.model.parameters[name], float(np.sqrt(fit.covariance[i, i]))
-        known = spec.kind == "known"
+        known, width = spec.kind == "known", float(widths[i])
         found[name] = ParameterEstimate(
             name=name,
             value=value,

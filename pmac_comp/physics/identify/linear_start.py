@@ -116,9 +116,12 @@ def _rotary(
         block=max(round(_BLOCK_s * CUTOFF_Hz), 1),
         advice=_ADVICE,
     )
+    # What both directions share: gravity on a tilted axis is far beyond what a fit finds from none.
+    load_N = fit.value("bias") / rho
     level = max(fit.value("direction") - rho * guide["coulomb.guide_N"], 0.0)
     slope = max(fit.value("speed") - rho**2 * guide["viscous.guide_Ns_per_m"], 0.0)
     return {
+        "bias_force.force_N": load_N,
         **_shared(model, "coulomb.nut_Nm", "coulomb.motor_Nm", level),
         **_shared(model, "viscous.nut_Nms_per_rad", "viscous.motor_Nms_per_rad", slope),
     }

@@ -11,25 +11,27 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.identify.covariance import covariance_of, root_of_inverse, tempered
+from pmac_comp.physics.identify.covariance import uncertainty_of
 from pmac_comp.physics.identify.normal_equations import (
     Normal,
-    channel_costs,
     coloured_filters,
-    cost_at,
     linear_part,
     normal_equations,
-    prior_cost,
     white_filters,
     without_nuisances,
 )
 from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of, working
 from pmac_comp.physics.identify.records import Record
+from pmac_comp.physics.identify.rounding import (
+    QUANTISED_GAINS,
+    equations_over_interval,
+    settled_with_rounding,
+)
+from pmac_comp.physics.identify.steps import damped_step
 from pmac_comp.physics.identify.whitening import Whitener
 from pmac_comp.physics.model.drive import DriveModel
 
@@ -54,15 +56,7 @@ _STALLED = 0.7  # of the step before, with old derivatives
 _LITTLE = 3e-3  # of the misfit: too little to change which fit is better
 # The last rounds compare with rounded simulations and scatter by about one standard deviation.
 _LARGEST_LAST_STEP = 3.0
-_DAMPING_TRIES = 6
-# Each of these rounds sees other chances of rounding: full steps first, then ever smaller shares,
-# so that the last points are averages instead of the last throw.
-_QUANTISED_GAINS = (1.0, 1.0, 0.5, 0.33, 0.25, 0.2)
-_ALL_ROUNDS = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(_QUANTISED_GAINS)
-_QUANTISED_DONE = 1.0  # of a standard deviation, after the second round
-# The mean of four roundings leaves a quarter of their scatter: more misfit than that is chaos.
-_CHAOS = 1.25
-_ROUGH = 1.1
+_ALL_ROUNDS = _WHITE_ROUNDS + _COLOURED_ROUNDS + len(QUANTISED_GAINS)
 
 
 @dataclass(frozen=True)
@@ -83,8 +77,8 @@ class Fit:
         Scale of each parameter.
     nuisance : ndarray, shape (q,)
         Scale offsets and map coefficients.
-    freedom : int
-        Blocks of time less parameters: degrees of freedom of the covariance.
+    freedom : ndarray, shape (p,)
+        Degrees of freedom of each variance.
     rounds : int
         Steps that were tried.
     step : float
@@ -98,7 +92,7 @@ class Fit:
     prior: FloatArray
     scales: FloatArray
     nuisance: FloatArray
-    freedom: int
+    freedom: FloatArray
     rounds: int
     step: float
 
@@ -198,8 +192,10 @@ def _refine(
     last, rounds, step = None, at.rounds, at.step
     if weights == "coloured" and rounding:
         tell("accounting for what the encoder rounds", rounds / _ALL_ROUNDS)
-        theta, last, more, step = _with_rounding(problem, at, filters)
-        rounds += more
+        settled = settled_with_rounding(problem, theta, _slopes_near(problem, at), filters)
+        last = equations_over_interval(problem, settled)
+        theta, step = settled.theta, settled.step
+        rounds += settled.rounds
     tell("refined", 1.0)
     if last is None:
         slopes = at.slopes if stages == "rough" else None
@@ -247,7 +243,7 @@ def _stepped(
             residuals = problem.residuals(theta)
         old = not fresh
         normal = normal_equations(problem, filters, residuals, slopes or [], scatter=False)
-        theta, step, gain = _damped_step(problem, theta, normal, filters)
+        theta, step, gain = damped_step(problem, theta, normal, filters)
         rounds += 1
         own = fresh or float(np.abs(theta - place).max()) <= _OWN_SLOPES_FRAC
         settled = step < done and (fresh or step > 0.0)
@@ -264,105 +260,22 @@ def _slopes_near(problem: Problem, at: _Point) -> list[list[FloatArray]]:
     return jacobian(problem, at.theta)[1] if far and at.step > _SAME_SLOPES else at.slopes
 
 
-def _with_rounding(
-    problem: Problem, at_start: _Point, filters: list[list[Whitener]]
-) -> tuple[FloatArray, Normal | None, int, float]:
-    """Point, normal equations, rounds and last step with what rounding does on average.
-
-    Rounding in the loop can be chaos (a motor that hunts between two counts): channels of records
-    whose rounding simulations fit clearly worse than the smooth one, and steps that make them so,
-    are not followed; without normal equations the smooth ones hold.
-    """
-    theta, step = at_start.theta, at_start.step
-    rounded = _foreseeable(problem, theta, filters)
-    best = None
-    tried = theta
-    slopes = _slopes_near(problem, at_start)  # hardly change over the few deviations moved here
-    for i, gain in enumerate(_QUANTISED_GAINS):
-        left = problem.mixed_residuals(tried, rounded)
-        at = tempered(problem, normal_equations(problem, filters, left, slopes))
-        if best is not None and at.cost > _ROUGH * best.cost:
-            tried = 0.5 * (theta + tried)
-            continue
-        theta, best = tried, at
-        goal, _ = _plain_step(problem, theta, at)
-        std = np.sqrt(np.diag(covariance_of(problem, theta, at)))
-        step = float(np.sqrt(np.mean(((goal - theta) / std) ** 2)))
-        tried = theta + gain * (goal - theta)
-        if i > 0 and step < _QUANTISED_DONE:
-            return tried, at, i + 1, step
-    return theta, best, len(_QUANTISED_GAINS), step
-
-
-def _foreseeable(
-    problem: Problem, theta: FloatArray, filters: list[list[Whitener]]
-) -> list[BoolArray]:
-    """Per record the channels, shape (c,), whose rounding simulations are no chaos."""
-    smooth = channel_costs(problem, problem.residuals(theta), filters)
-    rough = channel_costs(problem, problem.quantised_residuals(theta), filters)
-    return [b <= _CHAOS * a for a, b in zip(smooth, rough, strict=True)]
-
-
 def _finished(problem: Problem, theta: FloatArray, final: Normal, rounds: int, step: float) -> Fit:
-    covariance = covariance_of(problem, theta, final)
+    found = uncertainty_of(problem, theta, final)
     scales = problem.slopes_at(theta)
     outer = np.outer(scales, scales)
     return Fit(
         model=problem.model_at(theta),
         names=tuple(spec.name for spec in problem.specs),
-        covariance=covariance * outer,
+        covariance=found.covariance * outer,
         information=final.hessian,
         prior=problem.weight,
         scales=scales,
         nuisance=final.nuisance,
-        freedom=max(final.scores.shape[0] - theta.size, 1),
+        freedom=found.freedom,
         rounds=rounds,
         step=step,
     )
-
-
-def _damped_step(
-    problem: Problem, theta: FloatArray, at: Normal, filters: list[list[Whitener]]
-) -> tuple[FloatArray, float, float]:
-    """Next point, the step in standard deviations, and the share of the misfit that it takes."""
-    prior = np.diag(problem.weight)
-    gradient = at.gradient - problem.weight * (theta - problem.centre)
-    here = at.cost + prior_cost(problem, theta)
-    matrix = at.hessian + prior
-    damping = 0.0
-    for _ in range(_DAMPING_TRIES):
-        damped = matrix + damping * np.diag(np.diag(matrix))
-        new = problem.bounded(theta + _bounded_step(problem, theta, damped, gradient))
-        cost = cost_at(problem, new, filters)
-        if cost <= here * (1.0 + 1e-9):
-            move = new - theta
-            step = float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
-            return new, step, 1.0 - cost / here
-        damping = 10.0 * damping if damping > 0.0 else 1e-2
-    return theta, 0.0, 0.0
-
-
-def _plain_step(problem: Problem, theta: FloatArray, at: Normal) -> tuple[FloatArray, float]:
-    """Undamped step: the misfit to rounded simulations is too rough for a line search."""
-    matrix = at.hessian + np.diag(problem.weight)
-    gradient = at.gradient - problem.weight * (theta - problem.centre)
-    new = problem.bounded(theta + _bounded_step(problem, theta, matrix, gradient))
-    move = new - theta
-    return new, float(np.sqrt(max(float(move @ matrix @ move), 0.0) / theta.size))
-
-
-def _bounded_step(
-    problem: Problem, theta: FloatArray, matrix: FloatArray, gradient: FloatArray
-) -> FloatArray:
-    """Gauss-Newton step within the bounds: clipping a free step would break tied sums."""
-    low, high = problem.bounds
-    root, unroot = root_of_inverse(matrix)
-    target = root.T @ gradient
-    margin = 1e-12
-    found = lsq_linear(
-        unroot.T, target, bounds=(low - theta - margin, high - theta + margin), method="bvls"
-    )
-    return np.asarray(found.x)
 
 
 def require_converged(fit: Fit) -> None:

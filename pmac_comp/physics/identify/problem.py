@@ -24,7 +24,8 @@ TOLERANCE_IN_STD = 2.0
 # thousand counts per turn; from 1.5 with effects that move a prediction.
 BEYOND_STEPS = 2.0
 # Bearing and nut share their friction in a way that most runs cannot see: the split is held by a
-# wide prior around the typical figure, so that the sum stays free.
+# wide prior around the typical figure, so that the sum stays free. What is typical of one drive is
+# nothing of a much larger one: what the regressions start from counts as typical where it is more.
 _FREE_PRIOR_SCALES = 2.0
 _STEP_FRAC = 2e-3
 # Rounding inside the loop dithers friction and shifts what the loop does on average; the last
@@ -174,7 +175,8 @@ def problem_of(
     )
     scales = np.array([abs(spec.scale) for spec in specs])
     centre = np.array([spec.nominal for spec in specs]) / scales
-    weight = np.array([_prior_information(spec) for spec in specs]) * scales**2
+    sizes = [model.parameters[spec.name] for spec in specs]
+    weight = np.array(list(map(_prior_information, specs, sizes))) * scales**2
     return Problem(
         records,
         [thinned(columns, r.factor) for r, columns in zip(records, nuisance, strict=True)],
@@ -191,13 +193,13 @@ def problem_of(
     )
 
 
-def _prior_information(spec: ParameterSpec) -> float:
+def _prior_information(spec: ParameterSpec, start: float) -> float:
     if spec.kind == "known" and spec.tolerance_frac is not None:
         width = max(spec.tolerance_frac, 1e-6) * abs(spec.nominal or spec.scale)
         return float((TOLERANCE_IN_STD / width) ** 2)
     if spec.period > 0.0:
         return 0.0
-    return float((_FREE_PRIOR_SCALES * abs(spec.scale)) ** -2)
+    return float((_FREE_PRIOR_SCALES * max(abs(spec.scale), abs(start))) ** -2)
 
 
 def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:

@@ -4,7 +4,7 @@ Parameters ``chain.*`` and their place in the kernel vector. Imports ``files.ben
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
@@ -16,10 +16,34 @@ from pmac_comp.physics.model.parameters import ParameterSpec
 
 _DAMPING_RATIO = 7.3e-5 * math.pi * 130.6  # usual: 0.03, of 73 us at 130.6 Hz (ballscrew facts 2.7)
 USUAL_ONLY = "chain.damping_time_s"  # no bench file states it: its nominal value is what is usual
-COUPLING_INERTIA_FRAC = 1.0e-4 / 5.45e-4
-BEARING_OVER_NUT = 211.0 / 180.0
 _STIFF_COUPLING_Nm_per_rad = 2.0e4  # where the bench states none: stiffer than any in the catalogue
 _MASS_GUESS_kg = 50.0
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How a drive divides what its bench file states as one figure, as the paper's drive does.
+
+    Parameters
+    ----------
+    coupling_of_motor : float
+        Share of the coupling in the inertia of motor with coupling.
+    bearing_over_nut : float
+        Stiffness of the bearing over that of the nut, which are in series.
+    torsion_of_core : float
+        Torsional rigidity of the screw over that of a round core of its rigidity and diameter.
+
+    Source
+    ------
+    Ball-screw facts 2.7.
+    """
+
+    coupling_of_motor: float = 1.0e-4 / 5.45e-4
+    bearing_over_nut: float = 211.0 / 180.0
+    torsion_of_core: float = 1.0
+
+
+USUAL_SHARES = Shares()
 
 
 def is_rigid(bench: Bench) -> bool:
@@ -165,7 +189,9 @@ def _solid_screw_inertia_kgm2(bench: Bench) -> float:
     return STEEL_DENSITY_kg_per_m3 * math.pi / 32.0 * diameter_m**4 * length_m
 
 
-def apply_chain(vector: FloatArray, values: Values, bench: Bench) -> None:
+def apply_chain(
+    vector: FloatArray, values: Values, bench: Bench, shares: Shares = USUAL_SHARES
+) -> None:
     """Set chain, actuator, sensors and controller in a kernel vector.
 
     ``values`` holds the ``chain.*`` parameters without the prefix.
@@ -184,12 +210,12 @@ def apply_chain(vector: FloatArray, values: Values, bench: Bench) -> None:
         vector[s.M_TABLE] = values["mass_kg"]
         vector[s.K_NUT] = 0.0
     else:
-        _apply_elastic(vector, values, bench)
+        _apply_elastic(vector, values, bench, shares)
     _apply_controller(vector, bench)
 
 
-def _apply_elastic(vector: FloatArray, values: Values, bench: Bench) -> None:
-    coupling = COUPLING_INERTIA_FRAC * values["motor_inertia_kgm2"]
+def _apply_elastic(vector: FloatArray, values: Values, bench: Bench, shares: Shares) -> None:
+    coupling = shares.coupling_of_motor * values["motor_inertia_kgm2"]
     axial = values["axial_stiffness_N_per_m"]
     vector[s.J_MOTOR] = values["motor_inertia_kgm2"] - 0.5 * coupling
     vector[s.J_COUPLING] = 0.5 * coupling
@@ -199,10 +225,10 @@ def _apply_elastic(vector: FloatArray, values: Values, bench: Bench) -> None:
     vector[s.K_COUPLING] = values["torsional_stiffness_Nm_per_rad"]
     vector[s.EA] = values["screw_rigidity_N"]
     ratio = values["screw_rigidity_N"] / bench.screw_rigidity_N
-    vector[s.GJ] = bench.torsional_rigidity_Nm2 * ratio
-    # Bearing and nut in series, split in the proportion of the facts' parameter set.
-    vector[s.K_BEARING] = axial * (1.0 + BEARING_OVER_NUT)
-    vector[s.K_NUT] = axial * (1.0 + 1.0 / BEARING_OVER_NUT)
+    vector[s.GJ] = bench.torsional_rigidity_Nm2 * ratio * shares.torsion_of_core
+    # Bearing and nut in series.
+    vector[s.K_BEARING] = axial * (1.0 + shares.bearing_over_nut)
+    vector[s.K_NUT] = axial * (1.0 + 1.0 / shares.bearing_over_nut)
     vector[s.BETA] = values["damping_time_s"]
     vector[s.NUT_LOAD] = 1.0 / values["efficiency"] - 1.0
 

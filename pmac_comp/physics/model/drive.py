@@ -20,6 +20,8 @@ from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.chain import (
+    USUAL_SHARES,
+    Shares,
     apply_chain,
     apply_quantisation,
     chain_specs,
@@ -55,6 +57,8 @@ class DriveModel:
     clocks : Mapping of int to float
         Per run, by its number, the time in s at which it began for the effects that depend on time,
         where a fit found it; others begin at their own time. No property of the drive: not filed.
+    shares : Shares
+        How the drive divides what its bench file states as one figure. Not known: not filed either.
 
     Raises
     ------
@@ -69,6 +73,7 @@ class DriveModel:
     parameters: Mapping[str, float] = field(default_factory=dict)
     library: Mapping[str, Effect] = field(default_factory=dict)
     clocks: Mapping[int, float] = field(default_factory=dict)
+    shares: Shares = USUAL_SHARES
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "effects", tuple(self.effects))
@@ -89,6 +94,7 @@ class DriveModel:
             "parameters": dict(self.parameters),
             "library": dict(self.library),
             "clocks": dict(self.clocks),
+            "shares": self.shares,
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -165,6 +171,7 @@ class DriveModel:
             {**self.parameters, **given},
             {**self.library, **(library or {})},
             self.clocks,
+            self.shares,
         )
 
     def without_effect(self, name: str) -> "DriveModel":
@@ -180,7 +187,7 @@ class DriveModel:
         values = {
             key: value for key, value in self.parameters.items() if not key.startswith(f"{bare}.")
         }
-        return DriveModel(self.bench, kept, values, self.library, self.clocks)
+        return DriveModel(self.bench, kept, values, self.library, self.clocks, self.shares)
 
     def with_parameters(self, values: Mapping[str, float]) -> "DriveModel":
         """Copy with some parameters (full names, SI) changed."""
@@ -202,7 +209,7 @@ class DriveModel:
     def kernel_vector(self, *, quantise: bool = False) -> FloatArray:
         """Parameters in the layout of the kernel, shape (N_SLOTS,)."""
         vector = s.neutral_vector()
-        apply_chain(vector, self.values_of("chain"), self.bench)
+        apply_chain(vector, self.values_of("chain"), self.bench, self.shares)
         # Levels and masses first: break distances and harmonics refer to them.
         ordered = sorted(self.effects, key=lambda name: split_name(name)[0] not in _FIRST)
         for name in ordered:

@@ -28,7 +28,7 @@ def fit_with(correlation: np.ndarray) -> Fit:
         prior=one,
         scales=one,
         nuisance=np.zeros(0),
-        freedom=50,
+        freedom=np.full(len(NAMES), 50.0),
         rounds=1,
         step=0.0,
     )
