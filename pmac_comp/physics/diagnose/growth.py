@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.diagnose.acceptance import Round, best, earned, tied_with
 from pmac_comp.physics.diagnose.contenders import (
     Contender,
@@ -87,19 +86,11 @@ class Grown:
 
 def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
     """Weights before any data was explained: what the sensors' steps do inside the loop."""
-    rounded, floor_m = bench.rounded(model), sensor_floor_m(bench, model)
+    rounded, floor_m = bench.rounded(model), bench.floor_m(model.bench)
     unruly = bench.unruly(model, rounded)
     noise = Noise(bench.noise_from(rounded, floor_m).whitener, None, bench.doubtful(model), unruly)
     bench = bench.with_noise(noise)
     return bench.with_noise(replace(bench.noise_from(rounded, floor_m), robust=None))
-
-
-def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
-    """Least innovation per channel: a tenth of what one coarse sample resolves."""
-    description = model.bench
-    steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
-    coarse = 0.1 / np.sqrt(12.0 * bench.records[0].factor)
-    return np.asarray(np.maximum(coarse * np.array(steps[: bench.channels]), 1e-10))
 
 
 def grow(
@@ -186,7 +177,7 @@ def _look_around(
     part = bench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
-    noise = part.noise_from(left, sensor_floor_m(part, point.model), foretold=False)
+    noise = part.noise_from(left, part.floor_m(point.model.bench), foretold=False)
     part = part.with_noise(noise)
     moved = refit(part, evaluate(part, point.model), frozen=seen.frozen(), rounds=3)
     screening = screen(part, moved, seen)

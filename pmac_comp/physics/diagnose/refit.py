@@ -25,6 +25,8 @@ _LARGEST_STEPS = 60.0
 _TRUSTED = 0.8
 _SETTLING = (STEP_FRAC, STEP_FRAC / 5, STEP_FRAC / 20)
 _SETTLING_ROUNDS = 8
+_WEIGHINGS = 4
+_FORGIVEN = 0.5  # chi-square per sample: weights for twice the power that is left
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,41 @@ def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
         ends.append(best)
     final = best.model.parameters
     return best, {k: max(abs(v - e.model.parameters[k]) for e in ends) for k, v in final.items()}
+
+
+def under_own_weights(bench: Workbench, start: Fitted, *, rounds: int) -> Fitted:
+    """A model refitted under the weights of what it leaves itself, as long as these are too loose.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records, all fitted, with weights that were taken from more than is left by now: under them
+        hardly anything that could still be closed counts.
+    start : Fitted
+        A model refitted under those.
+    rounds : int
+        Most Gauss-Newton rounds under each of the weights.
+
+    Returns
+    -------
+    Fitted
+        With the figures of the last weights.
+    """
+    best = start
+    for _ in range(_WEIGHINGS):
+        if not _forgiven(bench, best):
+            break
+        left = bench.residuals(best.simulated)
+        bench = bench.with_noise(bench.noise_from(left, bench.floor_m(best.model.bench)))
+        best = refit(bench, evaluate(bench, best.model), rounds=rounds)
+    return best
+
+
+def _forgiven(bench: Workbench, point: Fitted) -> bool:
+    """Whether a model leaves far less than the weights were taken from: chi-square below one."""
+    gram = empty_gram(bench, point.simulated)
+    left = float(point.blocks[gram.fitting].sum())
+    return left < _FORGIVEN * float(gram.rows[gram.fitting].sum())
 
 
 def linearised(
