@@ -41,6 +41,9 @@ Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
+# A refit ends by itself. Friction that no bench file states may begin ten times too large, and no
+# step takes more than a third of it; what a base fit that broke off leaves gets any name.
+_BASE_ROUNDS = 60
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def grow(
     progress("fitting the base model")
     bench = first_noise(bench, start)
     part = bench.fitting_bench()
-    point = refit(part, evaluate(part, start), rounds=8)
+    point = refit(part, evaluate(part, start), rounds=_BASE_ROUNDS)
     rounds: list[Round] = []
     base: Fitted | None = None
     seen: Look | None = None
