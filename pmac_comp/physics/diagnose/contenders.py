@@ -284,7 +284,6 @@ def _best_levels(
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
     """Full joint refit of one candidate; nothing where no simulation stays finite."""
     part = ground.bench.fitting_bench()
-    before = evaluate(part, ground.before.model)
     begun = []
     # What the candidate takes over, the others must give up: both at once, unless that went too far
     # for a linear step.
@@ -299,7 +298,7 @@ def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
         return []
     fitted = refit(part, min(begun, key=lambda b: b.chi2), frozen=frozen, rounds=_ROUNDS)
     rows_fit = float(ground.rows[ground.fitting].sum())
-    promised, kept = item.fit_gain, before.chi2 - fitted.chi2
+    promised, kept = item.fit_gain, ground.before.chi2 - fitted.chi2
     if promised > _LARGE * rows_fit and kept < _KEPT * promised:
         fitted = refit(part, fitted, rounds=_MORE_ROUNDS)
     return [judged(ground, item, evaluate(ground.bench, fitted.model))]

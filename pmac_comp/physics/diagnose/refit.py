@@ -228,7 +228,7 @@ def linearised(
         directions = [d for d in directions if d.run is not None]
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
-    columns = bench.columns(point.model, fresh)
+    columns = _columns(bench, point.model, fresh, step_frac)
     if frozen is not None and kept:
         index = [known[d.label] for d in kept]
         # A frozen column counts in steps of the point where it was taken.
@@ -242,6 +242,22 @@ def linearised(
     ordered = [*fresh, *kept]
     gram = bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered))
     return gram, ordered, columns
+
+
+def _columns(
+    bench: Workbench, model: DriveModel, fresh: Sequence[Direction], step_frac: float
+) -> Columns:
+    """Columns of directions at a model; those of all its own serve again as long as it stands."""
+    whole = [d.label for d in fresh] == [d.label for d in own_directions(model)]
+    if not whole or any(d.run is not None for d in fresh):
+        return bench.columns(model, fresh)
+    missing = [i for i, r in enumerate(bench.records) if r.recent.columns(model, step_frac) is None]
+    made = bench.of(missing).columns(model, fresh) if missing else []
+    for i, column in zip(missing, made, strict=True):
+        bench.records[i].recent.keep_columns(model, step_frac, column)
+    new = dict(zip(missing, made, strict=True))
+    kept = (r.recent.columns(model, step_frac) for r in bench.records)
+    return [new[i] if c is None else c for i, c in enumerate(kept)]
 
 
 def moved_values(

@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
-from pmac_comp.physics.diagnose import contenders, growth
+from pmac_comp.physics.diagnose import contenders, growth, revision
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.diagnose import _broken_off
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import Gap
+from pmac_comp.physics.diagnose.refit import Frozen
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.revision import Reviser, _start
 from pmac_comp.physics.diagnose.words import Story, _size, statements_of
@@ -41,13 +42,40 @@ def test_the_only_effect_is_asked_whether_it_is_needed_unless_it_earned_beyond_d
     monkeypatch, fit_gain, asked
 ):
     whole, less = SimpleNamespace(), SimpleNamespace()
-    monkeypatch.setattr(Reviser, "_without", lambda self, whole, done: less)
+    monkeypatch.setattr(Reviser, "_without", lambda self, whole, done, shared: less)
     reviser = Reviser(None, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
     accepted = SimpleNamespace(effect="actuator_delay", fit_gain=fit_gain)
     bare = Round(None, None, (), accepted, (), 3e4, 1e4, 1.0, 0.1)  # type: ignore[arg-type]
     kept, (done,) = reviser.pruned(whole, [bare])  # type: ignore[arg-type]
     assert kept is (less if asked else whole)
     assert (done.accepted is None) == asked
+
+
+@pytest.mark.parametrize(
+    ("by_shared", "by_own", "rounds"),
+    [(40.0, 30.0, ["shared"]), (25.0, 18.0, ["shared", "own"])],
+    ids=["plainly", "open"],
+)
+def test_columns_of_the_whole_model_tell_an_effect_that_is_plainly_needed(
+    monkeypatch, by_shared, by_own, rounds
+):
+    # An effect that explained 100 and of which the others give back all but so much.
+    taken = []
+
+    def refitted(part, begun, *, frozen=None, rounds):
+        taken.append("own" if frozen is None else "shared")
+        return SimpleNamespace(chi2=10.0 + (by_own if frozen is None else by_shared))
+
+    monkeypatch.setattr(revision, "refit", refitted)
+    monkeypatch.setattr(revision, "evaluate", lambda part, model: SimpleNamespace(chi2=110.0))
+    model = SimpleNamespace(without_effect=lambda effect: None)
+    whole = SimpleNamespace(model=model, chi2=10.0)
+    done = SimpleNamespace(accepted=SimpleNamespace(effect="cogging"), rows_fit=1.0)
+    bench = SimpleNamespace(fitting_bench=lambda: None)
+    reviser = Reviser(bench, {}, contenders.Rules(), print)  # type: ignore[arg-type]
+    shared = Frozen((SimpleNamespace(),), [])  # type: ignore[arg-type]
+    assert reviser._without(whole, done, shared) is None  # type: ignore[arg-type]
+    assert taken == rounds
 
 
 @pytest.mark.parametrize(
