@@ -44,6 +44,8 @@ _MOST_FRESH = 10
 # A refit ends by itself. Friction that no bench file states may begin ten times too large, and no
 # step takes more than a third of it; what a base fit that broke off leaves gets any name.
 _BASE_ROUNDS = 60
+# Effects that later ones replace take rounds too, and no other's place.
+_ROUNDS_PER_EFFECT = 2
 
 
 @dataclass(frozen=True)
@@ -129,14 +131,15 @@ def grow(
     rounds: list[Round] = []
     base: Fitted | None = None
     seen: Look | None = None
-    for number in range(1, rules.most_effects + 2):
+    last = _ROUNDS_PER_EFFECT * rules.most_effects + 1
+    for number in range(1, last + 1):
         progress(f"round {number}: looking at {len(library)} effects")
         rounds = [*map(_slim, rounds)]
         bench, point, screening, seen = _look_around(bench, point, library, seen)
         whole = evaluate(bench, point.model)
         base = whole if base is None else base
         done = _round(bench, whole, screening, library, rules, progress)
-        if number > rules.most_effects:
+        if len(accepted_of(rounds)) >= rules.most_effects or number == last:
             done = replace(done, accepted=None, tied=())
         rounds.append(done)
         if done.accepted is None:

@@ -245,3 +245,46 @@ def test_a_model_with_an_onset_is_asked_anew_where_rounding_decides_and_what_riv
     assert grown.bench is calmed
     assert grown.final.on == "onset"  # type: ignore[attr-defined]
     assert grown.rivals.rival_gain == 2e2
+
+
+@pytest.mark.parametrize(
+    ("replaced", "rounds"), [(0, 3), (1, 4)], ids=["all-stay", "one-is-replaced"]
+)
+def test_an_effect_that_a_later_one_replaced_takes_no_other_effects_place(
+    monkeypatch, replaced, rounds
+):
+    # Two are sought. One that left the model again had used up its round, and the last one that
+    # earned its place, a bias beside seven others, was turned away.
+    bench = SimpleNamespace(fitting_bench=lambda: bench)
+    model = SimpleNamespace(effects=("coulomb",))
+    point = SimpleNamespace(model=model)
+
+    def found(*anything: Any) -> Round:
+        accepted = SimpleNamespace(effect="any", fitted=point)
+        return Round(point, None, (), accepted, (), 1.0, 1.0, 1.0, 0.1)  # type: ignore[arg-type]
+
+    def pruned(whole: Any, done: list[Round]) -> tuple[Any, list[Round]]:
+        gone = done[:replaced] if len(done) > replaced else []
+        return whole, [*(replace(d, accepted=None) for d in gone), *done[len(gone) :]]
+
+    same = {
+        "first_noise": lambda bench, model: bench,
+        "refit": lambda bench, start, rounds: start,
+        "evaluate": lambda bench, model: point,
+        "settled": lambda bench, start: (start, {}),
+        "_look_around": lambda bench, point, library, seen: (bench, point, None, None),
+        "_round": found,
+        "_slim": lambda done: done,
+        "with_onset": lambda bench, point: point,
+        "Reviser": lambda *a: SimpleNamespace(
+            renamed=lambda whole, done: (whole, done),
+            widened=lambda whole, done: (whole, done),
+            pruned=pruned,
+        ),
+    }
+    for name, stand_in in same.items():
+        monkeypatch.setattr(growth, name, stand_in)
+    rules = contenders.Rules(most_effects=2)
+    grown = growth.grow(bench, model, {}, rules, lambda text: None)  # type: ignore[arg-type]
+    assert len(grown.rounds) == rounds
+    assert len(grown.accepted) == 2
