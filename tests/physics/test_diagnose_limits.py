@@ -8,6 +8,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import diagnose
+from pmac_comp.physics.model import chain
 from pmac_comp.physics.model.effect import Effect, effect_library
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -34,8 +35,14 @@ def runs(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
     return [closed_loop_capture(BENCH, plant, command) for command in commands]
 
 
-@pytest.mark.parametrize("limit_Nm", [3.0, 3.2])
-def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(limit_Nm):
+@pytest.mark.parametrize(("limit_Nm", "damping"), [(3.0, 1.0), (3.2, 1.0), (3.0, 1.004)])
+def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(
+    limit_Nm, damping, monkeypatch
+):
+    # Damping that no bench file states may not decide where the search of a limit ends: with a
+    # little more of it all masses were three per cent heavier, and the limit 3.098 N m.
+    usual = "pmac_comp.physics.model.chain._DAMPING_RATIO"
+    monkeypatch.setattr(usual, damping * chain._DAMPING_RATIO)
     captures = runs({"torque_saturation": {"limit_Nm": limit_Nm}})
     largest = [float(np.max(np.abs(c.torque_command_Nm))) for c in captures]
     # The controller of a run that meets the limit goes on asking for more.
@@ -45,7 +52,7 @@ def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(limit
     found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
     assert found.named[0] == "torque_saturation"
     limit = next(e for e in found.estimates if e.name == "torque_saturation.limit_Nm")
-    assert limit.value == pytest.approx(limit_Nm, rel=0.01)
+    assert limit.value == pytest.approx(limit_Nm, rel=0.004)
     assert limit.std < 0.1
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
@@ -16,7 +17,14 @@ from pmac_comp.physics.diagnose.candidates import Start, relieved, started
 from pmac_comp.physics.diagnose.clocks import free_clocks
 from pmac_comp.physics.diagnose.lookalikes import alike, justified
 from pmac_comp.physics.diagnose.records import gap
-from pmac_comp.physics.diagnose.refit import Fitted, Frozen, empty_gram, evaluate, refit
+from pmac_comp.physics.diagnose.refit import (
+    Fitted,
+    Frozen,
+    empty_gram,
+    evaluate,
+    refit,
+    under_own_weights,
+)
 from pmac_comp.physics.diagnose.screen import Screened, Screening
 from pmac_comp.physics.diagnose.statistics import (
     bic_gain,
@@ -44,6 +52,7 @@ _FRESH = frozenset({"actuator_delay", "current_bandwidth", "torque_saturation"})
 _MOST_FRESH = 2
 # Runs whose largest torques differ by less are not on two sides of a limit; levels between others.
 _APART, _LEVELS, _PER_OCTAVE = 1.05, 6, 24
+_EXACT = 1e-4  # share of a limit to which it is moved alone
 _LEADS = 0.5  # of the best candidate's gain: a search of limits takes seconds
 
 
@@ -200,6 +209,8 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
     found = []
     for start, point in sorted(begun, key=lambda b: b[1].chi2)[:_MOST_FRESH]:
         fitted = refit(part, point, rounds=6)
+        if limits:
+            fitted = under_own_weights(part, fitted, rounds=6)
         found.append(judged(ground, start, evaluate(ground.bench, fitted.model)))
     return found
 
@@ -224,7 +235,8 @@ def _limited(
             continue
         gentle = part.of(sorted(order[:count]))
         try:
-            drive = refit(gentle, evaluate(gentle, fresh), rounds=_ROUNDS).model
+            fitted = refit(gentle, evaluate(gentle, fresh), rounds=_ROUNDS)
+            drive = under_own_weights(gentle, fitted, rounds=_ROUNDS).model
         except ModelError:
             continue
         met = part.of([order[count]])
@@ -241,24 +253,37 @@ def _best_levels(
 ) -> list[DriveModel]:
     """The drive at the limits between two torques that fit best the gentlest run that meets one.
 
-    The basin of a limit is narrow, a twentieth of it.
+    The basin of a limit is narrow, a twentieth of it. Within it the limit alone is moved first: a
+    refit of everything from half a level beside it shares that out among masses and friction, as
+    torques, masses and friction of another scale move alike wherever the limit is met.
     """
     low, high = ends_Nm
-    tried = []
-    levels = max(_LEVELS, round(_PER_OCTAVE * np.log2(high / low)))
-    for limit in np.geomspace(low, high, levels):
-        limited = drive.with_effect(key, {name: float(limit)})
+
+    def left(limit_Nm: float) -> float:
         try:
-            tried.append((evaluate(met, limited).chi2, float(limit), limited))
+            return evaluate(met, drive.with_effect(key, {name: limit_Nm})).chi2
         except ModelError:
-            continue
-    return [limited for _, _, limited in sorted(tried, key=lambda t: t[:2])[:_MOST_FRESH]]
+            return np.inf
+
+    levels = np.geomspace(low, high, max(_LEVELS, round(_PER_OCTAVE * np.log2(high / low))))
+    ranked = sorted((left(limit), limit) for limit in levels.tolist())
+    apart = float(levels[1] / levels[0])
+    found = [
+        minimize_scalar(
+            left,
+            bounds=(limit / apart, limit * apart),
+            method="bounded",
+            options={"xatol": _EXACT * limit},
+        )
+        for chi2, limit in ranked[:_MOST_FRESH]
+        if np.isfinite(chi2)
+    ]
+    return [drive.with_effect(key, {name: float(f.x)}) for f in found]
 
 
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
     """Full joint refit of one candidate; nothing where no simulation stays finite."""
     part = ground.bench.fitting_bench()
-    before = evaluate(part, ground.before.model)
     begun = []
     # What the candidate takes over, the others must give up: both at once, unless that went too far
     # for a linear step.
@@ -273,7 +298,7 @@ def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
         return []
     fitted = refit(part, min(begun, key=lambda b: b.chi2), frozen=frozen, rounds=_ROUNDS)
     rows_fit = float(ground.rows[ground.fitting].sum())
-    promised, kept = item.fit_gain, before.chi2 - fitted.chi2
+    promised, kept = item.fit_gain, ground.before.chi2 - fitted.chi2
     if promised > _LARGE * rows_fit and kept < _KEPT * promised:
         fitted = refit(part, fitted, rounds=_MORE_ROUNDS)
     return [judged(ground, item, evaluate(ground.bench, fitted.model))]

@@ -26,6 +26,7 @@ from pmac_comp.physics.diagnose.lookalikes import (
     alike,
     separating_experiment,
     telling_experiment,
+    unlisted_twins,
 )
 from pmac_comp.physics.diagnose.onset import told, without_onset
 from pmac_comp.physics.diagnose.records import Gap, gap, prepare
@@ -247,6 +248,7 @@ def _assembled(
             *_broken_off(grown, rules),
             *told_by_run(grown, left),
             *told(grown.final.model, claims.effects),
+            *unlisted_twins(grown.final.model, claims.effects),
             *_undated(grown, left, claims),
         ),
         model=grown.final.model,

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.diagnose.acceptance import Round, best, earned, tied_with
 from pmac_comp.physics.diagnose.contenders import (
     Contender,
@@ -42,6 +41,11 @@ Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
+# A refit ends by itself. Friction that no bench file states may begin ten times too large, and no
+# step takes more than a third of it; what a base fit that broke off leaves gets any name.
+_BASE_ROUNDS = 60
+# Effects that later ones replace take rounds too, and no other's place.
+_ROUNDS_PER_EFFECT = 2
 
 
 @dataclass(frozen=True)
@@ -87,19 +91,11 @@ class Grown:
 
 def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
     """Weights before any data was explained: what the sensors' steps do inside the loop."""
-    rounded, floor_m = bench.rounded(model), sensor_floor_m(bench, model)
+    rounded, floor_m = bench.rounded(model), bench.floor_m(model.bench)
     unruly = bench.unruly(model, rounded)
     noise = Noise(bench.noise_from(rounded, floor_m).whitener, None, bench.doubtful(model), unruly)
     bench = bench.with_noise(noise)
     return bench.with_noise(replace(bench.noise_from(rounded, floor_m), robust=None))
-
-
-def sensor_floor_m(bench: Workbench, model: DriveModel) -> FloatArray:
-    """Least innovation per channel: a tenth of what one coarse sample resolves."""
-    description = model.bench
-    steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
-    coarse = 0.1 / np.sqrt(12.0 * bench.records[0].factor)
-    return np.asarray(np.maximum(coarse * np.array(steps[: bench.channels]), 1e-10))
 
 
 def grow(
@@ -131,18 +127,19 @@ def grow(
     progress("fitting the base model")
     bench = first_noise(bench, start)
     part = bench.fitting_bench()
-    point = refit(part, evaluate(part, start), rounds=8)
+    point = refit(part, evaluate(part, start), rounds=_BASE_ROUNDS)
     rounds: list[Round] = []
     base: Fitted | None = None
     seen: Look | None = None
-    for number in range(1, rules.most_effects + 2):
+    last = _ROUNDS_PER_EFFECT * rules.most_effects + 1
+    for number in range(1, last + 1):
         progress(f"round {number}: looking at {len(library)} effects")
         rounds = [*map(_slim, rounds)]
         bench, point, screening, seen = _look_around(bench, point, library, seen)
         whole = evaluate(bench, point.model)
         base = whole if base is None else base
         done = _round(bench, whole, screening, library, rules, progress)
-        if number > rules.most_effects:
+        if len(accepted_of(rounds)) >= rules.most_effects or number == last:
             done = replace(done, accepted=None, tied=())
         rounds.append(done)
         if done.accepted is None:
@@ -186,7 +183,7 @@ def _look_around(
     part = bench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
-    noise = part.noise_from(left, sensor_floor_m(part, point.model), foretold=False)
+    noise = part.noise_from(left, part.floor_m(point.model.bench), foretold=False)
     part = part.with_noise(noise)
     moved = refit(part, evaluate(part, point.model), frozen=seen.frozen(), rounds=3)
     screening = screen(part, moved, seen)

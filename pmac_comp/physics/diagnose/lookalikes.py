@@ -5,11 +5,13 @@ What lives here: groups and experiments. The effects' own words come from the li
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.result import SeparatingExperiment
+from pmac_comp.physics.model import slots
+from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
 
 # Exact twins: no run of this axis alone separates them (both are one slope of the scale reading).
@@ -278,6 +280,43 @@ def alike(one: str, other: str, library: Mapping[str, Effect]) -> bool:
 def exact_twins(name: str) -> tuple[str, ...]:
     """Effects that no data separates from this one, whether they were offered or not."""
     return tuple(sorted(t for group in _TWINS if name in group for t in group - {name}))
+
+
+@dataclass(frozen=True)
+class SwingingMass:
+    """A mass on a spring on the table that no motor and no scale tells from a swinging bed."""
+
+    mass_kg: float
+    frequency_Hz: float
+
+
+def swinging_mass(model: DriveModel) -> SwingingMass:
+    """The part of the table's mass that would have to swing in place of a model's bed, and how.
+
+    Exact, damping included: with the bed's deflection as ``m / M`` of that of the swinging mass m,
+    both give the same motion of the table relative to the bed for the same force on it.
+
+    Source
+    ------
+    Elimination of either deflection from the equations of motion; M is the whole table in both.
+    """
+    share = model.parameters["base_mode.mass_ratio"]
+    whole_kg = float(model.kernel_vector()[slots.M_TABLE])
+    own_Hz = model.parameters["base_mode.frequency_Hz"] / math.sqrt(1.0 + share)
+    return SwingingMass(whole_kg * share / (1.0 + share), own_Hz)
+
+
+def unlisted_twins(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:
+    """Sentences on causes out of the library that leave the very trace of a claimed effect."""
+    if "base_mode" not in claimed:
+        return ()
+    twin = swinging_mass(model)
+    return (
+        f"A mass of {twin.mass_kg:.3g} kg that swings at {twin.frequency_Hz:.3g} Hz on a spring on "
+        "the table leaves exactly the trace of this base_mode: no motor encoder and no scale tells "
+        "them apart. An accelerometer on the bed does, or the same run with what hangs loose on "
+        "the table clamped.",
+    )
 
 
 def separating_experiment(

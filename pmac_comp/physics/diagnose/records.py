@@ -11,12 +11,13 @@ its own; its gap is reported.
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property, partial
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import NotIdentifiable
@@ -33,6 +34,7 @@ from pmac_comp.physics.signals.grid import onto_servo_grid
 
 _COARSE_Hz = 450.0
 _SHORTEST_s = 0.2
+_MOST_RECENT, _MOST_COLUMNS = 2, 3
 _DATE = "start_utc"
 DATED: Mapping[int, float] = MappingProxyType({-1: 0.0})
 """Start times of runs that are those of their files' dates."""
@@ -42,6 +44,37 @@ _OVERLAP = 0.7  # of the time that runs take, more than the last of them
 def is_dated(model: DriveModel) -> bool:
     """Whether runs begin for a model at the dates of their files."""
     return not DATED.keys().isdisjoint(model.clocks)
+
+
+class Recent:
+    """The last results of a record for whole models: what was fitted is judged and told next.
+
+    Known by the model itself and not by its values: nothing is compared, and nothing mistaken.
+    Threads may lose each other's results, which are made anew then.
+    """
+
+    def __init__(self) -> None:
+        self._responses: tuple[tuple[DriveModel, bool, Response], ...] = ()
+        self._columns: tuple[tuple[DriveModel, float, NDArray[np.float32]], ...] = ()
+
+    def response(self, model: DriveModel, *, quantise: bool) -> Response | None:
+        """The response to this model, if it is one of the last."""
+        kept = self._responses
+        return next((r for m, q, r in kept if m is model and q == quantise), None)
+
+    def keep_response(self, model: DriveModel, response: Response, *, quantise: bool) -> None:
+        """Add a response; the oldest goes."""
+        self._responses = ((model, quantise, response), *self._responses[: _MOST_RECENT - 1])
+
+    def columns(self, model: DriveModel, step_frac: float) -> NDArray[np.float32] | None:
+        """Columns of all own directions of this model at this step, if they are among the last."""
+        return next((c for m, s, c in self._columns if m is model and s == step_frac), None)
+
+    def keep_columns(
+        self, model: DriveModel, step_frac: float, columns: NDArray[np.float32]
+    ) -> None:
+        """Add columns, shape (m, channels, k); the oldest go."""
+        self._columns = ((model, step_frac, columns), *self._columns[: _MOST_COLUMNS - 1])
 
 
 @dataclass(frozen=True)
@@ -79,6 +112,8 @@ class Record:
         When the run began if each followed the one before at once.
     dated_s : float or None
         When it began by the dates of the files; None where one of them has none.
+    recent : Recent
+        Its last results; copies with other valid samples share them.
     """
 
     name: str
@@ -96,6 +131,7 @@ class Record:
     number: int = 0
     following_s: float = 0.0
     dated_s: float | None = None
+    recent: Recent = field(default_factory=Recent, repr=False, compare=False)
 
     @property
     def channels(self) -> int:
@@ -139,7 +175,11 @@ class Record:
         quantise: bool = False,
     ) -> Response:
         """Closed-loop simulation of this record's command on the servo grid."""
-        return simulate(
+        whole = probe_torque_Nm is None and probe_force_N is None and substeps is None
+        known = self.recent.response(model, quantise=quantise) if whole else None
+        if known is not None:
+            return known
+        found = simulate(
             model,
             self.commanded_m,
             desired_position_m=self.desired_m,
@@ -150,6 +190,9 @@ class Record:
             substeps=substeps,
             quantise=quantise,
         )
+        if whole:
+            self.recent.keep_response(model, found, quantise=quantise)
+        return found
 
     def _origin_s(self, model: DriveModel) -> float:
         own_s = self.begun_s if self.dated_s is None or not is_dated(model) else self.dated_s

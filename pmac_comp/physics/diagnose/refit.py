@@ -25,6 +25,8 @@ _LARGEST_STEPS = 60.0
 _TRUSTED = 0.8
 _SETTLING = (STEP_FRAC, STEP_FRAC / 5, STEP_FRAC / 20)
 _SETTLING_ROUNDS = 8
+_WEIGHINGS = 4
+_FORGIVEN = 0.5  # chi-square per sample: weights for twice the power that is left
 
 
 @dataclass(frozen=True)
@@ -176,6 +178,41 @@ def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
     return best, {k: max(abs(v - e.model.parameters[k]) for e in ends) for k, v in final.items()}
 
 
+def under_own_weights(bench: Workbench, start: Fitted, *, rounds: int) -> Fitted:
+    """A model refitted under the weights of what it leaves itself, as long as these are too loose.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Records, all fitted, with weights that were taken from more than is left by now: under them
+        hardly anything that could still be closed counts.
+    start : Fitted
+        A model refitted under those.
+    rounds : int
+        Most Gauss-Newton rounds under each of the weights.
+
+    Returns
+    -------
+    Fitted
+        With the figures of the last weights.
+    """
+    best = start
+    for _ in range(_WEIGHINGS):
+        if not _forgiven(bench, best):
+            break
+        left = bench.residuals(best.simulated)
+        bench = bench.with_noise(bench.noise_from(left, bench.floor_m(best.model.bench)))
+        best = refit(bench, evaluate(bench, best.model), rounds=rounds)
+    return best
+
+
+def _forgiven(bench: Workbench, point: Fitted) -> bool:
+    """Whether a model leaves far less than the weights were taken from: chi-square below one."""
+    gram = empty_gram(bench, point.simulated)
+    left = float(point.blocks[gram.fitting].sum())
+    return left < _FORGIVEN * float(gram.rows[gram.fitting].sum())
+
+
 def linearised(
     bench: Workbench,
     point: Fitted,
@@ -191,7 +228,7 @@ def linearised(
         directions = [d for d in directions if d.run is not None]
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
-    columns = bench.columns(point.model, fresh)
+    columns = _columns(bench, point.model, fresh, step_frac)
     if frozen is not None and kept:
         index = [known[d.label] for d in kept]
         # A frozen column counts in steps of the point where it was taken.
@@ -205,6 +242,22 @@ def linearised(
     ordered = [*fresh, *kept]
     gram = bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered))
     return gram, ordered, columns
+
+
+def _columns(
+    bench: Workbench, model: DriveModel, fresh: Sequence[Direction], step_frac: float
+) -> Columns:
+    """Columns of directions at a model; those of all its own serve again as long as it stands."""
+    whole = [d.label for d in fresh] == [d.label for d in own_directions(model)]
+    if not whole or any(d.run is not None for d in fresh):
+        return bench.columns(model, fresh)
+    missing = [i for i, r in enumerate(bench.records) if r.recent.columns(model, step_frac) is None]
+    made = bench.of(missing).columns(model, fresh) if missing else []
+    for i, column in zip(missing, made, strict=True):
+        bench.records[i].recent.keep_columns(model, step_frac, column)
+    new = dict(zip(missing, made, strict=True))
+    kept = (r.recent.columns(model, step_frac) for r in bench.records)
+    return [new[i] if c is None else c for i, c in enumerate(kept)]
 
 
 def moved_values(

@@ -20,7 +20,7 @@ from pmac_comp.physics.diagnose.contenders import (
 from pmac_comp.physics.diagnose.imitations import as_true_name, true_name
 from pmac_comp.physics.diagnose.lookalikes import alike
 from pmac_comp.physics.diagnose.records import gap
-from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, refit
+from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, linearised, refit
 from pmac_comp.physics.diagnose.screen import Screened
 from pmac_comp.physics.diagnose.widening import wider
 from pmac_comp.physics.diagnose.workbench import Workbench
@@ -30,6 +30,9 @@ from pmac_comp.physics.model.effect import Effect, split_name
 # explained, more steps do not replace it.
 _FIRST_LESS, _MORE_LESS = 3, 5
 _MISSED, _SLOWLY = 0.5, 0.1
+# The same with columns of the whole model, which find at least half of what own ones find.
+_PLAINLY = 3.0
+_NONE = Frozen((), [])
 
 
 def accepted_of(rounds: Sequence[Round]) -> tuple[Contender, ...]:
@@ -151,8 +154,10 @@ class Reviser:
         kept = list(rounds)
         while accepted_of(kept):
             alone = len(accepted_of(kept)) == 1
+            shared = _NONE if alone else self._columns(whole)
             for i, done in enumerate(kept):
-                less = None if alone and self._beyond_doubt(done) else self._without(whole, done)
+                certain = alone and self._beyond_doubt(done)
+                less = None if certain else self._without(whole, done, shared)
                 if less is not None:
                     self.progress("an effect is no longer needed beside those found after it")
                     kept[i] = replace(done, accepted=None, tied=())
@@ -167,21 +172,31 @@ class Reviser:
         least = self.rules.overwhelming * self.rules.material * done.rows_fit
         return done.accepted is not None and done.accepted.fit_gain > least
 
-    def _without(self, whole: Fitted, done: Round) -> Fitted | None:
+    def _columns(self, whole: Fitted) -> Frozen:
+        """What every parameter of the model does, once for all of its effects."""
+        part = self.bench.fitting_bench()
+        _, directions, columns = linearised(part, evaluate(part, whole.model), None)
+        return Frozen(tuple(directions), columns)
+
+    def _without(self, whole: Fitted, done: Round, shared: Frozen = _NONE) -> Fitted | None:
         """The model refitted without a round's effect, or None where that earns its place.
 
         Elementary friction stays: every drive has it, and a flexible form can always stand in for
-        it.
+        it. Columns of the whole model, if there are any, tell most of the effects that are needed.
         """
         if done.accepted is None or done.accepted.effect in ELEMENTARY:
             return None
         part = self.bench.fitting_bench()
         try:
             bare = whole.model.without_effect(done.accepted.effect)
-            begun, had = evaluate(part, bare), evaluate(part, whole.model).chi2
+            begun, had = evaluate(part, bare), whole.chi2
+            limit = max(_MISSED * done.rows_fit, _SLOWLY * (begun.chi2 - had))
+            if shared.directions:
+                quick = refit(part, begun, frozen=shared, rounds=_FIRST_LESS)
+                if quick.chi2 - had > _PLAINLY * limit:
+                    return None
             fitted = refit(part, begun, rounds=_FIRST_LESS)
-            lost = fitted.chi2 - had
-            if lost > max(_MISSED * done.rows_fit, _SLOWLY * (begun.chi2 - had)):
+            if fitted.chi2 - had > limit:
                 return None
             less = evaluate(self.bench, refit(part, fitted, rounds=_MORE_LESS).model)
         except ModelError:

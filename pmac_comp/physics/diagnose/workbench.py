@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
+from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
 from pmac_comp.physics.diagnose.records import Record, simulate_all
 from pmac_comp.physics.diagnose.statistics import Whitener, fit_whitener, huber_weights
@@ -343,6 +344,12 @@ class Workbench:
         if self.noise is None:
             return Noise(whitener, weights)
         return replace(self.noise, whitener=whitener, robust=weights)
+
+    def floor_m(self, description: Bench) -> FloatArray:
+        """Least innovation per channel: a tenth of what one coarse sample resolves."""
+        steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
+        coarse = 0.1 / np.sqrt(12.0 * self.records[0].factor)
+        return np.asarray(np.maximum(coarse * np.array(steps[: self.channels]), 1e-10))
 
     def rounded(self, model: DriveModel) -> list[FloatArray]:
         """What the sensors' steps do inside the loop on the coarse grid, per record."""

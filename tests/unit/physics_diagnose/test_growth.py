@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
-from pmac_comp.physics.diagnose import contenders, growth
+from pmac_comp.physics.diagnose import contenders, growth, revision
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.diagnose import _broken_off
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import Gap
+from pmac_comp.physics.diagnose.refit import Frozen
 from pmac_comp.physics.diagnose.result import Estimate
 from pmac_comp.physics.diagnose.revision import Reviser, _start
 from pmac_comp.physics.diagnose.words import Story, _size, statements_of
@@ -41,13 +42,40 @@ def test_the_only_effect_is_asked_whether_it_is_needed_unless_it_earned_beyond_d
     monkeypatch, fit_gain, asked
 ):
     whole, less = SimpleNamespace(), SimpleNamespace()
-    monkeypatch.setattr(Reviser, "_without", lambda self, whole, done: less)
+    monkeypatch.setattr(Reviser, "_without", lambda self, whole, done, shared: less)
     reviser = Reviser(None, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
     accepted = SimpleNamespace(effect="actuator_delay", fit_gain=fit_gain)
     bare = Round(None, None, (), accepted, (), 3e4, 1e4, 1.0, 0.1)  # type: ignore[arg-type]
     kept, (done,) = reviser.pruned(whole, [bare])  # type: ignore[arg-type]
     assert kept is (less if asked else whole)
     assert (done.accepted is None) == asked
+
+
+@pytest.mark.parametrize(
+    ("by_shared", "by_own", "rounds"),
+    [(40.0, 30.0, ["shared"]), (25.0, 18.0, ["shared", "own"])],
+    ids=["plainly", "open"],
+)
+def test_columns_of_the_whole_model_tell_an_effect_that_is_plainly_needed(
+    monkeypatch, by_shared, by_own, rounds
+):
+    # An effect that explained 100 and of which the others give back all but so much.
+    taken = []
+
+    def refitted(part, begun, *, frozen=None, rounds):
+        taken.append("own" if frozen is None else "shared")
+        return SimpleNamespace(chi2=10.0 + (by_own if frozen is None else by_shared))
+
+    monkeypatch.setattr(revision, "refit", refitted)
+    monkeypatch.setattr(revision, "evaluate", lambda part, model: SimpleNamespace(chi2=110.0))
+    model = SimpleNamespace(without_effect=lambda effect: None)
+    whole = SimpleNamespace(model=model, chi2=10.0)
+    done = SimpleNamespace(accepted=SimpleNamespace(effect="cogging"), rows_fit=1.0)
+    bench = SimpleNamespace(fitting_bench=lambda: None)
+    reviser = Reviser(bench, {}, contenders.Rules(), print)  # type: ignore[arg-type]
+    shared = Frozen((SimpleNamespace(),), [])  # type: ignore[arg-type]
+    assert reviser._without(whole, done, shared) is None  # type: ignore[arg-type]
+    assert taken == rounds
 
 
 @pytest.mark.parametrize(
@@ -217,3 +245,46 @@ def test_a_model_with_an_onset_is_asked_anew_where_rounding_decides_and_what_riv
     assert grown.bench is calmed
     assert grown.final.on == "onset"  # type: ignore[attr-defined]
     assert grown.rivals.rival_gain == 2e2
+
+
+@pytest.mark.parametrize(
+    ("replaced", "rounds"), [(0, 3), (1, 4)], ids=["all-stay", "one-is-replaced"]
+)
+def test_an_effect_that_a_later_one_replaced_takes_no_other_effects_place(
+    monkeypatch, replaced, rounds
+):
+    # Two are sought. One that left the model again had used up its round, and the last one that
+    # earned its place, a bias beside seven others, was turned away.
+    bench = SimpleNamespace(fitting_bench=lambda: bench)
+    model = SimpleNamespace(effects=("coulomb",))
+    point = SimpleNamespace(model=model)
+
+    def found(*anything: Any) -> Round:
+        accepted = SimpleNamespace(effect="any", fitted=point)
+        return Round(point, None, (), accepted, (), 1.0, 1.0, 1.0, 0.1)  # type: ignore[arg-type]
+
+    def pruned(whole: Any, done: list[Round]) -> tuple[Any, list[Round]]:
+        gone = done[:replaced] if len(done) > replaced else []
+        return whole, [*(replace(d, accepted=None) for d in gone), *done[len(gone) :]]
+
+    same = {
+        "first_noise": lambda bench, model: bench,
+        "refit": lambda bench, start, rounds: start,
+        "evaluate": lambda bench, model: point,
+        "settled": lambda bench, start: (start, {}),
+        "_look_around": lambda bench, point, library, seen: (bench, point, None, None),
+        "_round": found,
+        "_slim": lambda done: done,
+        "with_onset": lambda bench, point: point,
+        "Reviser": lambda *a: SimpleNamespace(
+            renamed=lambda whole, done: (whole, done),
+            widened=lambda whole, done: (whole, done),
+            pruned=pruned,
+        ),
+    }
+    for name, stand_in in same.items():
+        monkeypatch.setattr(growth, name, stand_in)
+    rules = contenders.Rules(most_effects=2)
+    grown = growth.grow(bench, model, {}, rules, lambda text: None)  # type: ignore[arg-type]
+    assert len(grown.rounds) == rounds
+    assert len(grown.accepted) == 2

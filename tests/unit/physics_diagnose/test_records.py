@@ -9,7 +9,10 @@ from pmac_comp.base.errors import CaptureError, NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import diagnose
-from pmac_comp.physics.diagnose.records import prepare
+from pmac_comp.physics.diagnose.growth import first_noise
+from pmac_comp.physics.diagnose.records import Record, prepare
+from pmac_comp.physics.diagnose.refit import evaluate, linearised
+from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 
@@ -95,3 +98,46 @@ def test_runs_that_move_only_where_they_are_fitted_are_refused():
         diagnose([resting], BENCH)
     assert refused.value.code == "PC-DIA-017"
     assert "--validate" in refused.value.hint
+
+
+def test_the_same_model_is_not_simulated_again_and_another_of_its_values_is(flickering):
+    (record,) = prepare([flickering], BENCH, prefix="capture")
+    model = DriveModel.base(BENCH)
+    first = record.response(model)
+    some = replace(record, valid=np.zeros_like(record.valid))
+    assert some.response(model) is first
+    assert record.response(model, quantise=True) is not first
+    again = record.response(model.with_parameters({}))
+    assert again is not first
+    assert np.array_equal(again.table_position_m, first.table_position_m)
+    probed = record.response(model, probe_torque_Nm=np.ones(record.desired_m.size))
+    assert not np.array_equal(probed.table_position_m, first.table_position_m)
+
+
+def test_columns_of_a_model_serve_again_until_it_moves(flickering, monkeypatch):
+    simulated = []
+    once = Record.simulated_m
+
+    def counted(self, model, *, substeps=None):
+        simulated.append(model)
+        return once(self, model, substeps=substeps)
+
+    monkeypatch.setattr(Record, "simulated_m", counted)
+    records = prepare([flickering], BENCH, prefix="capture")
+    with processors() as executor:
+        bench = Workbench(records, split(records, []), executor)
+        bench = first_noise(bench, DriveModel.base(BENCH))
+        point = evaluate(bench, DriveModel.base(BENCH))
+        simulated.clear()
+        _, directions, columns = linearised(bench, point, None)
+        assert len(simulated) == len(directions) + 1
+        _, _, again = linearised(bench, point, None)
+        assert len(simulated) == len(directions) + 1
+        assert np.array_equal(again[0], columns[0])
+        linearised(bench, point, None, step_frac=0.004)
+        assert len(simulated) == 2 * (len(directions) + 1)
+        moved = evaluate(bench, point.model.with_parameters({"coulomb.guide_N": 30.0}))
+        simulated.clear()
+        _, _, other = linearised(bench, moved, None)
+        assert len(simulated) == len(directions) + 1
+        assert not np.array_equal(other[0], columns[0])

@@ -54,3 +54,40 @@ def test_columns_that_find_far_more_than_they_foretold_are_taken_afresh(
     monkeypatch.setattr(module, "_line_search", generous)
     refit(SimpleNamespace(), start(1000.0), rounds=4)  # type: ignore[arg-type]
     assert taken == ["fresh"] * 4
+
+
+def test_weights_taken_from_more_than_is_left_are_taken_again_until_they_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    weighed: list[float] = []
+    rows = SimpleNamespace(fitting=np.ones(1, dtype=np.bool_), rows=np.array([100.0]))
+
+    def bench(left: float) -> SimpleNamespace:
+        def with_noise(noise: float) -> SimpleNamespace:
+            weighed.append(noise)
+            return bench(noise)
+
+        return SimpleNamespace(
+            left=left,
+            residuals=lambda simulated: simulated[0],
+            noise_from=lambda left, floor: left,
+            floor_m=lambda description: 0.0,
+            with_noise=with_noise,
+        )
+
+    def model(left: float, under: Any) -> Fitted:
+        # Chi-square counts what a model leaves in units of what its weights were taken from.
+        chi2 = 100.0 * left / under.left
+        drive = SimpleNamespace(bench=None, left=left)
+        return Fitted(drive, [left], chi2, np.array([chi2]))  # type: ignore[arg-type, list-item]
+
+    def refitted(under: Any, start: Fitted, **options: Any) -> Fitted:
+        return model(max(1.0, 0.1 * start.model.left), under)  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(module, "empty_gram", lambda bench, simulated: rows)
+    monkeypatch.setattr(module, "evaluate", lambda under, drive: model(drive.left, under))
+    monkeypatch.setattr(module, "refit", refitted)
+    loose = bench(1000.0)
+    ended = module.under_own_weights(loose, model(40.0, loose), rounds=2)  # type: ignore[arg-type]
+    assert weighed == [40.0, 4.0, 1.0]
+    assert ended.chi2 == pytest.approx(100.0)

@@ -6,6 +6,7 @@ import pytest
 from pmac_comp.base.errors import ModelError, PmacCompError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.model import quasi_static as qs
+from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
 from pmac_comp.physics.signals import trajectory as tr
@@ -118,3 +119,16 @@ def test_a_rigid_bench_has_no_compliance():
     with pytest.raises(ModelError, match="rigid"):
         qs.compliance_m_per_N(rigid, 0.0)
     assert qs.motor_torque_Nm(rigid, ONE, ONE, ONE + 1.0).shape == (3,)
+
+
+@pytest.mark.parametrize("name", ["paper", "emps"])
+def test_a_payload_that_takes_away_more_than_the_table_is_refused_and_no_bug(name: str) -> None:
+    # A refit on a light axis stepped there beside presliding, whose damping has no root then.
+    bench = load_bench(name)
+    whole = DriveModel.base(bench).with_effect("payload", {"mass_kg": 1.0})
+    own_kg = whole.kernel_vector()[s.RIGID_MASS if whole.is_rigid else s.M_TABLE] - 1.0
+    light = whole.with_parameters({"payload.mass_kg": -0.9 * own_kg})
+    assert light.kernel_vector()[s.M_TABLE] > 0.0
+    none = whole.with_parameters({"payload.mass_kg": -1.1 * own_kg})
+    with pytest.raises(ModelError, match="leaves -"):
+        none.kernel_vector()
