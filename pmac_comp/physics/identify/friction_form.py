@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.units import UM_PER_M
@@ -218,15 +220,16 @@ def _chosen(
     trial: _FrictionTrial, base: DriveModel, plain: FloatArray, figures: dict[str, float]
 ) -> Identification | None:
     """Best form that predicts what was held out clearly better than Coulomb friction, or None."""
-    found = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
-    if found is None or not is_better(trial.errors(found), plain, _CLEARLY):
+    first = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
+    if first is None:
         return None
-    form = _form_of(found)
-    if form.is_coulomb:
+    tried = [_reduced(trial, fit) for fit in (first, _with_curve_anew(trial, first))]
+    fits = [fit for fit in tried if fit is not None]
+    if not fits:
         return None
-    if not form.is_whole:
-        # What came out as nothing is left out, from the start: it can hold the rest in a corner.
-        found = trial.fitted(_start(found.model or base, form, _STICK_ZONE_m)) or found
+    found, form = min(fits, key=lambda fit: _left(trial.errors(fit[0]), plain))
+    if not is_better(trial.errors(found), plain, _CLEARLY):
+        return None
     errors = trial.errors(found)
     figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
@@ -239,6 +242,41 @@ def _chosen(
     left = trial.errors(other)
     figures["held_out_gms_um"] = rms_um(left)
     return other if is_better(left, errors, _RATHER) else found
+
+
+def _with_curve_anew(trial: _FrictionTrial, found: Identification) -> Identification | None:
+    """The same with Stribeck's curve begun anew, beside the distances that were found.
+
+    While those are still far off the curve can run to speeds at which nothing moves, or imitate
+    presliding; from there it does not come back.
+    """
+    guess = _FIRST_GUESS
+    anew = replace(
+        _form_of(found),
+        excess_N=guess.excess_N,
+        stribeck_m_per_s=guess.stribeck_m_per_s,
+        has_stribeck=True,
+    )
+    return None if found.model is None else trial.fitted(_start(found.model, anew, _NO_ZONE_m))
+
+
+def _reduced(
+    trial: _FrictionTrial, found: Identification | None
+) -> tuple[Identification, _Form] | None:
+    """A fit of every part without those that came out as nothing, and its form; None if all did."""
+    if found is None or found.model is None or (form := _form_of(found)).is_coulomb:
+        return None
+    if form.is_whole:
+        return found, form
+    # Left out from the start: what came out as nothing can hold the rest in a corner.
+    return trial.fitted(_start(found.model, form, _STICK_ZONE_m)) or found, form
+
+
+def _left(errors: FloatArray, plain: FloatArray) -> float:
+    """Held-out misfit of both channels over that of the base model."""
+    size = np.mean(plain, axis=0)
+    size[size == 0.0] = 1.0
+    return float(np.sum(np.mean(errors, axis=0) / size)) if errors.size else np.inf
 
 
 def _without_nothing(trial: _FrictionTrial, final: Identification | None) -> Identification | None:
