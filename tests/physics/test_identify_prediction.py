@@ -139,6 +139,18 @@ def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> 
     assert found.parameters["stribeck.speed_m_per_s"].value == pytest.approx(0.01, rel=0.4)
 
 
+@pytest.mark.parametrize("name", ["paper", "paper_x4"])
+def test_presliding_and_stribeck_friction_are_told_apart_on_the_default_drive(name: str) -> None:
+    # With the distances still far off, Stribeck's curve once ran to speeds at which nothing moves.
+    bench = load_bench(name)
+    plant = make_plant(bench, effects=None, seed=0)
+    runs = [closed_loop_capture(bench, plant, m.position_m) for m in calibration_motions(bench)]
+    found = identify_with_friction(runs, bench).parameters
+    assert found["presliding.distance_m"].value == pytest.approx(10e-6, rel=0.2)
+    assert found["stribeck.excess_N"].value == pytest.approx(15.0, rel=0.3)
+    assert found["stribeck.speed_m_per_s"].value == pytest.approx(0.005, rel=0.3)
+
+
 def _sharp(plant: BallscrewPlant, distance_m: float) -> BallscrewPlant:
     """Bristles everywhere that give way within a distance, a twentieth of critically damped."""
     par, turning = plant.par, distance_m / BENCH.lead_m_per_rad
