@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.result import SeparatingExperiment
 from pmac_comp.physics.model import slots
@@ -43,14 +44,11 @@ class _Room:
 
     @classmethod
     def of(cls, bench: Bench) -> "_Room":
-        speed = bench.safety.max_speed_mm_per_s
-        if bench.known.rated_speed_rpm is not None:
-            speed = min(speed, bench.known.rated_speed_rpm / 60.0 * bench.screw.pitch_mm)
         return cls(
             bench.travel.min_mm,
             bench.travel.max_mm,
             bench.screw.pitch_mm,
-            speed,
+            bench.usable_speed_m_per_s * MM_PER_M,
             bench.safety.max_acceleration_m_per_s2,
         )
 
