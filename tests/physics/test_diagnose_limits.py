@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmac_comp.files.bench import load_bench
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import diagnose
 from pmac_comp.physics.model import chain
-from pmac_comp.physics.model.effect import Effect, effect_library
+from pmac_comp.physics.model import slots as s
+from pmac_comp.physics.model.effect import Effect, Values, effect_library
+from pmac_comp.physics.model.parameters import parameter
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from tests.generators.motions import sine, strokes
@@ -84,3 +87,22 @@ def test_what_grows_slowly_is_found_wherever_the_scale_has_its_zero():
     found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
     assert (found.verdict, found.named) == ("named", ("thermal_growth",))
     assert found.gap_after_um < 1.2 * found.noise_floor_um
+
+
+def test_a_candidate_that_makes_the_loop_unstable_ends_no_diagnosis():
+    def pushed(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
+        vector[s.MOTOR + s.VISCOUS] -= values["gain_Nms_per_rad"]
+
+    unstable = Effect(
+        name="self_driven",
+        parameters=(parameter("gain_Nms_per_rad", "N m s/rad", 50.0, (0.0, 100.0), scale=50.0),),
+        apply=pushed,
+        where="motor",
+        source="none",
+        signature="none",
+        separating_experiment="none",
+    )
+    captures = runs({"cogging": {"amplitude_Nm": 0.2, "order_per_rev": 8.0}})
+    offered = {"self_driven": unstable, **library("cogging", "payload")}
+    found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
+    assert (found.verdict, found.named) == ("named", ("cogging",))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
+from pmac_comp.base.errors import NonFinite
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
 from pmac_comp.physics.diagnose.records import Record, simulate_all
@@ -249,7 +250,8 @@ class Workbench:
         Both ends of a difference are simulated with half the substeps: what a substep costs in
         accuracy is common to both (columns differ by less than 1 % from those of fine steps).
         ``into`` and ``at`` say into which columns of which arrays they are written instead of new
-        ones: the columns of all candidates are the largest arrays of a diagnosis.
+        ones: the columns of all candidates are the largest arrays of a diagnosis. A direction in
+        which the loop becomes unstable gets a column of zeros.
         """
         count = len(directions)
         shapes = [(*r.coarse_measured_m.shape, count) for r in self.records]
@@ -267,7 +269,12 @@ class Workbench:
             if directions[j].run not in (None, self.records[i].number):
                 out[i][:, :, places[j]] = 0.0
                 return
-            moved = self.records[i].simulated_m(directions[j].model, substeps=needed[j])
+            try:
+                moved = self.records[i].simulated_m(directions[j].model, substeps=needed[j])
+            except NonFinite:
+                # What makes the loop unstable is not in the drive that ran.
+                out[i][:, :, places[j]] = 0.0
+                return
             out[i][:, :, places[j]] = (moved - base[i, needed[j]]) / directions[j].step
 
         jobs = [(i, j) for i in range(len(self.records)) for j in range(count)]
