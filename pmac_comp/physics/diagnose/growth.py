@@ -41,9 +41,11 @@ Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
-# A refit ends by itself. Friction that no bench file states may begin ten times too large, and no
-# step takes more than a third of it; what a base fit that broke off leaves gets any name.
-_BASE_ROUNDS = 60
+# Friction that no bench file states may begin ten times too large, and no step takes more than a
+# third of it: what a base fit that broke off on the way leaves gets any name. Where little is left
+# to gain, going on bends the drive to what is missing.
+_BASE_ROUNDS, _LEG_ROUNDS, _MOST_LEGS = 8, 4, 13
+_ON_THE_WAY = 0.5  # of the misfit is left after a leg, at most
 # Effects that later ones replace take rounds too, and no other's place.
 _ROUNDS_PER_EFFECT = 2
 
@@ -127,7 +129,7 @@ def grow(
     progress("fitting the base model")
     bench = first_noise(bench, start)
     part = bench.fitting_bench()
-    point = refit(part, evaluate(part, start), rounds=_BASE_ROUNDS)
+    point = _based(part, start)
     rounds: list[Round] = []
     base: Fitted | None = None
     seen: Look | None = None
@@ -173,6 +175,17 @@ def grow(
     grew = base is not None and bool(accepted_of(rounds))
     base_model = evaluate(bench, base.model) if base is not None and grew else final
     return Grown(bench, base_model, final, tuple(rounds), open_SI, beside_onset)
+
+
+def _based(bench: Workbench, start: DriveModel) -> Fitted:
+    """The base model fitted, on and on as long as most of the misfit goes."""
+    point = refit(bench, evaluate(bench, start), rounds=_BASE_ROUNDS)
+    for _ in range(_MOST_LEGS):
+        further = refit(bench, point, rounds=_LEG_ROUNDS)
+        if further.chi2 > _ON_THE_WAY * point.chi2:
+            break
+        point = further
+    return point
 
 
 def _look_around(

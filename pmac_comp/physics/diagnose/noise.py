@@ -4,7 +4,6 @@ What lives here: the effect of the sensors' steps in the simulated loop, and rep
 May import ``records`` and ``workbench``.
 """
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -59,7 +58,7 @@ def ambient_m2(bench: Workbench, model: DriveModel) -> float:
     band the median of its lines counts.
     """
     records = [
-        replace(r, valid=r.valid & np.resize(np.repeat(c, r.factor), r.valid.size))
+        r.masked(r.valid & np.resize(np.repeat(c, r.factor), r.valid.size))
         for r, c in zip(bench.records, bench.counted, strict=True)
     ]
     still_m2 = _still_power_m2(bench, model)

@@ -113,7 +113,7 @@ class Record:
     dated_s : float or None
         When it began by the dates of the files; None where one of them has none.
     recent : Recent
-        Its last results; copies with other valid samples share them.
+        Its last results; ``masked`` copies share them, others begin their own.
     """
 
     name: str
@@ -131,7 +131,13 @@ class Record:
     number: int = 0
     following_s: float = 0.0
     dated_s: float | None = None
-    recent: Recent = field(default_factory=Recent, repr=False, compare=False)
+    recent: Recent = field(default_factory=Recent, init=False, repr=False, compare=False)
+
+    def masked(self, valid: BoolArray) -> "Record":
+        """The same with other valid samples, shape (n,)."""
+        copy = replace(self, valid=valid)
+        object.__setattr__(copy, "recent", self.recent)  # what is simulated is the same
+        return copy
 
     @property
     def channels(self) -> int:

@@ -163,7 +163,7 @@ class Workbench:
     def judging_records(self) -> tuple[Record, ...]:
         """Records with samples that judge, cut to the samples that do."""
         return tuple(
-            replace(r, valid=r.valid & _fine(~f, r))
+            r.masked(r.valid & _fine(~f, r))
             for r, f in zip(self.records, self.fitting, strict=True)
             if not f.all()
         )
@@ -181,7 +181,7 @@ class Workbench:
     def calm_records(self) -> tuple[Record, ...]:
         """The judging records without the samples that no evidence comes from, if any are left."""
         return tuple(
-            replace(r, valid=r.valid & _fine(c & ~f, r))
+            r.masked(r.valid & _fine(c & ~f, r))
             for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
             if np.any(c & ~f)
         )
@@ -189,7 +189,7 @@ class Workbench:
     def whole_records(self, *, calm: bool) -> tuple[Record, ...]:
         """Records with judging samples, uncut; ``calm`` leaves out what is no evidence."""
         return tuple(
-            replace(r, valid=r.valid & _fine(c, r)) if calm else r
+            r.masked(r.valid & _fine(c, r)) if calm else r
             for r, f, c in zip(self.records, self.fitting, self.counted, strict=True)
             if (np.any(c & ~f) if calm else not f.all())
         )

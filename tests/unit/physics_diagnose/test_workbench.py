@@ -1,6 +1,6 @@
 """What the workbench takes for noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -72,6 +72,9 @@ class Run:
     valid: BoolArray
     factor: int
     coarse_period_s: float = 1e-3
+
+    def masked(self, valid: BoolArray) -> "Run":
+        return replace(self, valid=valid)
 
 
 @pytest.mark.parametrize(
