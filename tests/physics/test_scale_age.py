@@ -27,7 +27,7 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
     # What it hid behind was wrong by as much as the lag is worth.
     true = make_plant(BENCH, effects={}, seed=7).truth.guide_viscous_Ns_per_m
     name = "viscous.guide_Ns_per_m"
-    assert abs(found.values[name] - true) < 0.5 * abs(model.parameters[name] - true)
+    assert abs(found.values[name] - true) < 0.6 * abs(model.parameters[name] - true)
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,7 @@ def test_a_model_with_an_onset_is_asked_anew_where_rounding_decides_and_what_riv
     same = {
         "first_noise": lambda bench, model: bench,
         "refit": lambda bench, start, rounds: start,
-        "evaluate": lambda bench, model: SimpleNamespace(model=model),
+        "evaluate": lambda bench, model: SimpleNamespace(model=model, chi2=1.0),
         "_look_around": lambda bench, point, library, seen: (bench, point, done.screening, None),
         "_round": lambda *a: done,
         "_slim": lambda done: done,
@@ -257,7 +257,7 @@ def test_an_effect_that_a_later_one_replaced_takes_no_other_effects_place(
     # earned its place, a bias beside seven others, was turned away.
     bench = SimpleNamespace(fitting_bench=lambda: bench)
     model = SimpleNamespace(effects=("coulomb",))
-    point = SimpleNamespace(model=model)
+    point = SimpleNamespace(model=model, chi2=1.0)
 
     def found(*anything: Any) -> Round:
         accepted = SimpleNamespace(effect="any", fitted=point)
