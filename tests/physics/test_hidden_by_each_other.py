@@ -21,6 +21,7 @@ def shown(effects: PlantEffects, *, seed: int = 4) -> Shown:
     return found
 
 
+@pytest.mark.slow
 def test_stribeck_friction_behind_play_is_found() -> None:
     friction = {"excess_N": 28.0, "excess_Nm": 0.0, "speed_m_per_s": 0.0043}
     found = shown({"stribeck": friction, "backlash": {"gap_um": 2.2}}).model.parameters

@@ -46,6 +46,7 @@ def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> No
     assert measured_scale_age(runs, BENCH, model) is None
 
 
+@pytest.mark.slow
 def test_the_law_leaves_alone_what_the_scale_alone_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         beyond_model, "found_clearance", lambda *_: None
