@@ -76,17 +76,19 @@ def uncertainty_of(problem: Problem, theta: FloatArray, final: Normal) -> Uncert
     if final.untempered is not None:
         least = np.maximum(least, np.diag(_sandwich(problem, theta, final.untempered)))
     least = np.where(_is_free(problem), least, np.diag(covariance))
-    least = np.maximum(least, _by_information(problem, usual))
-    among, scattered = _among_runs(problem, usual)
-    clusters = np.unique(_stretches(final.runs)).size
+    root, unroot = root_of_inverse(usual.hessian + np.diag(problem.weight))
+    inverse = root @ root.T
+    # Variances that independent residuals of the whitened size would leave.
+    least = np.maximum(least, np.sum(root**2, axis=1))
+    by_captures = np.diag(inverse @ usual.hessian @ inverse)
+    joined = _joined(usual)
+    among, scattered = _among_runs(problem, joined, root, unroot)
+    clusters = np.full(theta.size, float(joined.runs.size))
     variance, freedom = _widest(
         problem,
         theta,
-        (
-            least,
-            _beside_prior(least, _effective_blocks(problem, usual) - 1.0, _data(problem, usual)),
-        ),
-        (among, _beside_prior(among, np.full(theta.size, clusters - 1.0), scattered)),
+        (least, _beside_prior(least, _effective_blocks(usual, inverse) - 1.0, by_captures)),
+        (among, _beside_prior(among, clusters - 1.0, scattered)),
     )
     wider = np.sqrt(variance / np.diag(covariance))
     return Uncertainty(np.asarray(covariance * np.outer(wider, wider)), freedom)
@@ -119,29 +121,14 @@ def _beside_prior(variance: FloatArray, freedom: FloatArray, part: FloatArray) -
     return np.asarray(np.minimum(np.maximum(freedom, _FEWEST) * known**2, _MANY))
 
 
-def _data(problem: Problem, final: Normal) -> FloatArray:
-    """Part of the variances by information that the captures bring, shape (p,)."""
-    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
-    inverse = root @ root.T
-    return np.asarray(np.diag(inverse @ final.hessian @ inverse))
-
-
-def _effective_blocks(problem: Problem, final: Normal) -> FloatArray:
+def _effective_blocks(final: Normal, inverse: FloatArray) -> FloatArray:
     """By how many blocks each parameter is determined, were they all to count alike, shape (p,).
 
     Delay and current loop show where an acceleration begins: some tenths of a second of a campaign
     decide, and as many independent residuals, not as all of its blocks, say how well.
     """
-    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
-    inverse = root @ root.T
     share = np.einsum("ij,bjk,ik->bi", inverse, final.block_hessians, inverse)
     return np.asarray(share.sum(axis=0) ** 2 / np.maximum(np.sum(share**2, axis=0), _TINY))
-
-
-def _by_information(problem: Problem, final: Normal) -> FloatArray:
-    """Variances that independent residuals of the whitened size would leave, shape (p,)."""
-    root, _ = root_of_inverse(final.hessian + np.diag(problem.weight))
-    return np.asarray(np.sum(root**2, axis=1))
 
 
 def _is_free(problem: Problem) -> BoolArray:
@@ -157,14 +144,15 @@ def _most_of_known(problem: Problem, theta: FloatArray) -> FloatArray:
     return np.where(_is_free(problem), np.inf, stated)
 
 
-def _among_runs(problem: Problem, final: Normal) -> tuple[FloatArray, FloatArray]:
+def _among_runs(
+    problem: Problem, joined: Normal, root: FloatArray, unroot: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Variances with runs as clusters, and the part of them that is scatter, shape (p,) each."""
-    prior = np.diag(problem.weight)
-    root, unroot = root_of_inverse(final.hessian + prior)
     inverse = root @ root.T
-    pulls = _jackknifed(_joined(final), root, unroot) @ inverse
+    pulls = _jackknifed(joined, root, unroot) @ inverse
     scattered = np.sum(pulls**2, axis=0)
-    return scattered + np.diag(inverse @ (prior + final.prior_scores) @ inverse), scattered
+    known = np.diag(problem.weight) + joined.prior_scores
+    return scattered + np.diag(inverse @ known @ inverse), scattered
 
 
 def _joined(final: Normal) -> Normal:

@@ -24,7 +24,7 @@ from pmac_comp.physics.identify.agreement import widened_where_apart
 from pmac_comp.physics.identify.joint import share_after_reversals
 from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
-from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
+from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 
 Progress = Callable[[str, float], None]
@@ -223,14 +223,13 @@ def _chosen(
     first = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
     if first is None:
         return None
-    tried = [_reduced(trial, fit) for fit in (first, _with_curve_anew(trial, first))]
-    fits = [fit for fit in tried if fit is not None]
-    if not fits:
+    reduced = [_reduced(trial, fit) for fit in (first, _with_curve_anew(trial, first))]
+    tried = [(*fit, trial.errors(fit[0])) for fit in reduced if fit is not None]
+    if not tried:
         return None
-    found, form = min(fits, key=lambda fit: _left(trial.errors(fit[0]), plain))
-    if not is_better(trial.errors(found), plain, _CLEARLY):
+    found, form, errors = min(tried, key=lambda fit: _left(fit[2], plain))
+    if not is_better(errors, plain, _CLEARLY):
         return None
-    errors = trial.errors(found)
     figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
     # counts can hide what it leaves around reversals: only the held-out samples tell.
@@ -274,9 +273,9 @@ def _reduced(
 
 def _left(errors: FloatArray, plain: FloatArray) -> float:
     """Held-out misfit of both channels over that of the base model."""
-    size = np.mean(plain, axis=0)
-    size[size == 0.0] = 1.0
-    return float(np.sum(np.mean(errors, axis=0) / size)) if errors.size else np.inf
+    if not plain.size:
+        return np.inf
+    return float(np.sum(np.mean(errors, axis=0) / channel_sizes(plain)))
 
 
 def _without_nothing(trial: _FrictionTrial, final: Identification | None) -> Identification | None:

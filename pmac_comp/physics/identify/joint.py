@@ -196,10 +196,10 @@ def _identify_elastic(
         responses = list(workers.map(_response_of_pair, jobs))
     if stages in {"all", "fine"}:
         require_converged(fit)
-    harmless: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
     if names is None and has_scale:
         has_torque = any(capture.torque_command_Nm is not None for capture in captures)
-        harmless = require_identifiable(
+        undetermined = require_identifiable(
             fit, has_torque=has_torque, speed_m_per_s=max(map(_top_speed_m_per_s, captures))
         )
     residuals = tuple(
@@ -217,7 +217,7 @@ def _identify_elastic(
         noise=noise,
         residuals=residuals,
         statements=(
-            *harmless,
+            *undetermined,
             *statements(fit),
             *resonance_statement(fit.model, bench),
             *(_after_reversals(records, residuals) if has_scale else ()),

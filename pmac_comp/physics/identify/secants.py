@@ -52,23 +52,26 @@ def over_interval(
     list of list of ndarray
         As ``slopes``; those themselves where the loop is unstable within the interval.
     """
-    width = _widths(problem, equations(slopes))
+    root, unroot = _roots(problem, equations(slopes))
     for _ in range(_ROUNDS):
-        root, unroot = root_of_inverse(equations(slopes).hessian + np.diag(problem.weight))
         try:
             crossed = _crossed(problem, theta, slopes, root)
         except NonFinite:
             return slopes
         slopes = _combined(crossed, unroot.T)
-        before, width = width, _widths(problem, equations(slopes))
-        if np.all(width <= _GREW * before):
+        before = _widths(root)
+        root, unroot = _roots(problem, equations(slopes))
+        if np.all(_widths(root) <= _GREW * before):
             break
     return slopes
 
 
-def _widths(problem: Problem, normal: Normal) -> FloatArray:
+def _roots(problem: Problem, normal: Normal) -> tuple[FloatArray, FloatArray]:
+    return root_of_inverse(normal.hessian + np.diag(problem.weight))
+
+
+def _widths(root: FloatArray) -> FloatArray:
     """Standard deviations by information, scaled parameters, shape (p,)."""
-    root, _ = root_of_inverse(normal.hessian + np.diag(problem.weight))
     return np.asarray(np.linalg.norm(root, axis=1))
 
 

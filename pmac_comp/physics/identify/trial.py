@@ -131,9 +131,7 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
     """
     if new.shape[0] < _FEW_BLOCKS:
         return False
-    size = np.mean(old, axis=0)
-    size[size == 0.0] = 1.0
-    gain = ((old - new) / size).sum(axis=1)
+    gain = ((old - new) / channel_sizes(old)).sum(axis=1)
     both = old + new
     both[both == 0.0] = 1.0
     share = ((old - new) / both).sum(axis=1)
@@ -142,6 +140,12 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
         np.mean(found) > least * np.std(found) / np.sqrt(found.size) for found, least in looks
     )
     return bool(clear and np.mean(gain) > _GAIN)
+
+
+def channel_sizes(mean_squares: FloatArray) -> FloatArray:
+    """Mean over blocks of each channel, 1 where it is nothing, shape (2,): what to measure by."""
+    size = np.asarray(np.mean(mean_squares, axis=0))
+    return np.where(size == 0.0, 1.0, size)
 
 
 def rms_um(mean_squares: FloatArray) -> float:
