@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Final, Self
 
@@ -178,6 +179,16 @@ class Change:
             self._stack.enter_context(self._journal.kept_open())
         return self._journal
 
+    @cached_property
+    def _earlier(self) -> list[SafetyRefusal]:
+        """What waits for ``recover``; the lock of this host keeps it as it was found."""
+        goes_on = self.context.group or not self._is_new
+        return [] if goes_on else torn_refusals(self.context)
+
+    def look_into_folder(self) -> None:
+        """Name the journal and look for earlier changes: work for while the controller answers."""
+        _ = self.journal, self._earlier
+
     def begin(self, data: Mapping[str, object] | None = None) -> None:
         """First entry of a new journal, then the lease; nothing is changed yet.
 
@@ -187,8 +198,8 @@ class Change:
             An earlier change of this folder was interrupted and waits for ``recover``.
         """
         self.may_go_on()
-        if self._is_new and not self.context.group:
-            require_settled(self.context)
+        for refusal in self._earlier:
+            raise refusal
         if self._is_new:
             head = {"kind": self.kind.value, "group": self.context.group}
             self.journal.write("begin", {**head, **(data or {})}, when=Sync.LATER)

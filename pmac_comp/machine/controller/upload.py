@@ -184,7 +184,7 @@ class TableUpload:
                 self.context,
                 self._wish,
                 to_the_end=to_the_end,
-                meanwhile=lambda: self._change.journal,
+                meanwhile=self._change.look_into_folder,
             )
         self._plan, self._i30 = found.plan, found.head.i30
         self._looks = (found.begun,)
