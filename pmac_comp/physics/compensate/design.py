@@ -54,8 +54,10 @@ _LEAST_MECHANICAL_m = 0.15e-6
 _LEAST_TOTAL_m = 1e-6
 LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
 # A model knows when the force turns to the sample, a drive's friction does not: narrower, down to
-# where the model likes it best, leaves a tenth more of plants.
+# where the model likes it best, leaves a tenth more of plants. On a light axis friction winds up
+# less than this, and a flank that it cannot fill would never be reached.
 _LEAST_WIDTH_m = 0.3e-6
+_LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 # Once it is fitted: blurred it hedges between the motions, but force crosses a gap at once, and on
 # plants slow sinusoids are up to a third better with it sharp. Other motions pay 0-3 % for it, with
 # Stribeck friction or a small load beside the play up to 15 %.
@@ -70,7 +72,7 @@ _STEP_FRAC = 0.5  # of the largest jerk within a sample: that of a sinusoid is s
 # The law's jerk limit over the largest of the motions it is fitted on: what steps of the
 # acceleration ring falls with it (half above the drive's own at 1.5, a fifth at 1.02).
 _JERK_ROOM = 1.02
-_MOST_STEPS = 10
+_MOST_STEPS = 20
 _FEW_STEPS = 4  # from a start that is nearly right
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
@@ -104,12 +106,13 @@ _LOWEST = {
     "torque_breakaway_m": 0.5e-6,
     "rest_fade_per_s": 4.5,  # 0.82 are left: with all of it the motor creeps on
     "gap_half_m": 0.0,
-    "gap_width_m": _LEAST_WIDTH_m,
     "gap_lag_s": 0.0,
     "stribeck_m": 0.0,
     "torque_stribeck_Nm": 0.0,
     "stribeck_speed_m_per_s": 1e-3,
 }
+# Gone in ten servo cycles; a pass that takes away more than there is would swing.
+_FASTEST_FADE_per_s = 400.0
 
 
 @dataclass(frozen=True)
@@ -547,6 +550,7 @@ def _refined(
         scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
         scales |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
         lower["coulomb_m"] = LEAST_COULOMB_m
+        lower["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
     if start.bed_share > 0.0 and has_torque:
         scales |= _BED_TORQUE_SCALES
     if start.has_stribeck:
@@ -563,7 +567,7 @@ def _refined(
         count += 1
         if progress is not None:
             progress("computing the law", min(0.99, count / (8.0 * len(names))))
-        law = start.with_values(**dict(zip(names, (point * size).tolist(), strict=True)))
+        law = _with_values(start, names, point * size)
         parts = zip(motions, aims, strict=True)
         return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
 
@@ -576,7 +580,14 @@ def _refined(
         xtol=1e-4,
         ftol=1e-3,
     )
-    return start.with_values(**dict(zip(names, (solved.x * size).tolist(), strict=True)))
+    return _with_values(start, names, solved.x * size)
+
+
+def _with_values(law: CompensationLaw, names: Sequence[str], values: FloatArray) -> CompensationLaw:
+    given = dict(zip(names, values.tolist(), strict=True))
+    # A limit here and none of the fit: near one that is not even reached it ends elsewhere.
+    fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), _FASTEST_FADE_per_s)
+    return law.with_values(**given | {"rest_fade_per_s": fade})
 
 
 def _aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:

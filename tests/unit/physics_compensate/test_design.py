@@ -106,11 +106,29 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     assert with_gap.gap_width_m < 0.5e-6  # play is crossed at once
     # The friction's term keeps the elastic part alone.
     assert with_gap.coulomb_m == pytest.approx(0.93e-6, rel=0.3)
-    motion = sinusoid(
-        period_s=BENCH.servo_period_s, amplitude_m=0.012, frequency_Hz=1.9, cycles=3.0
-    )
+    motion = a_sine(0.012, 1.9, 3.0)
     new, old = (promise(law, model_loop(model), motion) for law in (with_gap, without))
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
+
+
+def test_a_gap_is_taken_up_whole_where_friction_winds_up_little() -> None:
+    easy = DriveModel.base(BENCH).with_parameters({"coulomb.guide_N": 6.0})
+    model = easy.with_effect("backlash", {"gap_m": 2e-6})
+    gap = NutGap(1e-6, 0.0, 0.0, model_loop(easy))
+    motions = a_sine(0.02, 0.4, 1.5), a_sine(0.01, 1.0, 2.0), a_sine(0.01, 3.0, 3.0)
+    law = design_law(BENCH, model_loop(model), gap=gap, motions=motions)
+    assert law.gap_width_m < 0.3 * law.coulomb_m  # friction alone holds either flank
+    got = promise(law, model_loop(model), a_sine(0.012, 0.5, 3.0))
+    assert got.e_r_after_um < 0.2 * got.e_before_um
+
+
+def a_sine(amplitude_m: float, frequency_Hz: float, cycles: float) -> Trajectory:
+    return sinusoid(
+        period_s=BENCH.servo_period_s,
+        amplitude_m=amplitude_m,
+        frequency_Hz=frequency_Hz,
+        cycles=cycles,
+    )
 
 
 def a_move(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> Trajectory:
@@ -185,9 +203,7 @@ def test_gap_under_a_load_is_taken_up_where_the_load_is_overcome() -> None:
     laws = [design_law(BENCH, model_loop(model), gap=g, motions=motions) for g in (seeing, blind)]
     assert laws[0].gap_load_m > 0.5e-6
     assert laws[1].gap_load_m == 0.0
-    motion = sinusoid(
-        period_s=BENCH.servo_period_s, amplitude_m=0.012, frequency_Hz=1.9, cycles=3.0
-    )
+    motion = a_sine(0.012, 1.9, 3.0)
     new, old = (promise(law, model_loop(model), motion) for law in laws)
     assert new.e_r_after_um < 0.7 * old.e_r_after_um
 
