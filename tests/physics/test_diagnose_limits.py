@@ -14,6 +14,7 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values, effect_library
 from pmac_comp.physics.model.parameters import parameter
 from pmac_comp.simulator.closed_loop import closed_loop_capture
+from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from tests.generators.motions import sine, strokes
 
@@ -106,3 +107,18 @@ def test_a_candidate_that_makes_the_loop_unstable_ends_no_diagnosis():
     offered = {"self_driven": unstable, **library("cogging", "payload")}
     found = diagnose(captures[:3], BENCH, validate=captures[3:], effects=offered)
     assert (found.verdict, found.named) == ("named", ("cogging",))
+
+
+def test_a_joint_softer_than_the_bench_file_says_is_no_preload_that_was_lost():
+    # A joint that gives way beyond no force at all is a spring of another stiffness.
+    plant = make_plant(BENCH, effects={}, seed=3, spread=0.0)
+    for place in (k.P_K_NUT, k.P_K_BEARING):
+        plant.par[place] *= 0.6
+    commands = [sine(BENCH, 0.012, 3.0, 1.2, place) for place in (-0.2, 0.0, 0.2)]
+    captures = [closed_loop_capture(BENCH, plant, command) for command in commands]
+    found = diagnose(captures[:2], BENCH, validate=captures[2:], effects=library("preload_loss"))
+    assert found.named == ()
+    (softer,) = found.findings
+    assert softer.parameter == "chain.axial_stiffness_N_per_m"
+    assert 0.6 * BENCH.nominal.axial_stiffness_N_per_um == pytest.approx(softer.value, rel=0.03)
+    assert "no name" not in softer.text

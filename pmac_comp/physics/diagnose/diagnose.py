@@ -176,7 +176,7 @@ class _Found:
     """What the loop found.
 
     ``alone``: one quantity of the bench file in place of effects; ``beyond`` and ``apart``: effects
-    with a corner that no run reaches, and with another size in every run.
+    with a corner that no run crosses, and with another size in every run.
     """
 
     grown: Grown
@@ -196,7 +196,9 @@ def _assembled(
     judging = grown.bench.judging_records
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
-    findings = pulled(findings) if left.visible else findings
+    # One quantity that leaves nothing proved was moved by nothing but itself.
+    doubtful = left.unexplained or (left.visible and not found.alone)
+    findings = pulled(findings) if doubtful else findings
     claims = claims_of(
         grown, left, estimates, rules, findings, beyond=found.beyond, apart=found.apart
     )

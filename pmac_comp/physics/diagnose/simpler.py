@@ -1,7 +1,7 @@
 """One quantity of the bench file at another value, in place of a model that needs several.
 
 What lives here: the plainest answer where the data asks for what the bench file excludes. No
-effects. May import ``growth``, ``estimates``, ``candidates`` and ``refit``.
+effects. May import ``growth``, ``estimates``, ``candidates``, ``onset`` and ``refit``.
 """
 
 import math
@@ -15,6 +15,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.candidates import own_directions
 from pmac_comp.physics.diagnose.estimates import finding_of
 from pmac_comp.physics.diagnose.growth import Grown
+from pmac_comp.physics.diagnose.onset import holds_onset, with_onset
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, evaluate, refit
 from pmac_comp.physics.diagnose.result import Finding
@@ -63,9 +64,12 @@ def single_cause(
     judging, executor = grown.bench.calm_records, grown.bench.executor
     gaps = [gap(judging, fitted.model, executor).position_um for _, fitted in tried]
     best = min(range(len(tried)), key=gaps.__getitem__)
-    if gaps[best] > _AS_CLOSE * gap(judging, grown.final.model, executor).position_um:
-        return None
     spec, fitted = tried[best]
+    most_um = _AS_CLOSE * gap(judging, grown.final.model, executor).position_um
+    if gaps[best] > most_um:
+        fitted = _gripping_as(grown, fitted)
+        if gap(judging, fitted.model, executor).position_um > most_um:
+            return None
     found = finding_of(spec, grown.bench.fitting_bench(), fitted)
     if found is None:
         return None
@@ -129,6 +133,17 @@ def _loosened(grown: Grown, spec: ParameterSpec) -> tuple[ParameterSpec, Fitted]
     except ModelError:
         return None
     return None if _at_an_end(fitted.model, spec.name) else (spec, fitted)
+
+
+def _gripping_as(grown: Grown, fitted: Fitted) -> Fitted:
+    """A refitted base model with friction that sets in over a distance, where the grown one has it.
+
+    That is no effect, and the two are to differ by those alone.
+    """
+    if not holds_onset(grown.final.model):
+        return fitted
+    whole = with_onset(grown.bench, evaluate(grown.bench, fitted.model))
+    return evaluate(grown.bench.fitting_bench(), whole.model)
 
 
 def _at_an_end(model: DriveModel, name: str) -> bool:

@@ -117,7 +117,8 @@ def statements_of(story: Story) -> tuple[str, ...]:
             "friction sets in or a fit to those runs as well leaves open."
         )
     if story.left.visible:
-        word = "Left" if story.verdict != "none" else "Not proved beyond noise"
+        proved = story.left.unexplained or bool(story.named)
+        word = "Left" if proved else "Not proved beyond noise"
         said += [f"{word}: {region.describe()}." for region in story.left.regions[:3]]
     return tuple(said)
 

@@ -156,11 +156,11 @@ def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():
 
 
 @pytest.mark.parametrize("place", ["centre", "beyond"])
-def test_a_corner_that_no_run_reaches_carries_no_name(place):
+def test_a_corner_that_no_run_crosses_carries_no_name(place):
     def grown(half_width_m: float, largest_N: float) -> Any:
         values = {"half_width_m": half_width_m, "stiffness_ratio": 0.5}
         model = DriveModel.base(BENCH).with_effect(f"preload_loss@{place}", values)
-        response = SimpleNamespace(joint_force_N=np.array([0.0, -largest_N]))
+        response = SimpleNamespace(joint_force_N=np.array([0.01 * largest_N, -largest_N]))
         record = SimpleNamespace(response=lambda _model: response)
         return SimpleNamespace(
             final=SimpleNamespace(model=model), bench=SimpleNamespace(records=[record])
@@ -168,6 +168,7 @@ def test_a_corner_that_no_run_reaches_carries_no_name(place):
 
     assert unreached(grown(1e-6, 700.0)) == frozenset()
     assert unreached(grown(23e-6, 700.0)) == {"preload_loss"}
+    assert unreached(grown(0.0, 700.0)) == ({"preload_loss"} if place == "beyond" else frozenset())
     plain: Any = SimpleNamespace(final=SimpleNamespace(model=DriveModel.base(BENCH)))
     assert unreached(plain) == frozenset()
 
