@@ -155,6 +155,32 @@ def test_a_finding_beside_a_remainder_says_what_may_have_moved_it():
     assert moved.value == FINDING.value
 
 
+@pytest.mark.parametrize(
+    ("compliance", "unexplained", "claimed"),
+    [(1.5e-3, True, ()), (1.5e-3, False, ("coupling_windup",)), (1e-5, True, ("coupling_windup",))],
+)
+def test_a_stiffness_out_of_tolerance_that_leaves_something_is_no_finding(
+    compliance, unexplained, claimed
+):
+    # A scale on a bracket of 170 Hz lags with the acceleration, most of which a coupling ten times
+    # as soft as stated makes up for.
+    soft = SimpleNamespace(effect="coupling_windup", fit_gain=1e5, gap_um=0.21)
+    done = SimpleNamespace(accepted=soft, gap_um=0.63, floor_um=0.09, rows_fit=1e4)
+    done.screening = SimpleNamespace(rival_gain=1e3)
+    model = DriveModel.base(BENCH).with_effect(
+        "coupling_windup", {"compliance_rad_per_Nm": compliance}
+    )
+    grown: Any = SimpleNamespace(
+        rounds=(done,), accepted=(soft,), final=SimpleNamespace(model=model)
+    )
+    left: Any = SimpleNamespace(
+        unexplained=unexplained, visible=True, explained=True, open_share=0.05, missed=False
+    )
+    found = claims_of(grown, left, (), Rules())
+    assert found.effects == claimed
+    assert ("torsional_stiffness" in " ".join(found.withheld.values())) is not bool(claimed)
+
+
 @pytest.mark.parametrize("place", ["centre", "beyond"])
 def test_a_corner_that_no_run_crosses_carries_no_name(place):
     def grown(half_width_m: float, largest_N: float) -> Any:
