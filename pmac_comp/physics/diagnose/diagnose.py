@@ -43,6 +43,7 @@ from pmac_comp.physics.diagnose.result import (
 )
 from pmac_comp.physics.diagnose.simpler import single_cause, stretched
 from pmac_comp.physics.diagnose.statistics import sign_flip_p
+from pmac_comp.physics.diagnose.torque_place import told_by_torque
 from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
 from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
 from pmac_comp.physics.model.drive import DriveModel
@@ -249,6 +250,7 @@ def _assembled(
             ),
             *_broken_off(grown, rules),
             *told_by_run(grown, left),
+            *told_by_torque(grown, left),
             *told(grown.final.model, claims.effects),
             *unlisted_twins(grown.final.model, claims.effects),
             *_undated(grown, left, claims),
