@@ -11,7 +11,7 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.outcome import WORSE, MotionOutcome, Ratio, Spread, grown_text
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
-from pmac_comp.workflow.static_check import StaticOutcome
+from pmac_comp.workflow.static_check import Approaches, StaticOutcome
 
 _MOSTLY = 0.7  # share of the repeatability that is the motor's own
 _GREW = 1.2  # the reversal value of so few targets scatters
@@ -217,16 +217,21 @@ def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
     if static is None or static.before is None or static.after is None:
         return ()
     out: list[str] = []
-    before, after = (s.figures() for s in (static.before, static.after))
-    if after.reversal_value_m > _GREW * before.reversal_value_m:
-        out.append(
+    before, after = static.before.figures(), static.after.figures()
+    grew = after.reversal_value_m > _GREW * before.reversal_value_m
+    sent_um = _sent_at_rest_um(static.before, static.after) if grew else None
+    if grew:
+        said = (
             f"the reversal value at rest grew from {before.reversal_value_m * UM_PER_M:.2f} to "
-            f"{after.reversal_value_m * UM_PER_M:.2f} um: the correction holds the screw's "
-            "wind-up, which rest does not relieve; what is left is the motor's own stop within its "
-            "friction, which had cancelled the wind-up before"
+            f"{after.reversal_value_m * UM_PER_M:.2f} um: "
         )
+        why = (
+            "the correction holds the screw's wind-up, which rest does not relieve; what is left "
+            "is the motor's own stop within its friction, which had cancelled the wind-up before"
+        )
+        out.append(said + (why if sent_um is None else _sent_text(*sent_um)))
     servo, mechanical = static.after.of_motor(), static.after.of_mechanics()
-    if servo.repeatability_m > _MOSTLY * after.repeatability_m:
+    if servo.repeatability_m > _MOSTLY * after.repeatability_m and sent_um is None:
         out.append(
             f"repeatability R with compensation: {after.repeatability_m * UM_PER_M:.2f} um at the "
             f"table, {servo.repeatability_m * UM_PER_M:.2f} um of the motor itself, "
@@ -236,3 +241,25 @@ def static_remarks(static: StaticOutcome | None) -> tuple[str, ...]:
             "encoder's steps decide it"
         )
     return tuple(out)
+
+
+def _sent_at_rest_um(before: Approaches, after: Approaches) -> tuple[float, float] | None:
+    """Mean reversal of the motor's own stops before and after, um, where the law moved them.
+
+    None where they part no farther than before, or by no more than the mechanics' part changed by.
+    """
+    was, now = (abs(side.of_motor().mean_reversal_m) for side in (before, after))
+    held = after.of_mechanics().mean_reversal_m - before.of_mechanics().mean_reversal_m
+    if now - was <= max(abs(held), (_GREW - 1.0) * was):
+        return None
+    return UM_PER_M * was, UM_PER_M * now
+
+
+def _sent_text(was_um: float, now_um: float) -> str:
+    return (
+        f"the motor's own stops from both sides are {now_um:.2f} um apart, {was_um:.2f} before: "
+        "the torque that the law holds at rest and begins the next motion with is not what this "
+        "axis needs there. A load that has changed since the calibration runs is held by a law of "
+        "new ones; one that differs by place, as of a spring or a cable, has no term in its torque "
+        "(`pmac-comp diagnose` tells which it is)"
+    )

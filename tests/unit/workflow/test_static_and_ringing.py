@@ -13,7 +13,7 @@ from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion
 from pmac_comp.workflow.motions import Motion, check_motion, parse_motion
 from pmac_comp.workflow.pvt import pvt_program
 from pmac_comp.workflow.ringing import ringing_of
-from pmac_comp.workflow.static_check import StaticOutcome, approaches, is_static
+from pmac_comp.workflow.static_check import Approaches, StaticOutcome, approaches, is_static
 from pmac_comp.workflow.verification import Verification, static_remarks
 
 BENCH = load_bench("paper")
@@ -104,6 +104,27 @@ def test_what_the_motor_leaves_at_rest_is_told_from_the_mechanics() -> None:
     assert "stops within its friction" in said
     clean = approaches([staircase_run(offset, 0.4, 0.0) for offset in (0.0, 0.3)])
     assert static_remarks(StaticOutcome(clean, clean)) == ()
+
+
+def stops(servo_um: float, mechanical_um: float) -> Approaches:
+    """Two runs over three targets whose stops from both sides lie so far apart."""
+    own, whole = (np.full((2, 3), 0.5e-6 * d) for d in (servo_um, servo_um + mechanical_um))
+    return Approaches(np.array([-0.1, 0.0, 0.1]), whole, -whole, own, -own)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said", "unsaid"),
+    [
+        ((4.0, -3.5), (4.2, -0.2), "had cancelled the wind-up", "begins the next motion"),
+        ((6.5, -2.0), (-22.2, -0.7), "22.20 um apart, 6.50 before", "wind-up"),
+    ],
+)
+def test_a_reversal_value_that_grows_is_put_down_to_what_made_it_grow(before, after, said, unsaid):
+    told = " ".join(static_remarks(StaticOutcome(stops(*before), stops(*after))))
+    assert said in told
+    assert unsaid not in told
+    # What the law sends is no matter of the servo's gains.
+    assert ("servo's gains" in told) is ("wind-up" in said)
 
 
 def test_runs_without_targets_from_both_sides_are_refused() -> None:
