@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import given_m
-from pmac_comp.physics.compensate.constant import TWO_STD, with_constant_torque
+from pmac_comp.physics.compensate.constant import BY_PLACE, TWO_STD, with_constant_torque
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import (
     LoopRunner,
@@ -299,12 +299,30 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
 def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
     """What load the captures showed that the model does not hold, for people."""
     torque_Nm = law.provenance.get("trim", {}).get("torque_constant_Nm", 0.0)
+    by_place = _by_place_remarks(bench, law)
     if torque_Nm == 0.0:
-        return []
+        return by_place
     two_std_Nm = law.provenance.get(TWO_STD, 0.0)
     force_N = torque_Nm / bench.lead_m_per_rad
     return [
         f"in both directions the runs need {torque_Nm:+.3f} +- {two_std_Nm:.1g} N m that the model "
         f"does not hold ({force_N:+.0f} N at the table): a load, not friction. The law sends it; "
-        "should the load change, capture and compute again"
+        "should the load change, capture and compute again",
+        *by_place,
+    ]
+
+
+def _by_place_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
+    """That the runs need a torque that changes along the travel, which no law holds."""
+    noted = law.provenance.get(BY_PLACE)
+    if noted is None:
+        return []
+    slope, reach_m = noted["slope_Nm_per_m"], noted["reach_m"]
+    return [
+        f"in both directions the torque that the runs need beyond the model changes by "
+        f"{slope * reach_m:+.2g} +- {noted['two_std_Nm_per_m'] * reach_m:.1g} N m along the "
+        f"{reach_m * MM_PER_M:.0f} mm of the runs ({slope / bench.lead_m_per_rad:+.0f} N per m at "
+        "the table), as of a spring or a cable. The law's torque has no term for "
+        "it and takes it for friction wherever the axis rests: expect a larger control error "
+        "towards the ends of the travel"
     ]

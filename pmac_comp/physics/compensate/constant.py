@@ -20,19 +20,28 @@ from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw
 
 TWO_STD = "torque_constant_two_std_Nm"  # of a law's provenance, where captures added a constant
+BY_PLACE = "torque_by_place"  # of a law's provenance, where captures show what it has no term for
 _NAME = "torque_constant_Nm"
 _CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
 _LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
 _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
 _LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
+_SAID_FRAC = 0.1  # of the friction torque: what a load that differs by place has at the runs' ends
+_PLACE = 4  # its column
 
 
 @dataclass(frozen=True)
 class ConstantTorque:
-    """Torque in N m that a model lacks in both directions, and two standard deviations of it."""
+    """Torque in N m that a model lacks in both directions, and two standard deviations of it.
+
+    That of the middle of the runs, and how it rises along them: in N m per m, from end to end in m.
+    """
 
     torque_Nm: float
     two_std_Nm: float
+    slope_Nm_per_m: float = 0.0
+    slope_two_std_Nm_per_m: float = 0.0
+    reach_m: float = 0.0
 
 
 def with_constant_torque(
@@ -53,6 +62,7 @@ def with_constant_torque(
         Runs without compensation, with torque.
     """
     found = constant_torque(loop, captures)
+    law = _noted_by_place(law, found)
     least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
     if found is None or abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
         return law
@@ -62,6 +72,20 @@ def with_constant_torque(
         torque_constant_Nm=law.torque_constant_Nm + found.torque_Nm,
         provenance={**law.provenance, "trim": trim, TWO_STD: found.two_std_Nm},
     )
+
+
+def _noted_by_place(law: CompensationLaw, found: ConstantTorque | None) -> CompensationLaw:
+    """Law that knows of a load that differs by place, for which its torque has no term."""
+    if found is None or abs(found.slope_Nm_per_m) <= found.slope_two_std_Nm_per_m:
+        return law
+    if 0.5 * found.reach_m * abs(found.slope_Nm_per_m) < _SAID_FRAC * law.torque_coulomb_Nm:
+        return law
+    noted = {
+        "slope_Nm_per_m": found.slope_Nm_per_m,
+        "two_std_Nm_per_m": found.slope_two_std_Nm_per_m,
+        "reach_m": found.reach_m,
+    }
+    return replace(law, provenance={**law.provenance, BY_PLACE: noted})
 
 
 def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTorque | None:
@@ -91,20 +115,33 @@ def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTo
     n_stretches = int(begins.sum())
     if n_stretches < _LEAST_STRETCHES or np.ptp(columns[:, 1]) == 0.0:
         return None
-    columns[:, 4] -= columns[:, 4].mean()
-    columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
-    one, others = columns[:, 0], columns[:, 1:]
-    alone = one - others @ np.linalg.lstsq(others, one, rcond=1e-6)[0]
-    weight = float(alone @ alone)
-    if weight < _LEAST_ALONE * one.size:
-        return None
+    reach_m = float(np.ptp(columns[:, _PLACE]))
+    columns[:, _PLACE] -= columns[:, _PLACE].mean()
+    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
+    columns /= size
     found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
-    left = (rest_Nm - columns @ found) * alone
-    sums = np.add.reduceat(left, np.flatnonzero(begins))
-    few = n_stretches / (n_stretches - 1.0)
-    return ConstantTorque(
-        float(alone @ rest_Nm) / weight, 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
-    )
+    left_Nm = rest_Nm - columns @ found
+    constant = _of_column(columns, 0, rest_Nm, left_Nm, begins)
+    if constant is None:
+        return None
+    rise, rise_two_std = _of_column(columns, _PLACE, rest_Nm, left_Nm, begins) or (0.0, 0.0)
+    unit_m = float(size[_PLACE])
+    return ConstantTorque(*constant, rise / unit_m, rise_two_std / unit_m, reach_m)
+
+
+def _of_column(
+    columns: FloatArray, which: int, rest_Nm: FloatArray, left_Nm: FloatArray, begins: BoolArray
+) -> tuple[float, float] | None:
+    """Torque that goes with a column and two standard deviations; None where others imitate it."""
+    own, others = columns[:, which], np.delete(columns, which, axis=1)
+    alone = own - others @ np.linalg.lstsq(others, own, rcond=1e-6)[0]
+    weight = float(alone @ alone)
+    if weight < _LEAST_ALONE * own.size:
+        return None
+    sums = np.add.reduceat(left_Nm * alone, np.flatnonzero(begins))
+    few = sums.size / (sums.size - 1.0)
+    two_std = 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
+    return float(alone @ rest_Nm) / weight, two_std
 
 
 def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, BoolArray]:
