@@ -40,6 +40,7 @@ def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data():
 
 @pytest.mark.emps
 @pytest.mark.skipif(not RECORD.exists(), reason="the EMPS record is not here (PMAC_COMP_EMPS)")
+@pytest.mark.slow
 def test_all_effects_beside_them_do_not_take_the_names_of_real_friction_away():
     bench = load_bench("emps")
     found = diagnose([read_capture(RECORD)], bench, model=DriveModel(bench, ("viscous",), {}))

@@ -17,7 +17,7 @@ from tests.physics.identified import identified
 BENCH = load_bench("paper_x4")
 
 
-@pytest.mark.parametrize("time_us", [5.0, -2.0])
+@pytest.mark.parametrize("time_us", [5.0, pytest.param(-2.0, marks=pytest.mark.slow)])
 def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float) -> None:
     runs, model = identified(BENCH, {"channel_skew": {"time_us": time_us}}, seed=7)
     found = measured_scale_age(runs, BENCH, model)

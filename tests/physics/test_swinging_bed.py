@@ -15,7 +15,12 @@ BENCH = load_bench("paper_x4")
 @pytest.mark.parametrize(
     ("frequency_Hz", "ratio", "beside"),
     [
-        (21.4, 0.12, {"torque_ripple": {"amplitude_Nm": 0.05, "order_per_rev": 12.0}}),
+        pytest.param(
+            21.4,
+            0.12,
+            {"torque_ripple": {"amplitude_Nm": 0.05, "order_per_rev": 12.0}},
+            marks=pytest.mark.slow,
+        ),
         (46, 0.06, {}),
     ],
     ids=["slow-and-ripple", "fast"],
@@ -43,6 +48,7 @@ def test_a_drive_on_a_still_bed_shows_none(effects: PlantEffects) -> None:
     assert measured_bed(runs, BENCH, model) is None
 
 
+@pytest.mark.slow
 def test_samples_that_are_lost_do_not_hide_it() -> None:
     runs, model = identified(BENCH, {"base_mode": {}}, seed=5)
     lost = []
