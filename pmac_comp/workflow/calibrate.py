@@ -10,6 +10,7 @@ from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
 from pmac_comp.workflow.commissioning import reference_remarks, require_as_described
@@ -71,7 +72,7 @@ def capture_to_folder(
     """Run the motions of a plan and store one HDF5 file each; names of the files."""
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
-    with open_axis(url, bench) as axis:
+    with open_axis(url, bench) as axis, at_work(axis, url):
         remarks = reference_remarks(axis.link, axis.bench)
         with motor_as_found(axis):
             prepare(axis)

@@ -24,6 +24,7 @@ from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import tuned_motors
 from pmac_comp.workflow.deploy import context_of
@@ -189,9 +190,11 @@ def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
 def set_up(url: str, bench: str, journal: Path = DEFAULT_JOURNAL) -> dict[str, Any]:
     """Put the bench file's I-variables onto a controller; ``rollback`` brings the old ones back."""
     with open_axis(url, bench) as axis:
-        with untouched():
-            differing = settable_variables(axis)
-        result = set_up_axis(axis, context_of(axis, journal), differing)
+        context = context_of(axis, journal)
+        with at_work(axis, url):
+            with untouched():
+                differing = settable_variables(axis)
+            result = set_up_axis(axis, context, differing)
     return {**result.as_dict(), "changed": differing}
 
 

@@ -15,6 +15,7 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.table_set import Key, read_tables
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import remove_tables
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import rest_time_motor
 from pmac_comp.workflow.deploy import Progress, context_of, stand_at_zero
@@ -65,9 +66,10 @@ def remove_compensation(
     """Take tables and law of an axis off, verified; ``rollback`` brings them back."""
     with open_axis(url, bench) as axis:
         context = context_of(axis, journal, progress)
-        temporary.take_off(axis.link, context)
-        found = standing_on(axis)
-        results = remove_from(axis, context, found) if not found.is_empty else ()
+        with at_work(axis, url):
+            temporary.take_off(axis.link, context)
+            found = standing_on(axis)
+            results = remove_from(axis, context, found) if not found.is_empty else ()
     return {"removed": [] if found.is_empty else found.lines(),
             "parts": [result.as_dict() for result in results]}  # fmt: skip
 

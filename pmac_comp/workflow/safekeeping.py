@@ -15,6 +15,7 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.restore import restore
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
 
@@ -91,7 +92,7 @@ def restore_from_file(
         goal, others = _settings_of(programs.parse_source(_program_text(bench, source)))
         with open_axis(url, bench) as axis:
             context = context_of(axis, journal, progress)
-            with grouped(axis.link, context, source.name) as inner:
+            with at_work(axis, url), grouped(axis.link, context, source.name) as inner:
                 axis.link.write_buffer(["CLOSE", *others])
                 if not goal.is_empty:
                     change_settings(axis.link, inner, goal, route="program")
@@ -103,9 +104,10 @@ def restore_from_file(
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
         context = context_of(axis, journal, progress)
-        result, left = restore(
-            axis.link, context, stored, other_card=other_card, progress=_steps(progress)
-        )
+        with at_work(axis, url):
+            result, left = restore(
+                axis.link, context, stored, other_card=other_card, progress=_steps(progress)
+            )
     return {
         **result.as_dict(),
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],

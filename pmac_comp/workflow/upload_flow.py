@@ -16,6 +16,7 @@ from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
@@ -34,7 +35,9 @@ def _ready(
     url: str, bench: str, journal: Path, progress: Progress | None
 ) -> Iterator[tuple[Axis, Context]]:
     with open_axis(url, bench) as axis:
-        yield axis, context_of(axis, journal, progress)
+        context = context_of(axis, journal, progress)
+        with at_work(axis, url):
+            yield axis, context
 
 
 def upload_file(

@@ -17,6 +17,7 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import require_new
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
@@ -231,7 +232,11 @@ def verify_on_controller(
     stated = load_bench(bench)
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
     drive = None if model is None else load_model(model, stated)
-    with open_axis(url, bench) as axis, _told_what_is_left(kept, axis.motor):
+    with (
+        open_axis(url, bench) as axis,
+        at_work(axis, url),
+        _told_what_is_left(kept, axis.motor),
+    ):
         context = context_of(axis)
         with left_as_found(axis, context, compensation):
             measured = measured_sign(axis, context, compensation)
