@@ -72,6 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wants_json = output.JSON_STDOUT in words
     _end_in_order()
     try:
+        output.refuse_one_file_twice(words)
         app(args=words, prog_name="pmac-comp")
     except PmacCompError as error:
         output.show_error(error, wants_json)

@@ -46,13 +46,15 @@ def _dataset(file: Any, name: str) -> FloatArray:
     link = file.get(name, getlink=True)
     item: Any = file.get(name) if isinstance(link, h5py.HardLink) else None
     plain = isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
-    if not plain or item.ndim != 1 or item.dtype.kind not in "fiub" or item.size > MAX_SAMPLES:
+    # MATLAB knows no vectors: its version 7.3 writes matrices of one row.
+    is_row = plain and item.ndim in {1, 2} and item.size == max(item.shape)
+    if not is_row or item.dtype.kind not in "fiub" or item.size > MAX_SAMPLES:
         raise CaptureError(
             f"entry {name!r} is not a plain one-dimensional column of numbers.",
             code="PC-CAP-011",
             hint="Links, groups, virtual and external datasets are not read.",
         )
-    return np.asarray(item[()], dtype=np.float64)
+    return np.asarray(item[()], dtype=np.float64).reshape(-1)
 
 
 def _attribute(value: Any) -> Attribute:
@@ -97,7 +99,8 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
     attributes: dict[str, Attribute] = {}
     while lines and lines[0].startswith("#"):
         key, _, value = lines.pop(0)[1:].partition("=")
-        attributes[key.strip()] = value.strip()
+        # A spreadsheet fills each line up to the width of the table.
+        attributes[key.strip()] = value.rstrip(",").strip()
     names = [name.strip() for name in next(csv.reader(lines[:1]), [])]
     if not names or len(set(names)) != len(names):
         raise CaptureError(

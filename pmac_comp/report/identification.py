@@ -96,7 +96,7 @@ def _residual_sections(outcome: IdentificationOutcome) -> list[Section]:
             (name, np.asarray(values) * factor, unit)
             for name, values, factor, unit in (
                 ("motor", left.motor_m, UM_PER_M, "um"),
-                ("table", left.table_m, UM_PER_M, "um"),
+                ("table - motor", left.table_m, UM_PER_M, "um"),
                 ("torque", left.torque_Nm, 1.0, "N m"),
             )
             if values is not None

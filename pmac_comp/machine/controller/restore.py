@@ -112,7 +112,8 @@ def _enabled_motors(link: Link) -> list[SafetyRefusal]:
             f"Restoring needs all motors killed; enabled: {', '.join(f'#{m}' for m in alive)}.",
             code="PC-BCK-003",
             hint="Kill each where the axis is safe without torque: "
-            "`pmac-comp terminal URL -c '#1K'`.",
+            + " ".join(f"`pmac-comp terminal URL -c '#{m}K'`" for m in alive)
+            + ".",
             left=ControllerState.OLD,
         )
     ]

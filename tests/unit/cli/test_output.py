@@ -10,6 +10,7 @@ import pytest
 
 from pmac_comp.base.errors import (
     AmplitudeExceeded,
+    ConfigError,
     ControllerState,
     SafetyRefusal,
     TableStateError,
@@ -87,12 +88,57 @@ def test_json_file_is_written_whole_into_a_new_folder(tmp_path: Path) -> None:
             "verify --before a b --after c d -b paper",
             "verify --before a --before b --after c --after d -b paper",
         ),
+        (
+            "compensate -m m --slow a b --captures c d",
+            "compensate -m m --slow a --slow b --captures c --captures d",
+        ),
         ("capture sim:// --validate a b", "capture sim:// --validate a b"),
         ("", ""),
     ],
 )
 def test_several_files_after_one_option_all_belong_to_it(words: str, spelled: str) -> None:
     assert output.spell_out_lists(words.split()) == spelled.split()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "convert run.csv ./run.csv",
+        "predict -b z.toml -m model.json -c run.csv --out run.csv",
+        "identify run.csv --bench z.toml -o z.toml",
+        "identify run.csv --bench z.toml --out=new.json --json=new.json",
+        "report model.json --out model.json",
+        "diagnose run.csv -b z.toml --model old.model.json --json=old.json",
+    ],
+)
+def test_a_result_is_not_written_over_a_file_that_is_named_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("run.csv", "z.toml", "model.json", "old.model.json"):
+        (tmp_path / name).write_text("kept")
+    with pytest.raises(ConfigError, match="named twice"):
+        output.refuse_one_file_twice(words.split())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "convert run.csv out.csv",
+        "identify run.csv -b z.toml -o old.json --report r.html --json=new.json",
+        "upload tcp://h model.json --bench z.toml --json=-",
+        "verify --before runs --after runs --out runs -b z.toml",
+        "",
+    ],
+)
+def test_results_in_files_of_their_own_are_no_clash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    for name in ("run.csv", "z.toml", "old.json"):
+        (tmp_path / name).write_text("kept")
+    output.refuse_one_file_twice(words.split())
 
 
 def test_an_error_begins_on_a_line_of_its_own_below_the_progress(

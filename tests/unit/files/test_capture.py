@@ -78,6 +78,31 @@ def test_bad_csv_is_refused_with_the_place(tmp_path, text, kind, expected):
     assert "bad.csv" in str(caught.value)
 
 
+def test_attributes_are_read_as_a_spreadsheet_leaves_them(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "\ufeff# start = relaxed,,\n# servo_period_s = 0.001,,\n"
+        "time_s,commanded_position_mm,motor_position_mm\n0,0,0\n0.001,1,1\n"
+    )
+    attributes = read_capture(tmp_path / "a.csv").attributes
+    assert attributes == {"start": "relaxed", "servo_period_s": "0.001"}
+
+
+def test_matrices_of_one_row_are_columns_as_matlab_writes_them(tmp_path):
+    write_capture(tmp_path / "run.h5", _capture())
+    with h5py.File(tmp_path / "run.h5") as file:
+        columns = {name: file[name][()] for name in file}
+    for shape in ((1, -1), (-1, 1)):
+        with h5py.File(tmp_path / "matlab.h5", "w") as file:
+            for name, values in columns.items():
+                file[name] = values.reshape(shape)
+        read, meant = (read_capture(tmp_path / name) for name in ("matlab.h5", "run.h5"))
+        assert np.array_equal(read.motor_position_m, meant.motor_position_m)
+    with h5py.File(tmp_path / "matlab.h5", "a") as file:
+        file["picture_mm"] = np.zeros((2, 3))
+    with pytest.raises(CaptureError, match="not a plain"):
+        read_capture(tmp_path / "matlab.h5")
+
+
 def test_samples_marked_not_valid_may_hold_nan(tmp_path):
     (tmp_path / "a.csv").write_text(
         "time_s,commanded_position_mm,motor_position_mm,valid\n0,0,0,1\n1,1,nan,0\n2,2,2,1\n"
