@@ -64,6 +64,11 @@ _LOOK_s = 0.05  # between questions for the positions while the card gathers for
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 
 
+def _gathered_s(motion: Motion) -> float:
+    """How long a run of a motion is gathered, its start and its tail with it."""
+    return motion.duration_s + _START_TIME_s + _TAIL_s
+
+
 @dataclass
 class Axis:
     """A connected axis of one bench.
@@ -140,6 +145,7 @@ class Axis:
         relaxed = relaxed and self.plan().mode is GatherMode.RING
         whole, first = relaxing(motion) if relaxed else (motion, 0)
         self.prepare(whole)
+        self.require_room(whole)
         for attempt in range(_ATTEMPTS):
             with self._halted_if_cut_off():
                 if not relaxed:
@@ -226,7 +232,7 @@ class Axis:
 
     def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:
         plan = self.plan()
-        duration_s = motion.duration_s + _START_TIME_s + _TAIL_s
+        duration_s = _gathered_s(motion)
         clock = self.link.clock
         start_s = clock.now_s()
 
@@ -272,9 +278,7 @@ class Axis:
     def _gather_ram(
         self, plan: GatherPlan, duration_s: float, start: Callable[[], None]
     ) -> GatherResult:
-        n_samples = 1 + int(np.ceil(duration_s / (self.scales.period_s * plan.period_cycles)))
-        words = plan.layout.long_words * n_samples + gather.HEADER_LONG_WORDS
-        self._require_room(plan, words)
+        n_samples, words = self._stored(plan, duration_s)
         with gather.prepared(self.link, plan, words):
             self.link.command("GATHER")
             start()
@@ -283,8 +287,24 @@ class Axis:
             self.link.command("ENDGATHER")
             return gather.read_ram(self.link, plan, n_samples)
 
-    def _require_room(self, plan: GatherPlan, words: int) -> None:
-        """Refuse a run that the card's own buffer cannot hold; SIZE is what is free (p. 396)."""
+    def _stored(self, plan: GatherPlan, duration_s: float) -> tuple[int, int]:
+        """Samples of a run in the card's own buffer, and the long words that they take."""
+        n_samples = 1 + int(np.ceil(duration_s / (self.scales.period_s * plan.period_cycles)))
+        return n_samples, plan.layout.long_words * n_samples + gather.HEADER_LONG_WORDS
+
+    def require_room(self, motion: Motion) -> None:
+        """Refuse a run that the card's own buffer cannot hold; SIZE is what is free (p. 396).
+
+        Raises
+        ------
+        CaptureError
+            The run is gathered there and is too long; nothing was moved for it.
+        """
+        plan = self.plan()
+        if plan.mode is GatherMode.RING:
+            return
+        gather.stop(self.link)  # a buffer that was left behind is in the way
+        _, words = self._stored(plan, _gathered_s(motion))
         free = int(self.link.query("SIZE")[0])
         if words <= free:
             return
@@ -295,8 +315,8 @@ class Axis:
             for n in (words, free)
         )
         raise CaptureError(
-            f"The run lasts {needs_s - margin_s:.1f} s with the rests around its motion, and the "
-            f"controller's own memory, into which it is gathered on this line, holds "
+            f"{motion.name} lasts {needs_s - margin_s:.1f} s with the rests around its motion, and "
+            f"the controller's own memory, into which it is gathered on this line, holds "
             f"{max(0.0, held_s - margin_s):.1f} s ({words} long words needed, {free} free).",
             code="PC-AXI-005",
             hint="Name shorter motions with --motion, or connect by Ethernet to a card with "

@@ -74,6 +74,8 @@ def capture_to_folder(
     require_new(paths, out)
     with open_axis(url, bench) as axis, at_work(axis, url):
         remarks = reference_remarks(axis.link, axis.bench)
+        for motion in plan.motions:  # all of them before the first one moves the axis
+            axis.require_room(motion)
         with motor_as_found(axis):
             prepare(axis)
             run_to_files(axis, plan.motions, paths, progress)

@@ -1,5 +1,8 @@
 """A sensor that fails in a run stops the axis while it runs, and the fault is named (F25)."""
 
+from contextlib import nullcontext
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.workflow import calibrate
 from pmac_comp.workflow.approach import APPROACHED
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.motions import Motion, parse_motion, relaxing
@@ -87,14 +91,32 @@ def test_f25_without_dual_ported_ram_positions_are_asked_for() -> None:
 def test_a_motion_that_the_card_cannot_hold_says_how_long_it_may_be() -> None:
     controller = BENCH.controller.model_copy(update={"dpram": "none"})
     bench = BENCH.model_copy(update={"controller": controller})
-    motion = parse_motion("sine:amplitude_mm=5,frequency_Hz=1,cycles=5", bench)
+    motion = parse_motion("sine:amplitude_mm=5,frequency_Hz=1,cycles=5,centre_mm=50", bench)
     with embedded(Card(bench)) as link:
         axis = Axis(link, bench)
         axis.enable()
+        stood_ct = motors.read_motor(link, axis.motor).position_ct
         with pytest.raises(CaptureError, match=r"lasts [\d.]+ s .* holds [\d.]+ s") as refused:
             axis.run(motion)
         assert refused.value.code == "PC-AXI-005"
         assert motors.read_motor(link, axis.motor).status.is_commanded_still
+        assert abs(motors.read_motor(link, axis.motor).position_ct - stood_ct) < 2.0
+
+
+def test_a_campaign_that_the_card_cannot_hold_is_refused_before_its_first_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller = BENCH.controller.model_copy(update={"dpram": "none"})
+    bench = BENCH.model_copy(update={"controller": controller})
+    texts = ("trapezoid:distance_mm=5", "sine:amplitude_mm=5,frequency_Hz=1,cycles=5")
+    plan = calibrate.CapturePlan(bench, tuple(parse_motion(text, bench) for text in texts))
+    with embedded(Card(bench)) as link:
+        axis = Axis(link, bench)
+        monkeypatch.setattr(calibrate, "open_axis", lambda _url, _bench: nullcontext(axis))
+        with pytest.raises(CaptureError, match=r"sine.* lasts"):
+            calibrate.capture_to_folder("sim://", "paper", plan, tmp_path / "runs")
+        assert motors.read_motor(link, axis.motor).status.is_killed
+    assert not list((tmp_path / "runs").iterdir())
 
 
 def test_runs_in_the_cards_own_memory_are_approached_and_not_wiggled() -> None:
