@@ -274,11 +274,13 @@ def _told(verb: str, plan: dict[str, Any]) -> list[str]:
     return [f"would {verb}: {plan['summary']}", "nothing was changed"]
 
 
-def _show_runs(plan: "RunsPreview") -> None:
+def _show_runs(plan: "RunsPreview", *, dry_run: bool = False) -> None:
     from pmac_comp.workflow.previews import MOTION_COLUMNS
 
     output.table("motions", MOTION_COLUMNS, plan.rows())
     output.echo_all(plan.lines())
+    if dry_run:
+        output.echo("nothing was changed")
 
 
 def verify(
@@ -340,18 +342,20 @@ def verify(
                 code="PC-CLI-011",
                 hint="Give a URL, or stored runs with --before and --after.",
             )
+        plan = preview_verification(
+            bench,
+            named_compensation(law),
+            motions=tuple(motion or ()),
+            repeats=repeats,
+            static_runs=static,
+            seed=seed,
+            refine=refine,
+        )
         if dry_run:
-            plan = preview_verification(
-                bench,
-                named_compensation(law),
-                motions=tuple(motion or ()),
-                repeats=repeats,
-                static_runs=static,
-                seed=seed,
-                refine=refine,
-            )
-            output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
+            output.finish(plan.as_result(), json_target, lambda: _show_runs(plan, dry_run=True))
             return
+        if json_target != "-":
+            _show_runs(plan)
         confirmed(f"Run verification motions on {url}?", yes=yes)
         outcome = verify_on_controller(
             url,
@@ -398,10 +402,12 @@ def improve(
     from pmac_comp.workflow.improve import JOURNAL, improve_on_controller
     from pmac_comp.workflow.previews import preview_improvement
 
+    plan = preview_improvement(bench, route=route, seed=seed)
     if dry_run:
-        plan = preview_improvement(bench, route=route, seed=seed)
-        output.finish(plan.as_result(), json_target, lambda: _show_runs(plan))
+        output.finish(plan.as_result(), json_target, lambda: _show_runs(plan, dry_run=True))
         return
+    if json_target != "-":
+        _show_runs(plan)
     confirmed(f"Run motions on {url} and upload new compensation?", yes=yes)
     progress = ProgressLines()
     result = improve_on_controller(

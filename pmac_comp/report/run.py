@@ -3,6 +3,8 @@
 from pathlib import Path
 
 from pmac_comp import __version__
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.files.bench import parse_bench
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
 from pmac_comp.workflow.computing import describe
@@ -55,15 +57,45 @@ def write_verification_report(verification: Verification, path: Path) -> Path:
     """Report of a verification alone."""
     page = Page(
         title="Verification: before and after compensation",
-        subtitle=(f"route {verification.route}, " if verification.route else "")
+        subtitle=_axis_name(verification)
+        + (f"route {verification.route}, " if verification.route else "")
         + f"{len(verification.motions)} motion"
         + "s" * (len(verification.motions) != 1),
         notice=notice_of(verification),
         headline=headline(verification),
         sections=verification_sections(verification),
-        facts={"pmac-comp": __version__, "sensor floor um rms": verification.floor_um},
+        facts={
+            "pmac-comp": __version__,
+            **_where_and_when(verification),
+            "sensor floor um rms": verification.floor_um,
+        },
     )
     return write_page(page, path)
+
+
+def _axis_name(verification: Verification) -> str:
+    """Name in the bench file that the runs carry, for a subtitle; nothing where none does."""
+    texts = _told(verification, "bench_text")
+    try:
+        name = parse_bench(texts[0]).name if texts else ""
+    except ConfigError:  # a bench file of another version: the figures stand without its name
+        name = ""
+    return f"{name} – " if name else ""
+
+
+def _where_and_when(verification: Verification) -> dict[str, str]:
+    """Controller, and the start of the first and the last run, as far as the runs say it."""
+    controllers, starts = (_told(verification, key) for key in ("controller", "start_utc"))
+    facts = {"controller": ", ".join(controllers)} if controllers else {}
+    if starts:
+        facts |= {"first run UTC": starts[0], "last run UTC": starts[-1]}
+    return facts
+
+
+def _told(verification: Verification, key: str) -> list[str]:
+    """What the attributes of all runs say under a key, each once, sorted."""
+    runs = (*verification.before, *verification.after)
+    return sorted({str(run.attributes[key]) for run in runs if run.attributes.get(key)})
 
 
 def _model_section(result: RunResult) -> Section:

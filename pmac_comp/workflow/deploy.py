@@ -30,7 +30,7 @@ from pmac_comp.machine.controller import (
     programs,
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
-from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.journal import require_folder
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.recovery import grouped
@@ -135,10 +135,11 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             "counts its time"
         )
     elif tables or stale:
+        context.progress("standing at the motor's zero", *UNKNOWN)
         stand_at_zero(axis)
         with TableUpload(axis.link, context, tables, without=stale) as upload:
             parts.append(upload.execute())
-        notes += check_table_sign(axis, tables)
+        notes += check_table_sign(axis, tables, context)
     if compensation.route == "law":
         every = compensation.law.every_cycles
         notes += law_install.install_law(axis.link, context, axis.motor, every_cycles=every)
@@ -150,6 +151,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         clamp = _clamp_ct(axis, context, compensation)
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
+            context.progress("arming the law", *UNKNOWN)
             law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")
         else:

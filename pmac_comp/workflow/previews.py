@@ -53,7 +53,7 @@ class RunsPreview:
     def lines(self) -> list[str]:
         """Time that the motions take, and the remarks."""
         total_s = sum(n * motion.duration_s for _, n, motion in self.runs)
-        return [f"{total_s / 60.0:.1f} min of motion in all", *self.remarks, "nothing was changed"]
+        return [f"{total_s / 60.0:.1f} min of motion in all", *self.remarks]
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""

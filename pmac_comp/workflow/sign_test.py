@@ -14,7 +14,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.comp_table import CompTable, Table
-from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.workflow.axis import Axis
@@ -39,6 +39,7 @@ def check_law_sign(axis: Axis, context: Context) -> list[str]:
     status = motors.read_motor(axis.link, axis.motor).status
     if head.is_armed or not status.is_closed_loop:
         return []
+    context.progress("measuring the sign of the law: the motor moves", *UNKNOWN)
     # The law writes the master word every cycle: it must stand aside while the test does.
     axis.link.command("DISABLE PLC 0")
     try:
@@ -74,7 +75,7 @@ def _offset_ct(axis: Axis, offset_um: float) -> float:
     return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
 
 
-def check_table_sign(axis: Axis, tables: Sequence[Table]) -> list[str]:
+def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> list[str]:
     """Guarded test of tables that act: where they correct most the motor must stand so.
 
     The axis moves there and back to its zero; the correction is within the safety limits already.
@@ -92,6 +93,10 @@ def check_table_sign(axis: Axis, tables: Sequence[Table]) -> list[str]:
     to_um = axis.scales.motor_m_per_ct * UM_PER_M
     if abs(expected_ct) * to_um < _LEAST_um:
         return [f"the tables correct less than {_LEAST_um:g} um: their sign was not measured"]
+    context.progress(
+        f"measuring the sign of the tables: the axis moves to {place_ct * to_um / 1e3:.1f} mm",
+        *UNKNOWN,
+    )
     motors.move_to(axis.link, axis.motor, place_ct)
     axis.link.clock.sleep_s(_SETTLE_s)
     found_ct = _beyond_command(axis)

@@ -14,6 +14,10 @@ Progress = Callable[[str, int, int], None]
 """Called with a step, lines done and lines in all."""
 
 
+UNKNOWN = (-1, 1)
+"""Lines done and in all of a step of which nobody knows how far it came."""
+
+
 def _no_progress(step: str, done: int, total: int) -> None:
     del step, done, total
 

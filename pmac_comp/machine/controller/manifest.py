@@ -148,9 +148,8 @@ def decide(manifest: Manifest | None, i51: int, crc: int) -> Decision:
     if i51 and crc:
         return _decide_enabled(manifest, crc)
     if crc == manifest.crc_new:
-        return Decision(
-            ControllerState.DISABLED, Action.RESUME, "the new tables stand whole, switched off"
-        )
+        stands = "the new tables stand whole, switched off" if crc else "no tables, as was meant"
+        return Decision(ControllerState.DISABLED, Action.RESUME, stands)
     return Decision(
         ControllerState.DISABLED, Action.ROLL_BACK, "tables are switched off, none or incomplete"
     )

@@ -100,7 +100,7 @@ def test_tables_that_act_the_wrong_way_are_switched_off(axis: Axis, tmp_path: Pa
     assert isinstance(table, CompTable)
     meant = replace(table, entries=tuple(-entry for entry in table.entries))
     with pytest.raises(SafetyRefusal) as refused:
-        check_table_sign(axis, [meant])
+        check_table_sign(axis, [meant], context_of(axis, tmp_path))
     assert refused.value.code == "PC-DEP-041"
     assert refused.value.left is ControllerState.DISABLED
     assert read_many(axis.link, ["I51"])["I51"] == 0.0

@@ -55,9 +55,18 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
     axis: Axis, tmp_path: Path
 ) -> None:
     compensation = Compensation("law", LAW, LEAD)
-    context = context_of(axis, tmp_path)
+    told: list[tuple[str, float]] = []
+    context = context_of(axis, tmp_path, lambda step, share: told.append((step, share)))
     deployment = deploy(axis, compensation, context)
     assert deployment.verdict is ControllerState.NEW
+    # Whoever looks on knows why the axis moves for a minute.
+    moving = [step for step, share in told if share < 0.0]
+    assert [step.split(":")[0] for step in moving] == [
+        "standing at the motor's zero",
+        "measuring the sign of the tables",
+        "measuring the sign of the law",
+        "arming the law",
+    ]
     assert check_law_on_card(axis, context, compensation, MOTION.position_m) < 1e-3
     capture = axis.run(MOTION)
     got = capture.desired_m - capture.commanded_position_m

@@ -8,6 +8,7 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
@@ -29,6 +30,7 @@ def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Pa
     assert abs(reading.position_ct - at_zero) < 20.0
     assert not reading.status.is_killed
     assert standing_on(axis).is_empty
+    assert table_status(axis.link, context).decision.reason == "no tables, as was meant"
     assert axis.link.query("I106I129I51") == ["0", "0", "0"]
     capture = axis.run(MOTION)
     assert np.max(np.abs(capture.desired_m - capture.commanded_position_m)) < 1e-9
