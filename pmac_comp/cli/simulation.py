@@ -1,5 +1,6 @@
 """Commands around the simulated controller: ``demo`` and ``sim``."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,15 @@ import typer
 from pmac_comp.cli import output
 from pmac_comp.cli.options import BenchOption, JsonOption, SeedOption
 from pmac_comp.cli.output import ProgressLines
+
+
+class DpramChoice(StrEnum):
+    """Dual-ported RAM of the simulated card."""
+
+    small = "small"
+    large = "large"
+    none = "none"
+
 
 PlantOption = Annotated[
     str,
@@ -76,10 +86,13 @@ def sim(
         Path | None, typer.Option("--servo", help="Source of the open servo to run")
     ] = None,
     speed: Annotated[str, typer.Option("--speed", help="real, a factor, or max")] = "real",
-    dpram: Annotated[str, typer.Option("--dpram", help="small, large or none")] = "",
+    dpram: Annotated[
+        DpramChoice | None,
+        typer.Option("--dpram", help="Dual-ported RAM; not given: that of the bench file"),
+    ] = None,
     flash: Annotated[Path | None, typer.Option("--flash", help="Flash image on disk")] = None,
     force: Annotated[
-        Path | None, typer.Option("--force", help="CSV schedule of the external force")
+        Path | None, typer.Option("--force", help="CSV of the external force: time_s,force_N")
     ] = None,
     supported: Annotated[
         bool, typer.Option("--supported", help="Print what the simulated card supports, and stop")
@@ -108,7 +121,7 @@ def sim(
         plant=plant or None,
         servo=servo,
         speed=speed,
-        dpram=dpram or None,
+        dpram=None if dpram is None else dpram.value,
         flash=flash,
         force=force,
         faults=faults,

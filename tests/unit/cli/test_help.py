@@ -27,6 +27,12 @@ def test_capture_names_every_key_of_a_motion(kind: str) -> None:
     assert told.group(1).split() == list(KEYS[kind])
 
 
+def test_a_wrong_kind_of_memory_of_the_simulated_card_is_a_usage_error() -> None:
+    done = CliRunner().invoke(app, ["sim", "--dpram", "huge"])
+    assert done.exit_code == 2
+    assert "small" in done.output
+
+
 def test_exit_codes_are_told() -> None:
     said = " ".join(CliRunner().invoke(app, ["--help"]).output.split())
     assert "Exit codes: 0 done, 2 usage" in said
