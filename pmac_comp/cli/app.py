@@ -83,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SystemExit as left:
         if left.code == _INTERRUPTED:  # typer has taken the Ctrl-C and says nothing
             _say_interrupted(words, left)
+        if wants_json and left.code == ConfigError.exit_code:
+            _write_usage(left.__context__)
         raise
     except BrokenPipeError:
         sys.exit(1)
@@ -93,6 +95,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as error:
         output.show_error(_as_bug(error), wants_json)
         sys.exit(InternalError.exit_code)
+
+
+def _write_usage(error: BaseException | None) -> None:
+    """What typer has said of wrong usage, as the document that ``--json`` asks for."""
+    told = getattr(error, "format_message", None)
+    if told is not None:
+        refused = ConfigError(told(), code="PC-CLI-005", hint="`--help` tells the usage.")
+        output.write_json("-", {"error": output.describe_error(refused)})
 
 
 def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:

@@ -6,6 +6,8 @@ document), standard error carries progress and errors, so that results can be pi
 
 import json
 import math
+import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -277,7 +279,7 @@ class ProgressLines:
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._terminal = sys.stderr.isatty()
+        self._terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         self._step = ""
         self._shown_s = 0.0
         self._start_s = time.monotonic()
@@ -296,7 +298,9 @@ class ProgressLines:
         self._step, self._shown_s = step, now_s
         share = f" {100.0 * fraction:3.0f} %" if fraction >= 0.0 else ""
         line = f"[{now_s - self._start_s:6.1f} s] {safe(step)}{share}"
-        sys.stderr.write(f"\r\x1b[K{line}" if self._terminal else line + "\n")
+        if self._terminal:  # a line that wraps would not be rewritten but repeated
+            line = "\r\x1b[K" + line[: shutil.get_terminal_size().columns - 1]
+        sys.stderr.write(line if self._terminal else line + "\n")
         ProgressLines.is_open = self._terminal
         sys.stderr.flush()
 

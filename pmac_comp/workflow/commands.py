@@ -33,6 +33,12 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
     rows = _rows(path)
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in (_TIME, _POSITION) if name not in header]
+    if missing and len(header) == 1 and ";" in header[0]:
+        raise CaptureError(
+            f"{path.name}: the columns are not separated by commas.",
+            code="PC-CMD-001",
+            hint="Export with commas between columns and a point in numbers.",
+        )
     if missing:
         raise CaptureError(
             f"{path.name}: column(s) missing: {', '.join(missing)}.",

@@ -1,6 +1,7 @@
 """How the command line ends: full disks are no bugs, interruptions say what was kept."""
 
 import errno
+import json
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,17 @@ def test_a_full_disk_is_no_bug(
     error = OSError(number, "said so", "page.html")
     assert ended(monkeypatch, error, "report") == exit_code
     assert code in capsys.readouterr().err
+
+
+def test_wrong_usage_is_a_document_where_json_was_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        app.main(["upload", "tcp://card", "--json"])
+    assert left.value.code == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert (error["code"], error["exit_code"]) == ("PC-CLI-005", 2)
+    assert "new" in error["message"]
 
 
 @pytest.mark.parametrize("taken_by", ["nobody", "typer"])
