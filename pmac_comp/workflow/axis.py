@@ -60,6 +60,7 @@ _END_s = 0.5  # after the last sample, for a host that ran ahead of the card's c
 _START_ATTEMPTS = 10
 _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
+_HALT_s = 2.0  # for an axis that was stopped to stand
 _LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 
@@ -115,6 +116,18 @@ class Axis:
     def kill(self) -> None:
         """Switch the amplifier off."""
         motors.kill(self.link, self.motor)
+
+    def move_to(self, place_ct: float) -> None:
+        """Jog to a position in counts and wait; whoever stops waiting stops the axis as well."""
+        try:
+            motors.move_to(self.link, self.motor, place_ct)
+        except (PmacCompError, KeyboardInterrupt):
+            with suppress(PmacCompError):
+                self.link.flush()
+                if motors.read_motor(self.link, self.motor).status.is_closed_loop:
+                    self.link.command(f"#{self.motor}J/")
+                    motors.wait_in_position(self.link, self.motor, timeout_s=_HALT_s)
+            raise
 
     def run(
         self, motion: Motion, *, relaxed: bool = False, progress: Progress | None = None
@@ -221,13 +234,13 @@ class Axis:
         if motors.read_motor(self.link, self.motor).status.is_killed:
             self.enable()
         place_m = run_up_m(self.bench, start_m)
-        motors.move_to(self.link, self.motor, place_m / self.scales.motor_m_per_ct)
+        self.move_to(place_m / self.scales.motor_m_per_ct)
 
     def _go_to_start(self, motion: Motion) -> None:
         start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct
         if motors.read_motor(self.link, self.motor).status.is_killed:
             self.enable()
-        motors.move_to(self.link, self.motor, start_ct)
+        self.move_to(start_ct)
         self.link.clock.sleep_s(SETTLE_s)
 
     def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:

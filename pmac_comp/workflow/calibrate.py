@@ -9,7 +9,10 @@ from typing import Any
 from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
@@ -73,13 +76,31 @@ def capture_to_folder(
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
     with open_axis(url, bench) as axis, at_work(axis, url):
-        remarks = reference_remarks(axis.link, axis.bench)
+        remarks = (*reference_remarks(axis.link, axis.bench), *acting_remarks(axis))
+        if progress is not None:
+            for remark in remarks:
+                progress(f"note: {remark}", -1.0)
         for motion in plan.motions:  # all of them before the first one moves the axis
             axis.require_room(motion)
         with motor_as_found(axis):
             prepare(axis)
             run_to_files(axis, plan.motions, paths, progress)
     return {"files": paths, "samples": len(paths), "remarks": remarks}
+
+
+def acting_remarks(axis: Axis) -> tuple[str, ...]:
+    """That the runs will be made with a compensation on: none is computed from such runs."""
+    block = LawBlock.from_p_block(axis.bench.controller.p_block)
+    acting = ["a law"] if law_state.read_law_head(axis.link, block).is_armed else []
+    if read_one(axis.link, "I51") == 1.0:
+        ours = [t for t in read_tables(axis.link) if t.motor == axis.motor]
+        acting = ["tables", *acting] if ours else acting
+    if not acting:
+        return ()
+    return (
+        f"{' and '.join(acting)} of a compensation acted in these runs; a new one is computed from "
+        "runs without: `pmac-comp rollback` or `pmac-comp remove` before the next capture",
+    )
 
 
 def run_to_files(

@@ -280,7 +280,7 @@ def stand_at_zero(axis: Axis) -> None:
     reading = motors.read_motor(axis.link, axis.motor)
     raise_all(not_at_rest(motors.executing_moves({axis.motor: reading})), "Going to zero")
     if reading.status.is_closed_loop and abs(reading.position_ct) > 1.0:
-        motors.move_to(axis.link, axis.motor, 0.0)
+        axis.move_to(0.0)
         axis.link.clock.sleep_s(0.3)
 
 

@@ -97,7 +97,7 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
         f"measuring the sign of the tables: the axis moves to {place_ct * to_um / 1e3:.1f} mm",
         *UNKNOWN,
     )
-    motors.move_to(axis.link, axis.motor, place_ct)
+    axis.move_to(place_ct)
     axis.link.clock.sleep_s(_SETTLE_s)
     found_ct = _beyond_command(axis)
     if found_ct * np.sign(expected_ct) < -_CLEAR_FRAC * abs(expected_ct):
@@ -111,7 +111,7 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
             "and report this controller's firmware.",
             left=ControllerState.DISABLED,
         )
-    motors.move_to(axis.link, axis.motor, 0.0)
+    axis.move_to(0.0)
     return [
         f"sign of the tables measured at {place_ct * to_um / 1e3:.1f} mm: "
         f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"

@@ -7,14 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ControllerState, NotIdentifiable, SafetyRefusal
+from pmac_comp.base.errors import (
+    ChangeInterrupted,
+    ControllerState,
+    NotIdentifiable,
+    SafetyRefusal,
+)
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow import sign_test, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import backlash_table, forward_part, has_backlash
 from pmac_comp.workflow.compensation_file import (
@@ -104,6 +111,25 @@ def test_tables_that_act_the_wrong_way_are_switched_off(axis: Axis, tmp_path: Pa
     assert refused.value.code == "PC-DEP-041"
     assert refused.value.left is ControllerState.DISABLED
     assert read_many(axis.link, ["I51"])["I51"] == 0.0
+
+
+def test_ctrl_c_on_the_way_to_a_sign_test_stops_the_axis_and_takes_all_back(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = read_many(axis.link, ["I51"])
+
+    def interrupted(link: Commander, motor: int, position_ct: float) -> None:
+        motors.jog_to(link, motor, position_ct)
+        link.clock.sleep_s(0.2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sign_test.motors, "move_to", interrupted)
+    with pytest.raises(ChangeInterrupted) as stopped:
+        deploy(axis, Compensation("table", CompensationLaw(), LEAD), context_of(axis, tmp_path))
+    assert stopped.value.left is ControllerState.OLD
+    assert motors.read_motor(axis.link, axis.motor).status.is_commanded_still
+    assert len(read_tables(axis.link)) == 0
+    assert read_many(axis.link, ["I51"]) == before
 
 
 def test_a_law_loaded_with_the_loop_open_waits_for_its_sign(axis: Axis, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
@@ -19,6 +20,8 @@ from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
 def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Path) -> None:
     deploy(axis, Compensation("law", LAW, LEAD), context_of(axis, tmp_path / "upload"))
     before = read_tables(axis.link)
+    (remark,) = acting_remarks(axis)
+    assert remark.startswith("tables and a law of a compensation acted")
     context = context_of(axis, tmp_path / "elsewhere")  # another host, another journal
     found = standing_on(axis)
     assert found.law is LawForm.PLC
@@ -30,6 +33,7 @@ def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Pa
     assert abs(reading.position_ct - at_zero) < 20.0
     assert not reading.status.is_killed
     assert standing_on(axis).is_empty
+    assert acting_remarks(axis) == ()
     assert table_status(axis.link, context).decision.reason == "no tables, as was meant"
     assert axis.link.query("I106I129I51") == ["0", "0", "0"]
     capture = axis.run(MOTION)
