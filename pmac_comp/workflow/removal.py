@@ -11,9 +11,10 @@ from typing import Any
 from pmac_comp.machine.controller import law_arming, law_install, law_state, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.recovery import grouped
+from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_set import Key, read_tables
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
@@ -76,6 +77,8 @@ def remove_compensation(
 
 def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadResult, ...]:
     """The same on a connected axis, as one upload: at zero, where tables correct nothing."""
+    with untouched():  # before the axis moves for it
+        raise_all(waiting_refusals(axis.link, context), "The removal")
     rest_time_motor(axis)
     stand_at_zero(axis)
     results: list[UploadResult] = []

@@ -4,9 +4,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from pmac_comp.base.errors import ControllerState, VerifyMismatch
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.table_set import read_table
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
@@ -14,6 +17,9 @@ from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import switch, switch_tables
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.program import program_axis, run_drawn
+from pmac_comp.workflow.rendering import law_parameters
+from pmac_comp.workflow.routes import TORQUE_ROUTES
+from pmac_comp.workflow.tables import tables_of
 
 Run = Callable[[Motion], Capture]
 
@@ -88,6 +94,40 @@ _OWN_MOTION = (
     "this route is for one known motion: others stay uncompensated, and positioning after "
     "ISO 230-2 and ringing are not measured",
 )
+
+
+def require_on_card(axis: Axis, context: Context, compensation: Compensation) -> None:
+    """Refuse to compare with a compensation that the controller does not hold.
+
+    Raises
+    ------
+    VerifyMismatch
+        Its tables or its law do not stand there: runs 'with' it would be runs with something else.
+    """
+    other = [
+        f"its {table.kind.value} table"
+        for table in tables_of(compensation, axis.bench)
+        if (found := read_table(axis.link, table.kind, table.motor)) is None
+        or found.entries != table.entries
+    ]
+    if compensation.route in TORQUE_ROUTES and not _law_stands(axis, context, compensation):
+        other.append("its law")
+    if other:
+        raise VerifyMismatch(
+            f"The controller does not hold {' and '.join(other)}: nothing is to be verified.",
+            code="PC-VER-005",
+            hint="Upload this compensation first, or name the one that was uploaded; "
+            "`pmac-comp status` shows what stands. Nothing was moved.",
+            left=ControllerState.OLD,
+        )
+
+
+def _law_stands(axis: Axis, context: Context, compensation: Compensation) -> bool:
+    head = law_state.read_law_head(axis.link, context.block)
+    if law_state.running_form(axis.link, head) is LawForm.NONE:
+        return False
+    bank = law_state.read_bank(axis.link, context.block, head.bank)
+    return bank is not None and bank.digest == law_parameters(compensation.law, axis.scales).digest
 
 
 @contextmanager

@@ -161,6 +161,7 @@ def rollback_upload(
     """Bring back what the last upload replaced, all parts of it, the last one first."""
     with _ready(url, bench, journal, progress) as (axis, context):
         temporary.take_off(axis.link, context)
+        recovery.upload_to_take_back(context)  # where there is none the axis does not move for it
         rest_time_motor(axis)
         stand_at_zero(axis)
         result = recovery.rollback_last(axis.link, context)

@@ -42,7 +42,7 @@ from pmac_comp.workflow.promises import Promiser, true_errors
 from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
-from pmac_comp.workflow.runs import Runs, left_as_found, runs_of
+from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.same_axis import captures_of, check_one_motion
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import check_law_sign
@@ -232,13 +232,13 @@ def verify_on_controller(
     stated = load_bench(bench)
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
     drive = None if model is None else load_model(model, stated)
-    with (
-        open_axis(url, bench) as axis,
-        at_work(axis, url),
-        _told_what_is_left(kept, axis.motor),
-    ):
+    with open_axis(url, bench) as axis, at_work(axis, url):
         context = context_of(axis)
-        with left_as_found(axis, context, compensation):
+        require_on_card(axis, context, compensation)
+        with (
+            _told_what_is_left(kept, axis.motor),
+            left_as_found(axis, context, compensation),
+        ):
             measured = measured_sign(axis, context, compensation)
             verification = verify_axis(
                 axis,

@@ -140,14 +140,14 @@ def _step_refusal(
 ) -> SafetyRefusal:
     places = [quiet_place(t, limits) for t in tables if isinstance(t, CompTable)]
     where = next((p for p in places if p is not None), None)
-    hint = "Kill the motor first."
+    hint = f"Kill the motor first (`pmac-comp terminal URL -c '#{motor}K'`)"
     if where is not None:
-        hint = f"Kill the motor first, or stand near {where:.0f} counts: it is small there."
+        hint += f", or let it stand where it is small (`-c '#{motor}J={where:.0f}'`)"
     return MotorNotSafe(
         f"Switching compensation {name} would move motor #{motor} by "
         f"{limits.text_um(value_ct)} at once; the limit is {limits.text_um(limits.max_step_ct)}.",
         code="PC-SAF-004",
-        hint=hint,
+        hint=hint + ".",
         context={"motor": motor, "step_ct": value_ct, "stand_at_ct": where},
     )
 

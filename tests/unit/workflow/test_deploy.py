@@ -1,11 +1,12 @@
 """The bridge on the embedded card: what was meant is what the servo receives, and can be undone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError, ControllerState
+from pmac_comp.base.errors import ConfigError, ControllerState, VerifyMismatch
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
@@ -20,6 +21,7 @@ from pmac_comp.workflow.deploy import check_law_on_card, context_of, deploy, swi
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.repeated import run_with_offset
+from pmac_comp.workflow.runs import require_on_card
 from pmac_comp.workflow.simulated import TruthRecorder
 from tests.compensations import friction_law, lead_map
 
@@ -68,6 +70,11 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
         "arming the law",
     ]
     assert check_law_on_card(axis, context, compensation, MOTION.position_m) < 1e-3
+    require_on_card(axis, context, compensation)
+    with pytest.raises(VerifyMismatch, match="does not hold its law: "):
+        require_on_card(axis, context, replace(compensation, law=friction_law()))
+    with pytest.raises(VerifyMismatch, match="does not hold its COMP table: "):
+        require_on_card(axis, context, replace(compensation, lead=lead_map(3.0)))
     capture = axis.run(MOTION)
     got = capture.desired_m - capture.commanded_position_m
     command = capture.commanded_position_m
