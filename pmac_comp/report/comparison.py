@@ -13,10 +13,13 @@ def write_comparison_report(result: Mapping[str, Any], path: Path) -> Path:
     """Report of ``compare`` as one page, from its result."""
     models, ways = result["models"], result["alternatives"]["rows"]
     basis = result["alternatives"]["basis"]
+    bench = f"{result['bench']} – " if result.get("bench") else ""
+    sources = "; ".join(result.get("sources", ())) or "not stated"
     page = Page(
         title="What each leaves uncorrected",
-        subtitle="rival models, and what one would do otherwise",
-        notice=f"Models: judged on {result['judged_on']} positions of captures that were not used "
+        subtitle=f"{bench}rival models, and what one would do otherwise",
+        notice=f"Source of the captures: {sources}. "
+        f"Models: judged on {result['judged_on']} positions of captures that were not used "
         f"for fitting. Other ways: {basis}.",
         headline=[
             (f"{models[-1]['left_rms_um']:.3g} um", "mechanical error that the full model leaves"),

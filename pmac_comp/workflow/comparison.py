@@ -40,6 +40,7 @@ def compare_files(
     ways = () if model is None else compare_alternatives(model, commands, progress=progress)
     return {
         "kind": "comparison",
+        **_of_what([*given[0], *given[1]], loaded),
         "judged_on": found.judged_on,
         "models": [asdict(row) for row in found.rows],
         "alternatives": {"simulated": True, "basis": BASIS, "rows": [asdict(w) for w in ways]},
@@ -62,6 +63,7 @@ def _compare_rigid(
     found = compare_rigid(captures[0], bench, progress=progress)
     return {
         "kind": "comparison",
+        **_of_what(captures, bench),
         "judged_on": "measured",
         "models": [asdict(row) for row in found.rows],
         "refused": found.refused,
@@ -70,3 +72,9 @@ def _compare_rigid(
         "lattice_nm": found.lattice_nm,
         "alternatives": {"simulated": True, "basis": "", "rows": []},
     }
+
+
+def _of_what(captures: Sequence[Capture], bench: Bench) -> dict[str, Any]:
+    """Which bench, and where its captures come from: a simulation is never called measured."""
+    sources = dict.fromkeys(str(c.attributes.get("source", "")) for c in captures)
+    return {"bench": bench.name, "sources": [source for source in sources if source]}

@@ -42,6 +42,14 @@ def test_figure_text_is_escaped_by_the_figure() -> None:
     assert "&lt;b&gt;&amp;name" in image
 
 
+def test_long_text_wraps_in_its_cell() -> None:
+    shown = render(Page("t", "s", "n", sections=[Section("x", tables=[
+        Table(("name", "how"), [("a", "a sentence that would push the table off the page")])
+    ])]))  # fmt: skip
+    assert '<td class="text">a sentence' in shown
+    assert "<td>a</td>" in shown
+
+
 def test_thinning_keeps_every_peak() -> None:
     x = np.arange(100_000.0)
     y = np.zeros(x.size)
