@@ -43,21 +43,32 @@ def report_from_file(source: Path, out: Path) -> Path:
         for name, value in data.items()
         if isinstance(value, (dict, list)) and value
     ]
-    simulated = "Simulated controller and drive." if _is_simulated(data) else ""
     page = Page(
         title=str(data.get("kind", data.get("verdict", "result"))).capitalize(),
         subtitle=source.name,
-        notice=simulated,
+        notice=_notice(data),
         sections=sections,
         facts={"pmac-comp": __version__, "file": str(source)},
     )
     return write_page(page, out)
 
 
+def _notice(data: dict[str, Any]) -> str:
+    """Where the figures of a result come from, as far as it says so."""
+    sources = data.get("sources")
+    if isinstance(sources, list) and any(sources):
+        return f"Source of the captures: {'; '.join(str(s) for s in sources if s)}."
+    return "Simulated controller and drive." if _is_simulated(data) else ""
+
+
 def _is_simulated(value: Any) -> bool:
-    """Whether a result, or a part of it, says that it is simulated."""
+    """Whether a result, or a part of it, says that it is simulated.
+
+    What one would do otherwise is always simulated, beside captures of a real axis too.
+    """
     if isinstance(value, dict):
-        return value.get("simulated") is True or any(_is_simulated(v) for v in value.values())
+        parts = (part for key, part in value.items() if key != "alternatives")
+        return value.get("simulated") is True or any(_is_simulated(part) for part in parts)
     return False
 
 

@@ -73,6 +73,11 @@ class IdentificationOutcome:
         """Identifiability in words."""
         return tuple(self.identification.statements)
 
+    def sources(self) -> list[str]:
+        """Where the captures come from: a simulation is never called measured."""
+        told = dict.fromkeys(str(c.attributes.get("source", "")) for c in self.captures)
+        return [source for source in told if source]
+
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
         return {
@@ -80,6 +85,7 @@ class IdentificationOutcome:
             **self.model_file.model_dump(mode="json"),
             "figures": dict(self.identification.figures),
             "method": self.identification.method,
+            "sources": self.sources(),
             "statements": list(self.identification.statements),
         }
 

@@ -26,6 +26,21 @@ def test_a_result_becomes_a_page_with_its_figures(tmp_path: Path, mark: dict[str
     assert "0.25" in page.read_text(encoding="utf-8")
 
 
+def test_the_page_says_where_its_captures_come_from(tmp_path: Path) -> None:
+    told = {"kind": "identification", "sources": ["simulated controller and drive"]}
+    ways = {"kind": "comparison", "alternatives": {"simulated": True, "rows": [{"name": "a"}]}}
+    for name, result, said in (
+        ("a", told, "Source of the captures: simulated controller and drive."),
+        ("b", {**ways, "sources": ["gathered at the servo rate"]}, "gathered at the servo rate."),
+        ("c", {**ways, "sources": []}, ""),
+    ):
+        (tmp_path / f"{name}.json").write_text(json.dumps(result), encoding="utf-8")
+        page = report_from_file(tmp_path / f"{name}.json", tmp_path / f"{name}.html")
+        text = page.read_text(encoding="utf-8")
+        assert said in text
+        assert "Simulated controller and drive." not in text
+
+
 def test_what_is_nested_is_a_table_of_its_own_and_no_line_of_a_page_width(tmp_path: Path) -> None:
     motion = {"name": "sine", "e_rms_um": {"value": 0.25, "upper95": 0.31}}
     part = {"simulated": True, "motions": [motion], "remarks": ["warm"]}
