@@ -15,12 +15,15 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.restore import restore
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
 _SHOWN = 40
+_BACKGROUND_PLCS = 2  # bit of I5 (Software Reference Manual, I5)
 _LINE_SHOWN = 60
 _DEFINITION: Final = re.compile(r"M(\d+)\s*->\s*(\S.*)", re.I)
 _VALUE: Final = re.compile(r"([IP]\d+)\s*=\s*(\$[0-9A-F]+|[-+]?[\d.]+)", re.I)
@@ -96,10 +99,12 @@ def restore_from_file(
                 axis.link.write_buffer(["CLOSE", *others])
                 if not goal.is_empty:
                     change_settings(axis.link, inner, goal, route="program")
+            held = _held_programs(axis, goal)
         return {
             "summary": f"{source.name}: {len(goal.variables)} variables, {len(goal.definitions)} "
             f"definitions and {len(goal.programs)} programs written and read back"
             + (f", {len(others)} commands sent that no rollback undoes" if others else "")
+            + held
         }
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
@@ -113,6 +118,18 @@ def restore_from_file(
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],
         "summary": f"restored; {len(left)} item(s) cannot be set or live on the card",
     }
+
+
+def _held_programs(axis: Axis, goal: Settings) -> str:
+    """That I5 holds the background PLCs of a file: ENABLE is taken then, and nothing happens."""
+    background = [n for kind, n in goal.programs if kind is programs.ProgramKind.PLC and n > 0]
+    i5 = int(read_one(axis.link, "I5"))
+    if not background or i5 & _BACKGROUND_PLCS:
+        return ""
+    return (
+        f"; I5 = {i5} holds background PLCs, ENABLE PLC {background[0]} starts nothing: state "
+        f"I5 = {i5 | _BACKGROUND_PLCS} in the bench file and run `pmac-comp setup`"
+    )
 
 
 def _settings_of(parsed: programs.Source) -> tuple[Settings, list[str]]:

@@ -21,11 +21,12 @@ def _refused(*entries: int) -> str:
 
 def test_a_step_is_refused_with_the_place_where_it_is_none() -> None:
     # Entries at 1000 and 2000 counts, in 1/16 count: 10 counts where it stands, none at the ends.
-    assert "stand near 0 counts" in _refused(160, 0)
+    assert "'#1K'" in _refused(160, 0)
+    assert "let it stand where it is small (`-c '#1J=0'`)" in _refused(160, 0)
 
 
 def test_no_place_is_named_where_there_is_none() -> None:
-    assert _refused(160, 160) == "Kill the motor first."
+    assert "#1J=" not in _refused(160, 160)
 
 
 def test_a_killed_motor_follows_without_a_step() -> None:

@@ -25,7 +25,9 @@ def test_homing_comes_whole_and_goes_with_its_definitions(
     told = safekeeping.plan_restore("sim://", "paper", source)["lines"]
     assert any("M7011 is X:$10,3 instead of Y:$C0,0" in line for line in told)
     assert axis.link.query(ASKED) == before
+    axis.link.command("I5=1")
     done = safekeeping.restore_from_file("sim://", "paper", source, journal=tmp_path)
+    assert "I5 = 1 holds background PLCs" in done["summary"]
     assert "4 definitions and 1 programs" in done["summary"]
     assert axis.link.query(ASKED) == ["X:$B0,18", "Y:$C0,0", "Y:$C0,10", "X:$B0,10"]
     axis.kill()
