@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import CaptureError, ConfigError
+from pmac_comp.base.errors import CaptureError, ConfigError, NotIdentifiable
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture, write_capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
 Rounding = Literal["expected", "none"]
+_HARDLY_ANY_mm = 0.5  # no motion that anybody identifies a drive from
 _COARSEST = 12.0  # servo periods per sample of a command that is interpolated
 
 
@@ -171,15 +173,24 @@ def identify_files(
     """
     loaded = load_bench(bench)
     read = captures_of(captures, loaded)
-    return identify_captures(
-        read,
-        loaded,
-        names=[path.name for path in captures],
-        digests=[file_digest(path) for path in captures],
-        model=_start_model(loaded, model, added, effects),
-        friction=friction,
-        progress=progress,
-    )
+    try:
+        return identify_captures(
+            read,
+            loaded,
+            names=[path.name for path in captures],
+            digests=[file_digest(path) for path in captures],
+            model=_start_model(loaded, model, added, effects),
+            friction=friction,
+            progress=progress,
+        )
+    except NotIdentifiable as error:
+        longest_mm = max(float(np.ptp(c.commanded_position_m)) for c in read) * MM_PER_M
+        if longest_mm < _HARDLY_ANY_mm:
+            error.add_note(
+                f"No capture commands more than {longest_mm:.3g} mm: are its positions in m? They "
+                "are in mm."
+            )
+        raise
 
 
 def _start_model(
