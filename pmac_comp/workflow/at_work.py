@@ -45,7 +45,7 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
         except LeaseHeld as error:
             raise LeaseHeld(
                 f"Another pmac-comp on this host measures or changes {context.controller}.",
-                code="PC-TXN-001",
+                code="PC-WRK-001",
                 hint="Wait until it has ended, or end it there with Ctrl-C.",
                 context=error.context,
                 left=ControllerState.OLD,

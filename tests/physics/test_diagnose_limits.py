@@ -39,7 +39,14 @@ def runs(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
     return [closed_loop_capture(BENCH, plant, command) for command in commands]
 
 
-@pytest.mark.parametrize(("limit_Nm", "damping"), [(3.0, 1.0), (3.2, 1.0), (3.0, 1.004)])
+@pytest.mark.parametrize(
+    ("limit_Nm", "damping"),
+    [
+        pytest.param(3.0, 1.0, marks=pytest.mark.slow),
+        pytest.param(3.2, 1.0, marks=pytest.mark.slow),
+        (3.0, 1.004),
+    ],
+)
 def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(
     limit_Nm, damping, monkeypatch
 ):

@@ -41,6 +41,7 @@ def test_a_bed_that_swings_behind_play_is_found() -> None:
     assert "scale_age" not in found.noted
 
 
+@pytest.mark.slow
 def test_a_late_scale_beside_a_bed_that_swings_is_found() -> None:
     found = shown({"channel_skew": {"time_us": 5.0}, "base_mode": {"mass_ratio": 0.15}})
     assert found.noted["scale_age"]["time_s"] == pytest.approx(5e-6, abs=0.6e-6)

@@ -139,7 +139,7 @@ def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> 
     assert found.parameters["stribeck.speed_m_per_s"].value == pytest.approx(0.01, rel=0.4)
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_x4"])
+@pytest.mark.parametrize("name", ["paper", pytest.param("paper_x4", marks=pytest.mark.slow)])
 def test_presliding_and_stribeck_friction_are_told_apart_on_the_default_drive(name: str) -> None:
     # With the distances still far off, Stribeck's curve once ran to speeds at which nothing moves.
     bench = load_bench(name)

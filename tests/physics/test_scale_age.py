@@ -35,9 +35,9 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
     [
         {},
         {"viscous": {"guide_Ns_per_m": 600.0}},
-        {"viscous_nonlinear": {}},
-        {"chain_damping": {}},
-        {"actuator_delay": {"time_us": 400.0}},
+        pytest.param({"viscous_nonlinear": {}}, marks=pytest.mark.slow),
+        pytest.param({"chain_damping": {}}, marks=pytest.mark.slow),
+        pytest.param({"actuator_delay": {"time_us": 400.0}}, marks=pytest.mark.slow),
     ],
     ids=["nothing", "viscous", "viscous_nonlinear", "chain_damping", "actuator_delay"],
 )

@@ -40,7 +40,7 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
 
 @pytest.mark.parametrize(
     "effects",
-    [{}, {"actuator_delay": {"time_us": 900.0}}],
+    [{}, pytest.param({"actuator_delay": {"time_us": 900.0}}, marks=pytest.mark.slow)],
     ids=["nothing", "actuator_delay"],
 )
 def test_a_drive_on_a_still_bed_shows_none(effects: PlantEffects) -> None:

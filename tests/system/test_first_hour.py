@@ -68,7 +68,9 @@ def test_a_command_that_cannot_ask_advises_its_dry_run(tmp_path: Path) -> None:
     assert "--dry-run" in capture.stderr
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_interrupted_capture_stops_the_axis(tmp_path: Path, how: signal.Signals) -> None:
     serve = [sys.executable, "-m", "pmac_comp", "sim", "--tcp", "0"]
     with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True) as sim:

@@ -10,7 +10,7 @@ from tests.system.command import run
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 GOLDEN = Path(__file__).resolve().parent.parent / "golden" / "json_keys.json"
-MOTION = "sine:amplitude_mm=12,frequency_Hz=3.5,cycles=8"
+MOTION = "sine:amplitude_mm=12,frequency_Hz=3.5,cycles=4"
 
 
 def result_of(cwd: Path, *words: str) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     assert turning[1] == pytest.approx(turning[0] + lost_Nm)
 
 
-@pytest.mark.parametrize("force_N", [150.0, -60.0])
+@pytest.mark.parametrize("force_N", [pytest.param(150.0, marks=pytest.mark.slow), -60.0])
 def test_load_that_presses_the_nut_on_one_flank_is_found_with_the_gap(force_N: float) -> None:
     loaded = DriveModel.base(BENCH, TRUE).with_effect("bias_force", {"force_N": force_N})
     true = loaded.with_effect("backlash", {"gap_m": 4e-6})
