@@ -6,7 +6,7 @@ the data. Imports ``base`` only.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -175,6 +175,12 @@ class Capture:
                 hint="Fill the gap with rows marked valid = 0, split the file, or capture again.",
                 context={"index": i, "missing": missing, "places": int(bad.size)},
             )
+
+
+def told_by(captures: Iterable[Capture], attribute: str) -> list[str]:
+    """What captures say under an attribute, each once, in their order."""
+    told = (capture.attributes.get(attribute) for capture in captures)
+    return list(dict.fromkeys(str(value) for value in told if value))
 
 
 def read_capture(path: Path | str) -> Capture:

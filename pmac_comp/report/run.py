@@ -5,6 +5,7 @@ from pathlib import Path
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import parse_bench
+from pmac_comp.files.capture import told_by
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
 from pmac_comp.workflow.computing import describe
@@ -94,8 +95,7 @@ def _where_and_when(verification: Verification) -> dict[str, str]:
 
 def _told(verification: Verification, key: str) -> list[str]:
     """What the attributes of all runs say under a key, each once, sorted."""
-    runs = (*verification.before, *verification.after)
-    return sorted({str(run.attributes[key]) for run in runs if run.attributes.get(key)})
+    return sorted(told_by((*verification.before, *verification.after), key))
 
 
 def _model_section(result: RunResult) -> Section:

@@ -7,10 +7,8 @@ with a compensation that was not there any more.
 """
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import contextmanager
 
-from pmac_comp.base.errors import ControllerState, LeaseHeld
 from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
@@ -38,17 +36,6 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
     if parse_url(url).scheme == "sim":
         yield
         return
-    context = replace(context_of(axis), store=axis.setup.store)
-    with ExitStack() as held:
-        try:
-            held.enter_context(host_lock(context, _SCOPE))
-        except LeaseHeld as error:
-            raise LeaseHeld(
-                f"Another pmac-comp on this host measures or changes {context.controller}.",
-                code="PC-WRK-001",
-                hint="Wait until it has ended, or end it there with Ctrl-C.",
-                context=error.context,
-                left=ControllerState.OLD,
-            ) from error
+    with host_lock(context_of(axis, axis.setup.store), _SCOPE):
         yield
         axis.release_axis()  # what was borrowed is back before somebody else may begin

@@ -60,7 +60,7 @@ _END_s = 0.5  # after the last sample, for a host that ran ahead of the card's c
 _START_ATTEMPTS = 10
 _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
-_HALT_s = 2.0  # for an axis that was stopped to stand
+HALT_s = 2.0  # for an axis that was stopped to stand
 _LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 
@@ -126,7 +126,7 @@ class Axis:
                 self.link.flush()
                 if motors.read_motor(self.link, self.motor).status.is_closed_loop:
                     self.link.command(f"#{self.motor}J/")
-                    motors.wait_in_position(self.link, self.motor, timeout_s=_HALT_s)
+                    motors.wait_in_position(self.link, self.motor, timeout_s=HALT_s)
             raise
 
     def run(

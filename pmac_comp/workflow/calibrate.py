@@ -9,14 +9,13 @@ from typing import Any
 from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.machine.controller import law_state, motors
-from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.at_work import at_work
-from pmac_comp.workflow.axis import Axis, run_all
+from pmac_comp.workflow.axis import Axis, HALT_s, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
 from pmac_comp.workflow.commissioning import reference_remarks, require_as_described
+from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -24,9 +23,9 @@ from pmac_comp.workflow.motions import (
     parse_motion,
 )
 from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
+from pmac_comp.workflow.runs import acting
 from pmac_comp.workflow.session import open_axis
 
-_HALT_s = 2.0  # for an axis that was stopped to stand
 Progress = Callable[[str, float], None]
 _CAMPAIGNS: dict[str, Callable[[Bench], list[Motion]]] = {
     "calibration": calibration_motions,
@@ -90,15 +89,13 @@ def capture_to_folder(
 
 def acting_remarks(axis: Axis) -> tuple[str, ...]:
     """That the runs will be made with a compensation on: none is computed from such runs."""
-    block = LawBlock.from_p_block(axis.bench.controller.p_block)
-    acting = ["a law"] if law_state.read_law_head(axis.link, block).is_armed else []
-    if read_one(axis.link, "I51") == 1.0:
-        ours = [t for t in read_tables(axis.link) if t.motor == axis.motor]
-        acting = ["tables", *acting] if ours else acting
-    if not acting:
+    law, tables = acting(axis, context_of(axis))
+    ours = tables and any(table.motor == axis.motor for table in read_tables(axis.link))
+    told = [name for name, acts in (("tables", ours), ("a law", law)) if acts]
+    if not told:
         return ()
     return (
-        f"{' and '.join(acting)} of a compensation acted in these runs; a new one is computed from "
+        f"{' and '.join(told)} of a compensation acted in these runs; a new one is computed from "
         "runs without: `pmac-comp rollback` or `pmac-comp remove` before the next capture",
     )
 
@@ -130,7 +127,7 @@ def motor_as_found(axis: Axis) -> Iterator[None]:
     except (PmacCompError, KeyboardInterrupt):
         if not held:
             with suppress(PmacCompError):
-                motors.wait_in_position(axis.link, axis.motor, timeout_s=_HALT_s)
+                motors.wait_in_position(axis.link, axis.motor, timeout_s=HALT_s)
                 axis.kill()
         raise
     if not held:

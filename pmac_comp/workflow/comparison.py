@@ -7,7 +7,7 @@ from typing import Any
 
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, told_by
 from pmac_comp.workflow.same_axis import captures_of
 
 Progress = Callable[[str, float], None]
@@ -76,5 +76,4 @@ def _compare_rigid(
 
 def _of_what(captures: Sequence[Capture], bench: Bench) -> dict[str, Any]:
     """Which bench, and where its captures come from: a simulation is never called measured."""
-    sources = dict.fromkeys(str(c.attributes.get("source", "")) for c in captures)
-    return {"bench": bench.name, "sources": [source for source in sources if source]}
+    return {"bench": bench.name, "sources": told_by(captures, "source")}

@@ -32,7 +32,7 @@ from pmac_comp.machine.controller import (
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.journal import require_folder
-from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
@@ -309,6 +309,14 @@ def switch_tables(axis: Axis, *, on: bool) -> None:
     verify_many(axis.link, {"I51": int(on)})
 
 
+def bank_in_use(axis: Axis, context: Context, compensation: Compensation) -> LawParameters | None:
+    """Bank that the card uses; None where it holds another law than this compensation's."""
+    head = law_state.read_law_head(axis.link, context.block)
+    bank = law_state.read_bank(axis.link, context.block, head.bank)
+    wanted = law_parameters(compensation.law, axis.scales)
+    return bank if bank is not None and bank.digest == wanted.digest else None
+
+
 def check_law_on_card(
     axis: Axis, context: Context, compensation: Compensation, position_m: FloatArray
 ) -> float:
@@ -321,10 +329,8 @@ def check_law_on_card(
     """
     from pmac_comp.machine.controller.law_bank import evaluate
 
-    head = law_state.read_law_head(axis.link, context.block)
-    bank = law_state.read_bank(axis.link, context.block, head.bank)
-    wanted = law_parameters(compensation.law, axis.scales)
-    if bank is None or bank.digest != wanted.digest:
+    bank = bank_in_use(axis, context, compensation)
+    if bank is None:
         raise VerifyMismatch(
             "The card holds another law.",
             code="PC-DEP-030",

@@ -12,7 +12,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError, NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, file_digest, read_capture, write_capture
+from pmac_comp.files.capture import Capture, file_digest, read_capture, told_by, write_capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.metrics import rms_um
@@ -75,11 +75,6 @@ class IdentificationOutcome:
         """Identifiability in words."""
         return tuple(self.identification.statements)
 
-    def sources(self) -> list[str]:
-        """Where the captures come from: a simulation is never called measured."""
-        told = dict.fromkeys(str(c.attributes.get("source", "")) for c in self.captures)
-        return [source for source in told if source]
-
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
         return {
@@ -87,7 +82,7 @@ class IdentificationOutcome:
             **self.model_file.model_dump(mode="json"),
             "figures": dict(self.identification.figures),
             "method": self.identification.method,
-            "sources": self.sources(),
+            "sources": told_by(self.captures, "source"),  # a simulation is never called measured
             "statements": list(self.identification.statements),
         }
 

@@ -14,10 +14,9 @@ from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import switch, switch_tables
+from pmac_comp.workflow.deploy import bank_in_use, switch, switch_tables
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.program import program_axis, run_drawn
-from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.tables import tables_of
 
@@ -124,10 +123,8 @@ def require_on_card(axis: Axis, context: Context, compensation: Compensation) ->
 
 def _law_stands(axis: Axis, context: Context, compensation: Compensation) -> bool:
     head = law_state.read_law_head(axis.link, context.block)
-    if law_state.running_form(axis.link, head) is LawForm.NONE:
-        return False
-    bank = law_state.read_bank(axis.link, context.block, head.bank)
-    return bank is not None and bank.digest == law_parameters(compensation.law, axis.scales).digest
+    runs = law_state.running_form(axis.link, head) is not LawForm.NONE
+    return runs and bank_in_use(axis, context, compensation) is not None
 
 
 @contextmanager
@@ -138,16 +135,16 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
     command would meet.
     """
     killed = motors.read_motor(axis.link, axis.motor).status.is_killed
-    armed, tables = _acting(axis, context)
+    armed, tables = acting(axis, context)
     yield
-    if (armed, tables) != _acting(axis, context):
+    if (armed, tables) != acting(axis, context):
         switch(axis, context, compensation, on=armed)
         switch_tables(axis, on=tables)
     if killed:
         axis.kill()
 
 
-def _acting(axis: Axis, context: Context) -> tuple[bool, bool]:
+def acting(axis: Axis, context: Context) -> tuple[bool, bool]:
     """Whether a law acts, and whether tables do."""
     law = law_state.read_law_head(axis.link, context.block).is_armed
     return law, read_one(axis.link, "I51") == 1.0

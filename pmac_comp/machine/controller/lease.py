@@ -54,9 +54,9 @@ def host_lock(context: Context, scope: str = "") -> Iterator[None]:
         release = _lock(path)
     except (Timeout, BlockingIOError) as error:
         raise LeaseHeld(
-            f"Another pmac-comp on this host is changing {context.controller}.",
+            f"Another pmac-comp on this host measures or changes {context.controller}.",
             code="PC-TXN-001",
-            hint="Wait until it has ended.",
+            hint="Wait until it has ended, or end it there with Ctrl-C.",
             context={"lock": str(path)},
             left=ControllerState.OLD,
         ) from error
