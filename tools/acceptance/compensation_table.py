@@ -32,6 +32,7 @@ from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import load_plant
+from pmac_comp.simulator.plant.effects import PLANT_EFFECTS
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.computing import compute_compensation
@@ -72,9 +73,13 @@ ROUTES = ("law", "servo", "table", "cam", "program")
 
 
 def plant_of(name: str, bench: Bench, seed: int) -> Any:
-    """Plant of the list above, or of a person's own file."""
+    """Plant of the list above, with one effect of the plug-in, or of a person's own file."""
     if name in PLANTS:
         return make_plant(bench, effects=PLANTS[name], seed=seed)
+    effect, _, values = name.partition(":")
+    if effect in PLANT_EFFECTS:
+        given = dict(pair.split("=", 1) for pair in values.split(",") if pair)
+        return make_plant(bench, effects={effect: given}, seed=seed)
     return load_plant(name, bench)
 
 
@@ -185,7 +190,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--benches", nargs="+", default=["paper", "paper_x4"])
-    parser.add_argument("--plants", nargs="+", default=list(PLANTS), help="names or FILE[:FACTORY]")
+    parser.add_argument(
+        "--plants",
+        nargs="+",
+        default=list(PLANTS),
+        help="names, EFFECT[:PARAMETER=VALUE,...] or FILE[:FACTORY]",
+    )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--routes", nargs="+", default=list(ROUTES), choices=ROUTES)
     parser.add_argument("--friction", default="auto", choices=("auto", "coulomb"),
