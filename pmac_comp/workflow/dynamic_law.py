@@ -16,7 +16,12 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import given_m
-from pmac_comp.physics.compensate.constant import BY_PLACE, TWO_STD, with_constant_torque
+from pmac_comp.physics.compensate.constant import (
+    BY_PLACE,
+    LOAD,
+    with_constant_torque,
+    with_load,
+)
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import (
     LoopRunner,
@@ -101,7 +106,7 @@ def dynamic_law(
 
     law = designed(model, loop, {})
     if not captures:
-        return law
+        return _with_own_cable(law, model)
     if progress is not None:
         progress("reading friction and cogging from the captures", 0.3)
     if route not in TORQUE_ROUTES:
@@ -118,8 +123,21 @@ def dynamic_law(
     found = turn_torque(law, loop, captures, drive_delay_s=drive_delay_s(model))
     law = with_turn_torque(law, found)
     law = with_constant_torque(law, loop, captures)
+    if not {LOAD, BY_PLACE} & law.provenance.keys():
+        law = _with_own_cable(law, model)
     said = {"turn_explained": found.explained, "grip_explained": grip}
     return replace(law, provenance={**law.provenance, **said})
+
+
+def _with_own_cable(law: CompensationLaw, model: "DriveModel") -> CompensationLaw:
+    """Law with the torque of the cable that a model holds, where no captures tell it."""
+    if "cable_drag" not in model.effects or law.torque_limit_Nm == 0.0:
+        return law
+    own = model.values_of("cable_drag")
+    slope = own["stiffness_N_per_m"] * model.bench.lead_m_per_rad
+    return with_load(
+        law, constant_Nm=slope * (law.origin_m - own["centre_m"]), slope_Nm_per_m=slope
+    )
 
 
 def _noting_grip(
@@ -298,31 +316,31 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
 
 def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
     """What load the captures showed that the model does not hold, for people."""
-    torque_Nm = law.provenance.get("trim", {}).get("torque_constant_Nm", 0.0)
+    noted = law.provenance.get(LOAD)
     by_place = _by_place_remarks(bench, law)
-    if torque_Nm == 0.0:
+    if noted is None:
         return by_place
-    two_std_Nm = law.provenance.get(TWO_STD, 0.0)
+    torque_Nm = noted["torque_Nm"]
     force_N = torque_Nm / bench.lead_m_per_rad
     return [
-        f"in both directions the runs need {torque_Nm:+.3f} +- {two_std_Nm:.1g} N m that the model "
-        f"does not hold ({force_N:+.0f} N at the table): a load, not friction. The law sends it; "
+        f"in both directions the runs need {torque_Nm:+.3f} +- {noted['two_std_Nm']:.1g} N m "
+        f"beside the model's dynamics ({force_N:+.0f} N at the table): a load, not friction. The "
+        "law sends it; "
         "should the load change, capture and compute again",
         *by_place,
     ]
 
 
 def _by_place_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
-    """That the runs need a torque that changes along the travel, which no law holds."""
+    """That the runs need a torque that changes along the travel."""
     noted = law.provenance.get(BY_PLACE)
     if noted is None:
         return []
     slope, reach_m = noted["slope_Nm_per_m"], noted["reach_m"]
     return [
-        f"in both directions the torque that the runs need beyond the model changes by "
+        f"in both directions the torque that the runs need beside the model's dynamics changes by "
         f"{slope * reach_m:+.2g} +- {noted['two_std_Nm_per_m'] * reach_m:.1g} N m along the "
         f"{reach_m * MM_PER_M:.0f} mm of the runs ({slope / bench.lead_m_per_rad:+.0f} N per m at "
-        "the table), as of a spring or a cable. The law's torque has no term for "
-        "it and takes it for friction wherever the axis rests: expect a larger control error "
-        "towards the ends of the travel"
+        "the table), as of a spring or a cable. The law sends it, also where it leads on beyond "
+        "the runs; should the spring change, capture and compute again"
     ]

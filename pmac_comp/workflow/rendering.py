@@ -61,7 +61,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         NH=law.ripple_order * degrees_per_ct,
         PH=math.degrees(law.ripple_phase_rad),
         T_INV=1.0 / (law.torque_breakaway_m * K),
-        T0=law.torque_constant_Nm / q,
+        T0=(law.torque_constant_Nm - law.torque_place_Nm_per_m * law.origin_m) / q,
         T_LIMIT=law.torque_limit_Nm / q,
         GH=law.gap_half_m * K,
         GW=zero * law.gap_width_m * K,
@@ -75,6 +75,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         SX=zero * law.stribeck_m * K,
         TX=law.torque_stribeck_Nm / q,
         SS=1.0 / (law.stribeck_speed_m_per_s * pass_s * K) if law.has_stribeck else 0.0,
+        TP=law.torque_place_Nm_per_m / (K * q),
         BT=_per_correction(law.torque_bed_Nm_s2_per_m / q, zero * law.inertia_s2 * K),
     )
 

@@ -78,7 +78,7 @@ def test_f01_law_is_old_or_new_at_every_cut(
         if error.context.get("confirmed"):
             assert error.left is state
         seen.add(state)
-        bench.link.command("P7080=0")
+        bench.link.command("P7078=0")
     assert ControllerState.OLD in seen
     count_runs(len(points))
 

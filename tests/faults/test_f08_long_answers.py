@@ -92,7 +92,7 @@ def test_f19_the_lease_outlives_a_program_of_minutes(tmp_path: Path, count_runs:
     def wait(_n: int) -> None:
         if bench.card.programs.open_program is not None:
             bench.clock.sleep_s(3.0)
-            left_s = bench.p(7081) / CLOCK_PER_s - bench.clock.now_s()
+            left_s = bench.p(7079) / CLOCK_PER_s - bench.clock.now_s()
             if left_s < 0.0:
                 expired.append(left_s)
 
@@ -104,5 +104,5 @@ def test_f19_the_lease_outlives_a_program_of_minutes(tmp_path: Path, count_runs:
     assert result.verdict is ControllerState.NEW
     assert bench.clock.now_s() - start_s > 120.0
     assert not expired
-    assert bench.p(7080) == 0
+    assert bench.p(7078) == 0
     count_runs(1)

@@ -135,7 +135,7 @@ def test_f16_line_lost_or_doubled_is_found(
     count_runs(n_lines)
 
 
-ACTIONS = ["I51=1", "I51=0", "7", "P7072=12345", "#1DELETE COMP", "P7080=77"]
+ACTIONS = ["I51=1", "I51=0", "7", "P7072=12345", "#1DELETE COMP", "P7078=77"]
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -178,7 +178,7 @@ def test_f18_another_client_enables_during_the_upload(
         programs.download(link, guard_install.guard_program(rig.bench.context.block))
         link.write_buffer(["I5=3", "ENABLE PLC 1"])
         rig.bench.clock.sleep_s(0.05)
-        assert rig.bench.p(7082) > 0
+        assert rig.bench.p(7080) > 0
     rig.save()
     total: list[int] = []
     rig.upload_with(lambda b: setattr(b, "on_request", total.append))
@@ -203,7 +203,7 @@ def test_f18_another_client_enables_during_the_upload(
         runs += 1
         assert rig.state in ControllerState
         if guarded:
-            assert rig.bench.p(7083) == 1 or rig.bench.p(7084) >= 1 or error is not None
+            assert rig.bench.p(7081) == 1 or rig.bench.p(7082) >= 1 or error is not None
         elif error is not None:
             assert isinstance(error, ForeignChange)
             assert error.context["was_live"]
@@ -222,16 +222,16 @@ def test_f19_two_writers_on_this_host(tmp_path: Path) -> None:
 
 def test_f19_another_host_holds_the_lease(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    bench.link.write_buffer(["P7081=100000", "P7080=4711"])
+    bench.link.write_buffer(["P7079=100000", "P7078=4711"])
     with pytest.raises(LeaseHeld) as refusal:
         upload.upload_tables(bench.link, bench.context, [new_table(40)])
     assert refusal.value.context["owner"] == 4711
     assert 0 < float(str(refusal.value.context["expires_in_s"])) < 100
-    bench.link.write_buffer(["P7081=1"])
+    bench.link.write_buffer(["P7079=1"])
     bench.clock.sleep_s(0.1)
     result = upload.upload_tables(bench.link, bench.context, [new_table(40)])
     assert result.verdict is ControllerState.NEW
-    assert bench.p(7080) == 0
+    assert bench.p(7078) == 0
 
 
 @pytest.mark.parametrize("saved", [False, True])
@@ -447,6 +447,6 @@ def test_f22_slow_drift_is_refused_before_anything_is_switched(
     assert refused.value.left is rig.state is ControllerState.OLD
     assert refused.value.context["confirmed"]
     assert not any("I51=" in text for text in switched)
-    assert bench.p(7080) == 0
+    assert bench.p(7078) == 0
     assert rig.recover() is ControllerState.OLD
     count_runs(1)

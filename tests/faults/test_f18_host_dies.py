@@ -21,7 +21,7 @@ from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 BLOCK = LawBlock()
-WRITING, SCANS = BLOCK.p(Index.MANIFEST) + 1, 7082
+WRITING, SCANS = BLOCK.p(Index.MANIFEST) + 1, 7080
 BOUND_CT = 5.0  # the bench's limit of a step
 
 

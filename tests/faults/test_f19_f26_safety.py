@@ -76,9 +76,9 @@ def test_f18_guard_comes_with_tables_and_goes_with_them(tmp_path: Path) -> None:
         assert "guard" in guard_install.install_guard(bench.link, parts)[0]
         upload.upload_tables(bench.link, parts, [offset_table(3.0)])
     bench.clock.sleep_s(0.1)
-    scans = bench.p(7082)
+    scans = bench.p(7080)
     bench.clock.sleep_s(0.1)
-    assert bench.p(7082) > scans, "the guard runs"
+    assert bench.p(7080) > scans, "the guard runs"
     assert guard_install.install_guard(bench.link, bench.context) == ()
     recovery.rollback_last(bench.link, bench.context)
     assert bench.link.query("M7007->") == ["*"]

@@ -16,7 +16,7 @@ from tests.unit.machine_controller.card_bench import CardBench
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 P_RANGE = (7070, 7090)
-ACTIONS = ("I51=1", "#1DELETE COMP", "#2DEFINE COMP 2,#2,#2,1000", "P7080=4711")
+ACTIONS = ("I51=1", "#1DELETE COMP", "#2DEFINE COMP 2,#2,#2,1000", "P7078=4711")
 
 
 def restorable(folder: Path) -> tuple[CardBench, backup.Backup]:
@@ -33,7 +33,7 @@ def restorable(folder: Path) -> tuple[CardBench, backup.Backup]:
 def changing(bench: CardBench, stored: backup.Backup) -> range:
     """Numbers of the requests during which a restore holds the lease."""
     held: list[int] = []
-    bench.on_request = lambda n: held.append(n) if bench.p(7080) else None
+    bench.on_request = lambda n: held.append(n) if bench.p(7078) else None
     restore.restore(bench.link, bench.context, stored)
     bench.reconnect()
     assert recovery.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
@@ -54,7 +54,7 @@ def test_f19_nobody_else_writes_during_a_restore(tmp_path: Path, count_runs: Cou
     refused: list[int] = []
 
     def act(n: int) -> None:
-        if n in at and bench.p(7080):
+        if n in at and bench.p(7078):
             with pytest.raises(LeaseHeld):
                 upload.upload_tables(second.link, second.context, [replace(old_table(40), motor=2)])
             refused.append(n)
@@ -89,7 +89,7 @@ def test_f17_another_client_acts_during_a_restore(
             if failed.context.get("confirmed") and failed.left is ControllerState.OLD:
                 assert entries(bench) in {old_table(40).entries, ()}, (k, failed)
         bench.reconnect()
-        bench.link.write_buffer(["P7080=0"])
+        bench.link.write_buffer(["P7078=0"])
         settle(bench)
         bench.reconnect()
         # The backup puts foreign tables away too.
@@ -139,7 +139,7 @@ def test_f29_backup_of_another_bench_file(tmp_path: Path, count_runs: Count) -> 
         held: list[int] = []
 
         def stop(n: int, k: int = k, held: list[int] = held) -> None:
-            held += [n] if bench.p(7080) else []
+            held += [n] if bench.p(7078) else []
             if len(held) > k:
                 raise ConnectionResetError
 

@@ -63,7 +63,7 @@ def test_f29_sigkill_at_any_byte(
             continue
         assert os.WTERMSIG(status) == signal.SIGKILL
         assert rig.state in ControllerState
-        rig.bench.link.command("P7080=0")
+        rig.bench.link.command("P7078=0")
         assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
     count_runs(len(points))
 
@@ -108,7 +108,7 @@ def test_f30_first_request_to_stop_ends_after_the_packet(tmp_path: Path, count_r
         runs += 1
         assert stopped.value.left is rig.state
         assert rig.state is not ControllerState.NEW
-        assert bench.p(7080) == 0
+        assert bench.p(7078) == 0
         if rig.state is ControllerState.DISABLED:
             assert rig.recover() is ControllerState.OLD
     count_runs(runs)
@@ -148,7 +148,7 @@ def test_f30_first_ctrl_c_ends_with_a_verdict(tmp_path: Path, count_runs: Count)
         assert error.exit_code == 130
         assert error.left is rig.state, k
         assert error.context["confirmed"]
-        assert rig.bench.p(7080) == 0
+        assert rig.bench.p(7078) == 0
         verdicts.add(rig.state)
         assert rig.recover() in {ControllerState.OLD, ControllerState.NEW}
     assert verdicts == set(ControllerState)

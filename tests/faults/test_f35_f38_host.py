@@ -90,7 +90,7 @@ def test_f35_values_that_no_register_takes() -> None:
 def test_f35_all_refusals_are_reported_together(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     bad = CompTable(1, tuple([16 * 200] * 10 + [0] * 54), 500000)
-    bench.link.write_buffer(["P7081=900000", "P7080=4711"])
+    bench.link.write_buffer(["P7079=900000", "P7078=4711"])
     with pytest.raises(SafetyRefusal) as failure:
         upload.upload_tables(bench.link, bench.context, [bad])
     kinds = {type(r).__name__ for r in failure.value.refusals}

@@ -17,12 +17,12 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     8  out scale   units of the master word (X:$10F8) per count = 32 Ixx08 / Ixx07, host
     9  in scale    counts per unit of the commanded position register = 1 / (32 Ixx08), host
     10..39  bank 0      40..69  bank 1      (offsets within a bank: ``BankIndex``)
-    70..79  manifest of the last upload     80..85  lease, guard, number of the last change
+    70..77  manifest of the last upload     78..83  lease, guard, number of the last change
             (``manifest`` and ``lease`` have the meaning)
-    86..92  rest of bank 0   93..99  rest of bank 1
+    84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place) and
-              140..148 (copy of the bank's rest), the open servo 117..129 (127..129 bed)
+              140..149 (copy of the bank's rest), the open servo 117..129 (127..129 bed)
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law
 
@@ -48,7 +48,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK j + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
-        + TH sin(NH p + PH) + TG (g - l) + BT b
+        + TP r + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -74,14 +74,14 @@ SIGNATURE_PLC: Final = 20261
 SIGNATURE_SERVO: Final = 20262
 SEAL: Final = 20261
 BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands elsewhere
-REST_SIZE: Final = 7
+REST_SIZE: Final = 8
 BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
-_LAYOUT: Final = 5  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 6  # of a bank: the checksum begins with it, so that another layout's does not fit
 _CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE", "BS")  # nothing without a jerk limit
@@ -102,9 +102,9 @@ class Index(IntEnum):
     IN_SCALE = 9
     BANKS = 10
     MANIFEST = 70
-    LEASE = 80
-    CHANGE = 85  # number of the last change: positive under way, negative ended, 0 none
-    RESTS = 86
+    LEASE = 78
+    CHANGE = 83  # number of the last change: positive under way, negative ended, 0 none
+    RESTS = 84
     WORK_PLC = 100
     BED_SERVO = 127
     WORK_SERVO = 130
@@ -150,7 +150,7 @@ class BankIndex(IntEnum):
     L1 = 13  # SC, look-ahead of friction states, flank and angle
     JL = 14  # counts/SC^3, largest jerk that the law follows
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
-    T0 = 16  # DAC units, constant
+    T0 = 16  # DAC units, constant, at position zero
     GW = 17  # counts, elastic correction at which all of GH is taken up
     TR = 18  # DAC units, friction per turn
     PR = 19  # degrees
@@ -171,6 +171,7 @@ class BankIndex(IntEnum):
     SX = 34  # counts, friction at rest beyond S0
     TX = 35  # DAC units, friction torque at rest beyond TC
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
+    TP = 37  # DAC units per count, load that changes along the travel
 
 
 @dataclass(frozen=True)
@@ -272,6 +273,7 @@ class LawParameters:
     SX: float = 0.0
     TX: float = 0.0
     SS: float = 0.0
+    TP: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
@@ -355,7 +357,7 @@ class LawParameters:
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        torque = ("TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX")
+        torque = ("TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX", "TP")
         names = ("A0", "V0", "S0", "J0", "SX", *torque)
         return all(getattr(self, name) == 0.0 for name in names)
 
@@ -414,7 +416,7 @@ def evaluate(
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
-    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + cogging
+    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + p.TP * r + cogging
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)

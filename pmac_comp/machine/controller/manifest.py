@@ -1,7 +1,7 @@
 """The upload manifest and the lease in P-variables, and the pure function that judges them.
 
 What lives here: what stands on the controller about an upload, and what it means. What may not:
-doing anything about it (``upload``). Offsets of the block: 70-79 manifest, 80-81 lease, 82-84
+doing anything about it (``upload``). Offsets of the block: 70-77 manifest, 78-79 lease, 80-82
 written by the guard PLC.
 """
 
@@ -15,7 +15,8 @@ from pmac_comp.base.errors import ControllerState
 from pmac_comp.machine.controller.law_bank import Index, LawBlock
 
 MAGIC: Final = 505143
-MANIFEST_SIZE: Final = 10
+MANIFEST_SIZE: Final = 8
+_PART: Final = 22  # bits of both checksums in one variable: seven digits
 CLOCK_PER_s: Final = 1024.0  # D:$17 counts 1/1024 s (Reference Manual p. 495)
 
 
@@ -53,35 +54,33 @@ class Manifest:
     enabled_old: int
 
     def values(self) -> tuple[int, ...]:
-        """The ten values of the manifest; the last is a checksum of the others but the state."""
+        """The eight values of the manifest; the last is a checksum of the others but the state."""
+        both = self.crc_old << 32 | self.crc_new
         body = (
             MAGIC,
             int(self.state),
             self.transaction,
-            self.n_entries,
-            self.crc_old >> 16,
-            self.crc_old & 0xFFFF,
-            self.crc_new >> 16,
-            self.crc_new & 0xFFFF,
-            self.enabled_old,
+            2 * self.n_entries + self.enabled_old,
+            *(both >> shift & (1 << _PART) - 1 for shift in (2 * _PART, _PART, 0)),
         )
         return (*body, _checksum(body))
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> "Manifest | None":
-        """Manifest of ten values; None if there is none or it was torn."""
+        """Manifest of eight values; None if there is none or it was torn."""
         whole = [int(v) if v == int(v) else -1 for v in values]
-        if len(whole) != MANIFEST_SIZE or whole[0] != MAGIC or whole[9] != _checksum(whole):
+        if len(whole) != MANIFEST_SIZE or whole[0] != MAGIC or whole[7] != _checksum(whole):
             return None
         if whole[1] not in {1, 2}:
             return None
+        both = whole[4] << 2 * _PART | whole[5] << _PART | whole[6]
         return cls(
             state=ManifestState(whole[1]),
             transaction=whole[2],
-            n_entries=whole[3],
-            crc_old=whole[4] << 16 | whole[5],
-            crc_new=whole[6] << 16 | whole[7],
-            enabled_old=whole[8],
+            n_entries=whole[3] >> 1,
+            crc_old=both >> 32,
+            crc_new=both & 0xFFFFFFFF,
+            enabled_old=whole[3] & 1,
         )
 
     def lines(self, block: LawBlock) -> list[str]:
@@ -99,7 +98,7 @@ def clear_lines(block: LawBlock) -> list[str]:
 
 def _checksum(body: Sequence[int]) -> int:
     # The state is left out: sealing then is one single write.
-    text = " ".join(str(v) for k, v in enumerate(body[:9]) if k != 1)
+    text = " ".join(str(v) for k, v in enumerate(body[:7]) if k != 1)
     return zlib.crc32(text.encode()) & 0xFFFF
 
 

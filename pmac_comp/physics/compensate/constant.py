@@ -1,4 +1,4 @@
-"""Constant torque that a drive needs in both directions alike, found in captures.
+"""Torque that a drive needs in both directions alike, constant or by place, found in captures.
 
 What lives here: the regression that parts it from friction. What may not: the model's fit,
 controllers.
@@ -6,7 +6,8 @@ controllers.
 A slanted axis, a counterweight or a cable asks for torque that friction does not. At rest the two
 look the same, and a law that takes all that the output holds for friction begins the next motion
 with friction on the wrong side. Under way they part: friction turns with the direction, a constant
-load does not. So the mean of both directions is what the load needs, whatever the friction is.
+load does not. So the mean of both directions is what the load needs, whatever the friction is. What
+rises along the travel is a spring: a gas spring, a cable chain, a cover.
 """
 
 from collections.abc import Sequence
@@ -19,14 +20,16 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw
 
-TWO_STD = "torque_constant_two_std_Nm"  # of a law's provenance, where captures added a constant
-BY_PLACE = "torque_by_place"  # of a law's provenance, where captures show what it has no term for
-_NAME = "torque_constant_Nm"
+LOAD = "load"  # of a law's provenance, where captures show one
+BY_PLACE = "torque_by_place"  # the same where it rises along the travel
+CONSTANT = "torque_constant_Nm"
+PLACE = "torque_place_Nm_per_m"
 _CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
 _LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
 _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
 _LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
-_SAID_FRAC = 0.1  # of the friction torque: what a load that differs by place has at the runs' ends
+_PLACE_FRAC = 0.05  # of the friction torque: what a load by place has at the runs' ends
+_PLACE_SURE = 1.5  # times two standard deviations
 _PLACE = 4  # its column
 
 
@@ -34,7 +37,8 @@ _PLACE = 4  # its column
 class ConstantTorque:
     """Torque in N m that a model lacks in both directions, and two standard deviations of it.
 
-    That of the middle of the runs, and how it rises along them: in N m per m, from end to end in m.
+    That of the middle of the runs in m, and how it rises along them: in N m per m, from end to end
+    in m.
     """
 
     torque_Nm: float
@@ -42,12 +46,23 @@ class ConstantTorque:
     slope_Nm_per_m: float = 0.0
     slope_two_std_Nm_per_m: float = 0.0
     reach_m: float = 0.0
+    middle_m: float = 0.0
+
+    @property
+    def rises(self) -> bool:
+        """Whether it is known to change along the runs."""
+        return abs(self.slope_Nm_per_m) > _PLACE_SURE * self.slope_two_std_Nm_per_m
+
+    def at(self, place_m: float) -> float:
+        """Torque in N m at a place of the table in m."""
+        rise = self.slope_Nm_per_m if self.rises else 0.0
+        return self.torque_Nm + rise * (place_m - self.middle_m)
 
 
 def with_constant_torque(
     law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture]
 ) -> CompensationLaw:
-    """Law that also sends the constant torque that captures show beyond the model.
+    """Law that also sends the load that captures show beyond the model, constant and by place.
 
     The law stays as it is where the torque is not known to be there, or is nothing beside friction;
     the change is kept as ``trim``: it is not the model's word.
@@ -62,26 +77,42 @@ def with_constant_torque(
         Runs without compensation, with torque.
     """
     found = constant_torque(loop, captures)
-    law = _noted_by_place(law, found)
-    least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
-    if found is None or abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
+    if found is None:
         return law
-    trim = {**law.provenance.get("trim", {}), _NAME: found.torque_Nm}
+    law = _with_load_by_place(law, found)
+    least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
+    if abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
+        return law
+    law = with_load(law, constant_Nm=found.torque_Nm)
+    noted = {"torque_Nm": found.torque_Nm, "two_std_Nm": found.two_std_Nm}
+    return replace(law, provenance={**law.provenance, LOAD: noted})
+
+
+def with_load(
+    law: CompensationLaw, *, constant_Nm: float = 0.0, slope_Nm_per_m: float = 0.0
+) -> CompensationLaw:
+    """Law that sends more, constant and along the travel; kept as ``trim``."""
+    trim = dict(law.provenance.get("trim", {}))
+    for name, more in ((CONSTANT, constant_Nm), (PLACE, slope_Nm_per_m)):
+        if more != 0.0:
+            trim[name] = trim.get(name, 0.0) + more
     return replace(
         law,
-        torque_constant_Nm=law.torque_constant_Nm + found.torque_Nm,
-        provenance={**law.provenance, "trim": trim, TWO_STD: found.two_std_Nm},
+        torque_constant_Nm=law.torque_constant_Nm + constant_Nm,
+        torque_place_Nm_per_m=law.torque_place_Nm_per_m + slope_Nm_per_m,
+        provenance={**law.provenance, "trim": trim},
     )
 
 
-def _noted_by_place(law: CompensationLaw, found: ConstantTorque | None) -> CompensationLaw:
-    """Law that knows of a load that differs by place, for which its torque has no term."""
-    if found is None or abs(found.slope_Nm_per_m) <= found.slope_two_std_Nm_per_m:
+def _with_load_by_place(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw:
+    """Law that sends what rises along the runs, none of it at their middle."""
+    at_end_Nm = 0.5 * found.reach_m * abs(found.slope_Nm_per_m)
+    if not found.rises or at_end_Nm < _PLACE_FRAC * law.torque_coulomb_Nm:
         return law
-    if 0.5 * found.reach_m * abs(found.slope_Nm_per_m) < _SAID_FRAC * law.torque_coulomb_Nm:
-        return law
+    slope = found.slope_Nm_per_m
+    law = with_load(law, constant_Nm=slope * (law.origin_m - found.middle_m), slope_Nm_per_m=slope)
     noted = {
-        "slope_Nm_per_m": found.slope_Nm_per_m,
+        "slope_Nm_per_m": slope,
         "two_std_Nm_per_m": found.slope_two_std_Nm_per_m,
         "reach_m": found.reach_m,
     }
@@ -116,7 +147,8 @@ def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTo
     if n_stretches < _LEAST_STRETCHES or np.ptp(columns[:, 1]) == 0.0:
         return None
     reach_m = float(np.ptp(columns[:, _PLACE]))
-    columns[:, _PLACE] -= columns[:, _PLACE].mean()
+    middle_m = float(columns[:, _PLACE].mean())
+    columns[:, _PLACE] -= middle_m
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
     columns /= size
     found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
@@ -126,7 +158,7 @@ def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTo
         return None
     rise, rise_two_std = _of_column(columns, _PLACE, rest_Nm, left_Nm, begins) or (0.0, 0.0)
     unit_m = float(size[_PLACE])
-    return ConstantTorque(*constant, rise / unit_m, rise_two_std / unit_m, reach_m)
+    return ConstantTorque(*constant, rise / unit_m, rise_two_std / unit_m, reach_m, middle_m)
 
 
 def _of_column(

@@ -36,8 +36,11 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
+# What goes by the place of the table alone. A cable pulls on the screw as a lead error does, and
+# tables take that; its torque the law has from the captures.
 STATIC_EFFECTS = frozenset(
     {
+        "cable_drag",
         "lead_linear",
         "lead_cyclic",
         "thermal_growth",
@@ -204,7 +207,7 @@ class Stribeck:
 
 
 def without_static(model: "DriveModel") -> "DriveModel":
-    """The model without its static errors, which the lead table takes away, not the law."""
+    """The model without what goes by place, which the lead table takes away, not the law."""
     from pmac_comp.physics.model.effect import split_name
 
     for name in model.effects:

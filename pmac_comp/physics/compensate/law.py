@@ -19,7 +19,7 @@ the distance from the law's origin::
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK j + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t + T0
+    torque = TJ a + TK j + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t + T0 + TP x
              + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
@@ -117,6 +117,8 @@ class CompensationLaw:
         TJ, TK, TB.
     torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_constant_Nm : float
         TC, TE, T0.
+    torque_place_Nm_per_m : float
+        TP, load that changes along the travel: a spring, a cable.
     rest_fade_per_s : float
         RF, how fast the friction torque fades over the first 100 servo cycles of a rest.
     turn_m : float
@@ -163,6 +165,7 @@ class CompensationLaw:
     torque_coulomb_Nm: float = 0.0
     torque_load_Nm_s2_per_m: float = 0.0
     torque_constant_Nm: float = 0.0
+    torque_place_Nm_per_m: float = 0.0
     torque_breakaway_m: float = 10e-6
     rest_fade_per_s: float = REST_FADE_per_s
     turn_m: float = 10e-3
@@ -266,6 +269,7 @@ TORQUE_NAMES = (
     "torque_coulomb_Nm",
     "torque_load_Nm_s2_per_m",
     "torque_constant_Nm",
+    "torque_place_Nm_per_m",
     "turn_friction_Nm",
     "ripple_Nm",
     "gap_torque_Nm",
@@ -463,9 +467,9 @@ def _evaluate(
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
-    torque_constant, torque_breakaway, rest_fade = p[12:15]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[22:30]
-    bed_share, torque_bed, origin = p[30], p[33], p[34]
+    torque_constant, torque_place, torque_breakaway, rest_fade = p[12:16]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[23:31]
+    bed_share, torque_bed, origin = p[31], p[34], p[35]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
@@ -493,14 +497,14 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging = _by_turn(p[15:22], r[k] + lookahead * v)
+        wave, cogging = _by_turn(p[16:23], r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * j + torque_viscous * v
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
-        sent += level * t + torque_constant + wound + cogging
+        sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(p[30:33], a, bed_speed, bed, period)
+            swing, bed_speed, bed = _swung(p[31:34], a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s

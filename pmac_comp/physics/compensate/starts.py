@@ -30,14 +30,18 @@ def with_starts(model: "DriveModel", captures: Sequence[Capture]) -> list[Captur
     Parameters
     ----------
     model : DriveModel
-        Its control law tells what of the torque the integrator holds; a constant load, its own or
-        one that it lacks, is no friction.
+        Its control law tells what of the torque the integrator holds; a load, constant or by place,
+        its own or one that it lacks, is no friction.
     captures : sequence of Capture
         Runs without compensation.
     """
-    constant = constant_torque(model_loop(model), captures)
-    whole_Nm = load_torque_Nm(model) + (0.0 if constant is None else constant.torque_Nm)
-    return [c.with_attributes(**{_RESTING: _held_Nm(model.bench, c, whole_Nm)}) for c in captures]
+    own_Nm, beyond = load_torque_Nm(model), constant_torque(model_loop(model), captures)
+    starts = [c.commanded_position_m[0] for c in captures]
+    loads = [own_Nm + (0.0 if beyond is None else beyond.at(start)) for start in starts]
+    return [
+        c.with_attributes(**{_RESTING: _held_Nm(model.bench, c, load_Nm)})
+        for c, load_Nm in zip(captures, loads, strict=True)
+    ]
 
 
 def _held_Nm(bench: Bench, capture: Capture, constant_Nm: float) -> float:

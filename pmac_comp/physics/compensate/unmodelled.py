@@ -143,7 +143,8 @@ def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadM
     """What is left of the mechanical and the total error of a run."""
     r, period = capture.commanded_position_m, capture.sample_period_s
     per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
-    added_Nm = gripping_torque(law, capture) - per_turn
+    load_Nm = law.torque_place_Nm_per_m * (r - r[0])  # at the start the integrator holds it
+    added_Nm = gripping_torque(law, capture) - per_turn - load_Nm
     signals = loop(r, None, added_Nm, held_at_start_Nm(capture))
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)

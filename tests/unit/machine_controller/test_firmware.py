@@ -57,7 +57,7 @@ def test_each_file_lists_back_token_by_token(tmp_path: Path, name: str) -> None:
 def test_a_changed_token_is_found(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     guard = source("comp_guard.plc").program
-    other = programs.Program(guard.kind, guard.number, (*guard.lines[:-1], "P7083=3", "ENDIF"))
+    other = programs.Program(guard.kind, guard.number, (*guard.lines[:-1], "P7081=3", "ENDIF"))
     programs.download(bench.link, other)
     assert not programs.is_present(bench.link, guard)
 
@@ -75,16 +75,16 @@ def test_guard_switches_tables_off_while_the_manifest_says_writing(tmp_path: Pat
     programs.download_source(bench.link, source("comp_guard.plc"))
     bench.link.command("ENABLE PLC 1")
     bench.clock.sleep_s(0.1)
-    scans = bench.p(7082)
+    scans = bench.p(7080)
     assert scans > 0
     bench.link.command("P7071=1")
     bench.link.command("I51=1")
-    before = bench.p(7082)
+    before = bench.p(7080)
     while bench.i51:
         bench.card.run_cycles(1)
-    assert bench.p(7082) - before <= 5
-    assert bench.p(7083) == 1
-    assert bench.p(7084) == 1
+    assert bench.p(7080) - before <= 5
+    assert bench.p(7081) == 1
+    assert bench.p(7082) == 1
 
 
 def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
@@ -92,18 +92,18 @@ def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
     programs.download_source(bench.link, source("bench_setup.pmc"))
     programs.download_source(bench.link, source("comp_guard.plc"))
     end = lease.read_clock(bench.link) + 300
-    bench.link.write_buffer(["ENABLE PLC 1", f"P7081={end}", "P7080=5"])
+    bench.link.write_buffer(["ENABLE PLC 1", f"P7079={end}", "P7078=5"])
     bench.clock.sleep_s(0.2)
-    assert bench.p(7083) == 0
+    assert bench.p(7081) == 0
     bench.clock.sleep_s(0.15)
-    assert bench.p(7083) == 2
+    assert bench.p(7081) == 2
 
 
 LAW = LawParameters(
     A0=11.3, V0=0.0087, S0=0.93, RF=0.004, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
-    BS=1.4, BD=0.003, BO=0.004, BT=45.0, SX=0.8, TX=150.0, SS=0.13,
+    BS=1.4, BD=0.003, BO=0.004, BT=45.0, SX=0.8, TX=150.0, SS=0.13, TP=0.02,
 )  # fmt: skip
 
 
@@ -307,7 +307,7 @@ def test_motions_and_homing_share_no_variable_with_the_law() -> None:
     assert not moving & law
     kept = {block.bank(bank, k) for bank in (0, 1) for k in range(last + 1)}
     assert len(kept) == 2 * (last + 1)  # no two values of the banks in one place
-    written = {7000 + n for n in (*range(70, 86), *range(10))}
+    written = {7000 + n for n in (*range(70, 84), *range(10))}
     assert not kept & written  # manifest, lease and head
 
 

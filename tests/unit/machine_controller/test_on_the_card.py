@@ -251,7 +251,7 @@ def test_long_restore_renews_its_lease(tmp_path: Path, monkeypatch: pytest.Monke
     bench.link.write_buffer([f"P{n}=1" for n in range(110, 2000)])
     monkeypatch.setattr(transaction, "LEASE_s", 0.05)
     ends: list[float] = []
-    bench.on_request = lambda _n: ends.append(bench.p(7081)) if bench.p(7080) else None
+    bench.on_request = lambda _n: ends.append(bench.p(7079)) if bench.p(7078) else None
     restore.restore(bench.link, bench.context, stored)
     # Taken once for the settings and once for the tables; all others are renewals.
     assert len(set(ends)) > 5
@@ -311,6 +311,6 @@ def test_f29_restore_that_is_cut_comes_back_to_what_stood(tmp_path: Path, share:
 def _changing(bench: CardBench, stored: backup.Backup) -> tuple[int, int]:
     """Numbers of the first and last request of a restore while its lease is held."""
     held: list[int] = []
-    bench.on_request = lambda n: held.append(n) if bench.p(7080) else None
+    bench.on_request = lambda n: held.append(n) if bench.p(7078) else None
     restore.restore(bench.link, bench.context, stored)
     return held[0], held[-1]

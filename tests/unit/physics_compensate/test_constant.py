@@ -7,7 +7,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import (
     BY_PLACE,
-    TWO_STD,
+    LOAD,
     constant_torque,
     with_constant_torque,
 )
@@ -57,20 +57,25 @@ def test_load_is_found_whatever_friction_the_model_has(force_N: float) -> None:
     assert found.two_std_Nm < 0.1 * abs(found.torque_Nm)
     law = with_constant_torque(LAW, model_loop(MODEL), runs)
     assert law.torque_constant_Nm == found.torque_Nm
-    assert law.provenance[TWO_STD] == found.two_std_Nm
+    noted = {"torque_Nm": found.torque_Nm, "two_std_Nm": found.two_std_Nm}
+    assert law.provenance[LOAD] == noted
     # The model promises for what it holds itself.
     assert model_law(law).torque_constant_Nm == pytest.approx(LAW.torque_constant_Nm)
 
 
-def test_load_that_differs_by_place_is_noted_and_its_middle_sent() -> None:
+def test_load_that_differs_by_place_is_sent_from_where_it_pulls_nowhere() -> None:
     runs = captures(
-        {"cable_drag": {"stiffness_N_per_m": 1500.0, "centre_mm": 0.0}}, there_only=False
+        {"cable_drag": {"stiffness_N_per_m": 1500.0, "centre_mm": -200.0}}, there_only=False
     )
     law = with_constant_torque(LAW, model_loop(MODEL), runs)
     noted = law.provenance[BY_PLACE]
     assert noted["slope_Nm_per_m"] == pytest.approx(1500.0 * BENCH.lead_m_per_rad, rel=0.1)
     assert noted["two_std_Nm_per_m"] < 0.3 * noted["slope_Nm_per_m"]
     assert noted["reach_m"] == pytest.approx(0.1, abs=2e-3)
+    slope = law.torque_place_Nm_per_m
+    assert slope == noted["slope_Nm_per_m"]
+    assert law.origin_m - law.torque_constant_Nm / slope == pytest.approx(-0.2, abs=0.03)
+    assert model_law(law) == law.with_values(torque_constant_Nm=0.0, torque_place_Nm_per_m=0.0)
 
 
 def test_load_that_the_model_holds_is_not_sent_twice() -> None:

@@ -39,6 +39,7 @@ LAW = CompensationLaw(
     ripple_order=20.0,
     ripple_phase_rad=-1.0,
     torque_constant_Nm=0.01,
+    torque_place_Nm_per_m=0.3,
     stribeck_m=0.7e-6,
     torque_stribeck_Nm=0.15,
     stribeck_speed_m_per_s=0.012,

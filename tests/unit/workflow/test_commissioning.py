@@ -89,7 +89,7 @@ def settings_of(axis: Axis) -> dict[str, list[str]]:
     found = {kind: [x for line in lines for x in axis.link.query(line)]
              for kind, lines in asked.items()}  # fmt: skip
     # The lease and the number of the last change are ours to write.
-    found["P"] = [v for k, v in enumerate(found["P"]) if k not in range(80, 90)]
+    found["P"] = [v for k, v in enumerate(found["P"]) if k not in range(78, 84)]
     found["I"] = [v for k, v in enumerate(found["I"]) if k not in TIMERS]
     found["PLC"] = [*axis.link.query("LIST PLC 0"), *axis.link.query("LIST PLC 1")]
     return found

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.constant import BY_PLACE, TWO_STD
+from pmac_comp.physics.compensate.constant import BY_PLACE, LOAD
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -70,15 +70,15 @@ def test_law_of_a_nut_without_preload_follows_its_soft_zone() -> None:
 
 def test_load_that_only_the_runs_know_is_said_with_its_force() -> None:
     assert constant_remarks(BENCH, CompensationLaw(torque_constant_Nm=0.1)) == []
-    noted = {"trim": {"torque_constant_Nm": 0.0955}, TWO_STD: 0.0004}
+    noted = {LOAD: {"torque_Nm": 0.0955, "two_std_Nm": 0.0004}}
     (said,) = constant_remarks(BENCH, CompensationLaw(provenance=noted))
     assert "+0.096 +- 0.0004 N m" in said
     assert "+60 N" in said
 
 
-def test_a_torque_that_changes_along_the_travel_is_said_to_be_in_no_law():
+def test_a_torque_that_changes_along_the_travel_is_said():
     noted = {BY_PLACE: {"slope_Nm_per_m": 0.6, "two_std_Nm_per_m": 0.05, "reach_m": 0.4}}
     (said,) = constant_remarks(BENCH, CompensationLaw(provenance=noted))
     assert "+0.24 +- 0.02 N m along the 400 mm" in said
     assert "(+377 N per m at the table)" in said
-    assert "no term" in said
+    assert "The law sends it" in said
