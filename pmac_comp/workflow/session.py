@@ -1,7 +1,9 @@
 """Connections for the workflow: one URL, one axis; ``sim://`` opens a card in this process."""
 
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 from pmac_comp.base.clock import Clock
 from pmac_comp.base.errors import PmacCompError
@@ -29,9 +31,13 @@ def open_link(url: str, bench: Bench, *, clock: Clock | None = None) -> Iterator
 def open_axis(url: str, bench: str | Bench, *, clock: Clock | None = None) -> Iterator[Axis]:
     """Axis of a bench behind a URL; the identity of the controller is checked first."""
     loaded = bench if isinstance(bench, Bench) else load_bench(bench)
-    with open_link(url, loaded, clock=clock) as link:
+    with ExitStack() as stack:
+        link = stack.enter_context(open_link(url, loaded, clock=clock))
         identity = read_identity(link)
         axis = Axis(link, loaded, identity.fingerprint, is_simulated(link))
+        if parse_url(url).scheme == "sim":
+            # What a run borrows ends with the card, and cards of other processes have its name.
+            axis.setup.store = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         try:
             yield axis
         except (PmacCompError, KeyboardInterrupt) as error:

@@ -260,6 +260,6 @@ def _sent_text(was_um: float, now_um: float) -> str:
         f"the motor's own stops from both sides are {now_um:.2f} um apart, {was_um:.2f} before: "
         "the torque that the law holds at rest and begins the next motion with is not what this "
         "axis needs there. A load that has changed since the calibration runs is held by a law of "
-        "new ones; one that differs by place in any other way than a spring has no term in its torque "
-        "(`pmac-comp diagnose` tells which it is)"
+        "new ones; one that differs by place in any other way than a spring has no term in its "
+        "torque (`pmac-comp diagnose` tells which it is)"
     )

@@ -62,7 +62,7 @@ class Desk:
 
     def capture(self) -> None:
         plan = CapturePlan(BENCH, (parse_motion(MOTION, BENCH),))
-        capture_to_folder("sim://", "paper", plan, self.out)
+        capture_to_folder("tcp://card", "paper", plan, self.out)
 
     def state(self) -> tuple[Backup, bool]:
         """All that stands on the card but our own block, and whether motor 1 holds."""

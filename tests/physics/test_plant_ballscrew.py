@@ -388,6 +388,15 @@ def test_every_effect_changes_the_drive_and_stays_finite(name):
     assert changed > 0.0
 
 
+@pytest.mark.parametrize("name", [n for n, effect in PLANT_EFFECTS.items() if effect.places])
+def test_every_place_of_an_effect_is_another_drive(name):
+    given = {"excess_Nm": 0.1} if name == "stribeck" else {}
+    tables = [run_with({})["table_position_m"]]
+    for place in PLANT_EFFECTS[name].places:
+        tables.append(run_with({name: {**given, "place": place}})["table_position_m"])
+        assert all(np.max(np.abs(tables[-1] - other)) > 1e-9 for other in tables[:-1])
+
+
 def test_unknown_effects_and_parameters_are_refused():
     for effects in (
         {"nonsense": {}},

@@ -89,8 +89,9 @@ def axis_on(bench: Bench, plant: Any, *, servo: bool) -> Iterator[tuple[Axis, Tr
     source = default_servo().read_text(encoding="utf-8") if servo else None
     card = Card(bench, plant=plant, servo_source=source)
     recorder = TruthRecorder(card)
-    with embedded(card) as link:
+    with embedded(card) as link, tempfile.TemporaryDirectory() as folder:
         axis = Axis(link, bench, read_identity(link).fingerprint, simulated=True)
+        axis.setup.store = Path(folder)  # another table may run beside this one
         axis.enable()
         yield axis, recorder
 

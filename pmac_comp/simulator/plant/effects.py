@@ -47,7 +47,6 @@ def _stribeck(par: FloatArray, values: Values) -> None:
 def _stribeck_motor(par: FloatArray, values: Values) -> None:
     par[k.P_STRIBECK_MOTOR] = values["excess_Nm"]
     par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
-    par[k.P_STRIBECK_SPEED] = values["speed_m_per_s"]
 
 
 def _presliding_at(place: str) -> Callable[[FloatArray, Values], None]:
@@ -172,7 +171,9 @@ _WAVE_NM = {"amplitude_Nm": 0.03, "order_per_rev": 1.0, "phase_rad": 0.0}
 _WAVE_UM = {"amplitude_um": 1.0, "order_per_rev": 1.0, "phase_rad": 0.0}
 
 PLANT_EFFECTS: Mapping[str, PlantEffect] = {
-    "stribeck": PlantEffect({"excess_N": 0.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005}, _stribeck),
+    "stribeck": PlantEffect(
+        {"excess_N": 0.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005}, _stribeck, ("guide", "motor")
+    ),
     "presliding": PlantEffect(
         {"distance_um": 10.0, "elements": 0.0, "damping_ratio": 0.05},
         _presliding_at("guide"),
