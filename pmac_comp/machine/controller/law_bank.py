@@ -21,8 +21,9 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
             (``manifest`` and ``lease`` have the meaning)
     84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
-              form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place) and
-              140..149 (copy of the bank's rest), the open servo 117..129 (127..129 bed)
+              form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
+              134..149 (jerk, look-ahead, copy of the bank's rest), the open servo 115..129 (115
+              and 116 jerk, 127..129 bed)
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law
 
@@ -47,7 +48,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK j + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
+    q = TJ a + TK j + TI (j' - j") + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
         + TP r + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
@@ -72,7 +73,7 @@ from pmac_comp.machine.controller.numbers import nine_digits
 
 SIGNATURE_PLC: Final = 20261
 SIGNATURE_SERVO: Final = 20262
-SEAL: Final = 20261
+SEAL: Final = 1 << 28  # a seal is a checksum with this bit: nine digits, never by chance
 BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands elsewhere
 REST_SIZE: Final = 8
 BLOCK_SIZE: Final = 200
@@ -82,9 +83,8 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 _LAYOUT: Final = 6  # of a bank: the checksum begins with it, so that another layout's does not fit
-_CRC_MASK: Final = (1 << 29) - 1  # nine digits survive the way to a P-variable and back
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
-_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TE", "BS")  # nothing without a jerk limit
+_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS")  # nothing without a jerk limit
 
 
 class Index(IntEnum):
@@ -162,8 +162,8 @@ class BankIndex(IntEnum):
     PH = 25  # degrees
     GH = 26  # counts, half the clearance of the nut; with it S0 and GW are positive
     NR = 27  # degrees per count, of TR
-    SEALED = 28  # 20261 once the bank was read back
-    CRC = 29
+    SEALED = 28  # the checksum of the others, once the bank was read back
+    TI = 29  # DAC units per (count/SC^3), against the ringing that steps of the jerk excite
     BS = 30  # counts per (count/SC^2), A0 times the bed's share; 0: no bed that swings
     BD = 31  # 1/pass, damping of the bed
     BO = 32  # 1/pass^2, stiffness of the bed
@@ -223,11 +223,11 @@ class LawBlock:
         return f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}"
 
 
-def bank_crc(values: Sequence[float]) -> int:
-    """Low 29 bits, nine digits, of the CRC-32 of a bank's coefficients in nine-digit text."""
-    law = (*values[: BankIndex.SEALED], *values[BANK_SIZE:])
+def bank_seal(values: Sequence[float]) -> int:
+    """Seal of a bank: the low 28 bits of the CRC-32 of its coefficients in nine-digit text."""
+    law = (*values[: BankIndex.SEALED], *values[BankIndex.SEALED + 1 :])
     text = " ".join(nine_digits(value) for value in law)
-    return zlib.crc32(text.encode("ascii"), _LAYOUT) & _CRC_MASK
+    return zlib.crc32(text.encode("ascii"), _LAYOUT) & (SEAL - 1) | SEAL
 
 
 @dataclass(frozen=True)
@@ -254,6 +254,7 @@ class LawParameters:
     TE: float = 0.0
     T_LIMIT: float = 0.0
     TK: float = 0.0
+    TI: float = 0.0
     TR: float = 0.0
     NR: float = 0.0
     PR: float = 0.0
@@ -307,13 +308,12 @@ class LawParameters:
             )
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
-        """All values of a bank, with seal and checksum unless ``sealed`` is False."""
+        """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * (BANK_SIZE + REST_SIZE)
         for item in fields(self):
             bank[BankIndex[item.name]] = getattr(self, item.name)
         if sealed:
-            crc = bank_crc(bank)
-            bank[BankIndex.SEALED], bank[BankIndex.CRC] = SEAL, crc
+            bank[BankIndex.SEALED] = bank_seal(bank)
         return tuple(bank)
 
     @classmethod
@@ -325,9 +325,9 @@ class LawParameters:
         VerifyMismatch
             The bank is not sealed or its checksum does not fit.
         """
-        if len(values) != BANK_SIZE + REST_SIZE or values[BankIndex.SEALED] != SEAL:
+        if len(values) != BANK_SIZE + REST_SIZE or values[BankIndex.SEALED] < SEAL:
             raise VerifyMismatch("The bank is not sealed.", code="PC-LAW-010")
-        if int(values[BankIndex.CRC]) != bank_crc(values):
+        if int(values[BankIndex.SEALED]) != bank_seal(values):
             raise VerifyMismatch(
                 "The checksum of the bank does not fit its values.",
                 code="PC-LAW-011",
@@ -352,12 +352,12 @@ class LawParameters:
     @property
     def digest(self) -> int:
         """Checksum that the sealed bank carries."""
-        return bank_crc(self.values(sealed=False))
+        return bank_seal(self.values(sealed=False))
 
     @property
     def is_null(self) -> bool:
         """Whether the law corrects nothing."""
-        torque = ("TJ", "TK", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX", "TP")
+        torque = ("TJ", "TK", "TI", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX", "TP")
         names = ("A0", "V0", "S0", "J0", "SX", *torque)
         return all(getattr(self, name) == 0.0 for name in names)
 
@@ -416,7 +416,9 @@ def evaluate(
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
-    q = p.TJ * a + p.TK * j + p.TB * v + level * t + p.T0 + p.TP * r + cogging
+    stepped = np.diff(j, prepend=0.0)
+    kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
+    q = p.TJ * a + p.TK * j + kick + p.TB * v + level * t + p.T0 + p.TP * r + cogging
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)

@@ -91,6 +91,7 @@ _OFFSET_SCALES = {
 _TORQUE_SCALES = {
     "torque_inertia_Nm_s2_per_m": 0.02,
     "torque_jerk_Nm_s3_per_m": 5e-4,
+    "torque_impulse_Nm_s3_per_m": 1e-3,
     "torque_viscous_Nm_s_per_m": 0.2,
     "torque_coulomb_Nm": 0.2,
     "torque_load_Nm_s2_per_m": 0.02,

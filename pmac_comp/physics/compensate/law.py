@@ -19,8 +19,8 @@ the distance from the law's origin::
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK j + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t + T0 + TP x
-             + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
+    torque = TJ a + TK j + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
+             + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
@@ -33,6 +33,11 @@ instead. The extrapolation is Newton's by backward differences, exact for consta
 ends is not taken for one that turns, and at rest the place expected is the place, so what was
 foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
 which motions with limited jerk never meet.
+
+A step of the jerk, which no command foretells, meets the drive late by L and rings its first mode.
+An impulse of torque one pass after it takes a part of that away: j1 and j2 are the jerk one and two
+passes ago, TI is fitted in the loop. In simulation it takes 0.4 off e_r of moves on the paper's
+bench, and as much where the current loop is late.
 
 Over the first 100 cycles of a rest ``t`` fades, to 0.37 where nothing else is known. All of it is
 just what breaks the motor loose: with what the integrator holds beside it, and where counts of the
@@ -115,6 +120,8 @@ class CompensationLaw:
         L, from the pass of the law to the shaft: latency, dead time and current loop.
     torque_inertia_Nm_s2_per_m, torque_jerk_Nm_s3_per_m, torque_viscous_Nm_s_per_m : float
         TJ, TK, TB.
+    torque_impulse_Nm_s3_per_m : float
+        TI.
     torque_coulomb_Nm, torque_load_Nm_s2_per_m, torque_constant_Nm : float
         TC, TE, T0.
     torque_place_Nm_per_m : float
@@ -161,6 +168,7 @@ class CompensationLaw:
     lookahead_s: float = 0.0
     torque_inertia_Nm_s2_per_m: float = 0.0
     torque_jerk_Nm_s3_per_m: float = 0.0
+    torque_impulse_Nm_s3_per_m: float = 0.0
     torque_viscous_Nm_s_per_m: float = 0.0
     torque_coulomb_Nm: float = 0.0
     torque_load_Nm_s2_per_m: float = 0.0
@@ -265,6 +273,7 @@ class CompensationLaw:
 TORQUE_NAMES = (
     "torque_inertia_Nm_s2_per_m",
     "torque_jerk_Nm_s3_per_m",
+    "torque_impulse_Nm_s3_per_m",
     "torque_viscous_Nm_s_per_m",
     "torque_coulomb_Nm",
     "torque_load_Nm_s2_per_m",
@@ -466,13 +475,13 @@ def _evaluate(
     p: FloatArray, r: FloatArray, output: FloatArray, period: float, limit: float, every: float
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
-    torque_inertia, torque_jerk, torque_viscous, torque_coulomb, torque_load = p[7:12]
-    torque_constant, torque_place, torque_breakaway, rest_fade = p[12:16]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[23:31]
-    bed_share, torque_bed, origin = p[31], p[34], p[35]
+    torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
+    torque_constant, torque_place, torque_breakaway, rest_fade = p[13:17]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[24:32]
+    bed_share, torque_bed, origin = p[32], p[35], p[36]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
-    v = a = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
+    v = a = j = j1 = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     most, breaks = coulomb + stribeck, torque_coulomb + torque_stribeck
     most = most / inertia if inertia > 0.0 else math.inf
@@ -481,6 +490,7 @@ def _evaluate(
         v1, v = v, (r[k] - r[k - 1]) / period if k > 0 else 0.0
         place = r[k] + lookahead * (v + 0.5 * (lookahead + period) * (v - v1) / period)
         step, ahead = place - ahead, place
+        j2, j1 = j1, j
         j = min(max(((v - v1) / period - a) / period, -limit), limit)
         a += j * period
         if abs(v) * period < _STILL_m:
@@ -497,14 +507,14 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging = _by_turn(p[16:23], r[k] + lookahead * v)
-        sent = torque_inertia * a + torque_jerk * j + torque_viscous * v
+        wave, cogging = _by_turn(p[17:24], r[k] + lookahead * v)
+        sent = torque_inertia * a + torque_jerk * j + impulse * (j1 - j2) + torque_viscous * v
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(p[31:34], a, bed_speed, bed, period)
+            swing, bed_speed, bed = _swung(p[32:35], a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s

@@ -18,11 +18,10 @@ from pmac_comp.machine.controller.comp_table import (
     parse_header,
 )
 from pmac_comp.machine.controller.law_bank import (
-    SEAL,
     BankIndex,
     LawBlock,
     LawParameters,
-    bank_crc,
+    bank_seal,
 )
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, plan, read_tables
@@ -155,9 +154,7 @@ def test_terms_that_a_jerk_limit_of_zero_would_silence_are_refused(name: str) ->
 def test_sealed_bank_that_is_no_law_is_not_taken_for_one() -> None:
     values = list(LawParameters(A0=1.0, JL=1.0).values(sealed=False))
     values[BankIndex.JL] = 0.0
-    crc = bank_crc(values)
-    values[BankIndex.SEALED] = SEAL
-    values[BankIndex.CRC] = crc
+    values[BankIndex.SEALED] = bank_seal(values)
     with pytest.raises(VerifyMismatch, match="no law of this version"):
         LawParameters.from_values(values)
 
@@ -165,7 +162,7 @@ def test_sealed_bank_that_is_no_law_is_not_taken_for_one() -> None:
 def test_block_addresses() -> None:
     block = LawBlock(7000)
     assert block.bank(0) == 7010
-    assert block.bank(1, BankIndex.CRC) == 7069
+    assert block.bank(1, BankIndex.TI) == 7069
     with pytest.raises(ConfigError):
         LawBlock(8000)
     with pytest.raises(ConfigError):

@@ -29,6 +29,7 @@ LAW = CompensationLaw(
     gap_torque_Nm=-0.2,
     torque_inertia_Nm_s2_per_m=0.01,
     torque_jerk_Nm_s3_per_m=9e-4,
+    torque_impulse_Nm_s3_per_m=-2e-3,
     torque_viscous_Nm_s_per_m=0.1,
     torque_coulomb_Nm=0.5,
     torque_load_Nm_s2_per_m=0.005,
