@@ -131,7 +131,7 @@ def predict(
     torque held at rest, or the speed of a capture that was cut out of a motion. The answer has the
     columns of a capture at the times of the command; a command on another grid than the servo's is
     interpolated. Positions are those of motor and table before encoder and scale round them; zero
-    is the middle of a count.
+    is the middle of a count. An earlier prediction is replaced, a captured run is not.
     """
     from pmac_comp.workflow.identification import predict_files
 

@@ -156,8 +156,10 @@ def checked_target(path: Path) -> Path:
     Raises
     ------
     ConfigError
-        The folder cannot be made or the path is a folder.
+        The folder cannot be made, the path is a folder, or a file there holds a captured run.
     """
+    from pmac_comp.files.capture import holds_runs
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -171,6 +173,13 @@ def checked_target(path: Path) -> Path:
             f"{path} is a folder, a file name is needed.",
             code="PC-CLI-002",
             hint="Name the file to be written.",
+        )
+    if holds_runs(path):
+        raise ConfigError(
+            f"There is a capture {path} already; the run that it holds cannot be measured again.",
+            code="PC-CLI-015",
+            hint="Name another file for the result, or remove that one first. Nothing was "
+            "written over.",
         )
     return path
 

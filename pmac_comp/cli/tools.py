@@ -23,7 +23,7 @@ def convert(
     target: Annotated[Path, typer.Argument(help="Capture to write: .h5 .csv")],
     json_target: JsonOption = "",
 ) -> None:
-    """Convert a capture: HDF5, CSV or MAT to HDF5 or CSV."""
+    """Convert a capture: HDF5, CSV or MAT to HDF5 or CSV. An earlier capture is not replaced."""
     from pmac_comp.files.capture import read_capture, write_capture
 
     capture = read_capture(source)

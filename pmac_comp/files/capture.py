@@ -33,6 +33,7 @@ _COLUMNS: dict[str, tuple[str, str, float]] = {
 }
 _REQUIRED = ("time_s", "commanded_position_mm", "motor_position_mm")
 _VALID = "valid"
+PREDICTED = "predicted by a model, not measured"  # what such a capture says under ``source``
 
 
 @dataclass(frozen=True)
@@ -238,6 +239,25 @@ def write_capture(path: Path | str, capture: Capture) -> None:
             code="PC-CAP-007",
             hint="Free space or choose another folder; nothing was changed.",
         ) from error
+
+
+def holds_runs(path: Path) -> bool:
+    """Whether a file holds a run that no computation brings back: a capture that is no prediction.
+
+    A file that cannot be opened counts as one: it may be damaged, or open in another program.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in {".h5", ".hdf5", ".csv", ".mat"} or not path.is_file():
+        return False
+    if path.stat().st_size == 0:
+        return False
+    if suffix == ".mat":  # never written here
+        return True
+    try:
+        names, attributes = formats.headings(path)
+    except OSError:
+        return True
+    return names.issuperset(_REQUIRED) and attributes.get("source") != PREDICTED
 
 
 def file_digest(path: Path) -> str:

@@ -18,6 +18,7 @@ from pmac_comp.base.atomic import atomic_write_text, sync_folder
 from pmac_comp.base.errors import CaptureError
 
 MAX_SAMPLES = 200_000_000
+_LONGEST_LINE = 100_000  # of a heading; what the csv module takes ends a little above
 _OTHER_SEPARATORS = (";", "\t", " ")  # what spreadsheets of other countries write
 Attribute = str | float | int
 Columns = Mapping[str, FloatArray]
@@ -38,6 +39,24 @@ def read_hdf5(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
             hint="If the run was interrupted, `pmac-comp capture --recover` rebuilds it.",
         ) from error
     return columns, attributes
+
+
+def headings(path: Path) -> tuple[set[str], dict[str, Attribute]]:
+    """Names of the columns and attributes of an HDF5 or CSV file; its samples are not looked at."""
+    if path.suffix.lower() != ".csv":
+        return _hdf5_headings(path)
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
+        head: list[str] = []
+        while not head or head[-1].startswith("#"):
+            head.append(stream.readline(_LONGEST_LINE).rstrip("\n"))
+    return set(_csv_names(head[-1:])), _csv_attributes(head[:-1])
+
+
+def _hdf5_headings(path: Path) -> tuple[set[str], dict[str, Attribute]]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return set(file), {key: _attribute(value) for key, value in file.attrs.items()}
 
 
 def _dataset(file: Any, name: str) -> FloatArray:
@@ -96,12 +115,9 @@ def write_hdf5(
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
     """Columns of a CSV file, and attributes of its first lines (``# key = value``)."""
     lines = _text_lines(path)
-    attributes: dict[str, Attribute] = {}
-    while lines and lines[0].startswith("#"):
-        key, _, value = lines.pop(0)[1:].partition("=")
-        # A spreadsheet fills each line up to the width of the table.
-        attributes[key.strip()] = value.rstrip(",").strip()
-    names = [name.strip() for name in next(csv.reader(lines[:1]), [])]
+    n_told = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    attributes, lines = _csv_attributes(lines[:n_told]), lines[n_told:]
+    names = _csv_names(lines[:1])
     if not names or len(set(names)) != len(names):
         raise CaptureError(
             "the header line is missing or names a column twice.",
@@ -117,6 +133,16 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
         )
     rows = _number_rows(lines[1:], len(names))
     return {name: rows[:, i].copy() for i, name in enumerate(names)}, attributes
+
+
+def _csv_attributes(lines: list[str]) -> dict[str, Attribute]:
+    parts = [line[1:].partition("=") for line in lines]
+    # A spreadsheet fills each line up to the width of the table.
+    return {key.strip(): value.rstrip(",").strip() for key, _, value in parts}
+
+
+def _csv_names(lines: list[str]) -> list[str]:
+    return [name.strip() for name in next(csv.reader(lines), [])]
 
 
 def _text_lines(path: Path) -> list[str]:

@@ -12,7 +12,14 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError, NotIdentifiable
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, file_digest, read_capture, told_by, write_capture
+from pmac_comp.files.capture import (
+    PREDICTED,
+    Capture,
+    file_digest,
+    read_capture,
+    told_by,
+    write_capture,
+)
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.metrics import rms_um
@@ -247,7 +254,7 @@ def predict_files(
         table_position_m=None if loaded.scale is None else table,
         torque_command_Nm=grid.back(response.torque_command_Nm),
         attributes={
-            "source": "predicted by a model, not measured",
+            "source": PREDICTED,
             "model": model.name,
             "servo_period_s": loaded.servo_period_s,
         },

@@ -16,6 +16,7 @@ from pmac_comp.base.errors import (
     TableStateError,
 )
 from pmac_comp.cli import output
+from pmac_comp.cli.app import main
 
 
 @pytest.mark.parametrize(
@@ -169,3 +170,31 @@ def test_progress_fits_a_narrow_terminal_and_a_dumb_one_gets_plain_lines(
 def test_a_rounded_zero_has_no_sign(capsys: pytest.CaptureFixture[str]) -> None:
     output.table("", ("from mm",), [(-0.0,)])
     assert "-" not in capsys.readouterr().out.replace("from mm", "")
+
+
+CAPTURE = "time_s,commanded_position_mm,motor_position_mm\n0,0,0\n0.001,1,1\n0.002,2,2\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "convert new.csv run.csv",
+        "predict -b paper -m model.json -c new.csv --out run.csv",
+        "report model.json --out run.csv",
+    ],
+)
+def test_no_result_is_written_over_a_captured_run(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "new.csv").write_text(CAPTURE.replace("2,2", "3,3"))
+    (tmp_path / "run.csv").write_text(CAPTURE)
+    (tmp_path / "model.json").write_text("{}")
+    with pytest.raises(SystemExit) as left:
+        main(words.split())
+    assert left.value.code == 2
+    assert "cannot be measured again" in capsys.readouterr().err
+    assert (tmp_path / "run.csv").read_text() == CAPTURE

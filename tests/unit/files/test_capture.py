@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
-from pmac_comp.files.capture import Capture, read_capture, write_capture
+from pmac_comp.files.capture import (
+    PREDICTED,
+    Capture,
+    holds_runs,
+    read_capture,
+    write_capture,
+)
 
 PERIOD_S = 3707733 / 8388608 / 1e3
 
@@ -145,3 +151,32 @@ def test_the_emps_record_is_read_where_it_lies(emps_file):
     assert capture.n == 24841
     assert capture.sample_period_s == pytest.approx(1e-3, rel=1e-6)
     assert capture.table_position_m is None
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+def test_a_run_is_told_from_what_can_be_computed_again(tmp_path, suffix):
+    path = tmp_path / f"run{suffix}"
+    assert not holds_runs(path)
+    path.touch()
+    assert not holds_runs(path)
+    write_capture(path, _capture())
+    assert holds_runs(path)
+    write_capture(path, _capture().with_attributes(source=PREDICTED))
+    assert not holds_runs(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "kept"),
+    [
+        ("damaged.h5", b"\x89HDF and no more", True),
+        ("of_matlab.mat", b"anything", True),
+        ("gap.csv", b"time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,nan,1\n9,2,2", True),
+        ("command.csv", b"# note = none\ntime_s,commanded_position_mm\n0,0\n", False),
+        ("remarks.csv", b"# only a remark", False),
+        ("binary.csv", bytes(range(256)) * 1000, False),
+        ("model.json", b"{}", False),
+    ],
+)
+def test_what_may_be_a_run_is_taken_for_one(tmp_path, name, content, kept):
+    (tmp_path / name).write_bytes(content)
+    assert holds_runs(tmp_path / name) is kept
