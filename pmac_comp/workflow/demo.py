@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
@@ -172,8 +173,14 @@ def run_demo(
         Draws the verification motions, after the upload.
     progress : callable, optional
         Called with a step and a fraction.
+
+    Raises
+    ------
+    ConfigError
+        Unknown route, or a folder that holds runs of a real axis.
     """
     check_route(route)
+    _refuse_measured(out)
     loaded = load_bench(bench)
     out.mkdir(parents=True, exist_ok=True)
     watch = Stopwatch(progress)
@@ -195,6 +202,17 @@ def run_demo(
         result = _whole_job(axis, out, endpoints["tcp"], route, seed, watch, recorder)
     atomic_write_text(out / "result.json", json.dumps(_plain(result.as_result()), indent=2) + "\n")
     return result
+
+
+def _refuse_measured(out: Path) -> None:
+    """Refuse a folder of a real axis: its runs have the names of the demo's."""
+    for path in sorted(out.glob("*.h5")):
+        if "simulated" not in str(read_capture(path).attributes.get("source", "")):
+            raise ConfigError(
+                f"{out} holds {path.name}, which was not captured on the simulated card.",
+                code="PC-DEM-001",
+                hint="Name another folder with --out; nothing was written.",
+            )
 
 
 def _whole_job(
