@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError, StorageFull
@@ -35,8 +36,20 @@ app = typer.Typer(
     "6 safety, 7 state of tables, 8 capture, 9 model, 70 bug, 130 interrupted. An error says what "
     "happened, its code (PC-...) and what to do; with --json it is a document too.",
 )
+
+
+class _Command(TyperCommand):
+    """A command that is refused before it begins where its result would destroy what it reads."""
+
+    def invoke(self, ctx: Any) -> Any:
+        output.refuse_one_file_twice(self.name or "", ctx.params)
+        return super().invoke(ctx)
+
+
 for group in (simulation, controller, drive, compensation, tools):
     group.register(app)
+for command in (*app.registered_commands, *tools.config_app.registered_commands):
+    command.cls = _Command
 
 
 @app.callback(invoke_without_command=True)
@@ -72,7 +85,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wants_json = output.JSON_STDOUT in words
     _end_in_order()
     try:
-        output.refuse_one_file_twice(words)
         app(args=words, prog_name="pmac-comp")
     except PmacCompError as error:
         output.show_error(error, wants_json)

@@ -73,22 +73,23 @@ def spell_out_lists(words: list[str]) -> list[str]:
     return out
 
 
-_WRITTEN = frozenset({"--out", "-o", "--report", "--plot", "--json"})
+WRITTEN = ("out", "target", "report", "plot", "json_target")  # parameters that name a result
 
 
-def refuse_one_file_twice(words: Sequence[str]) -> None:
-    """Refuse a result that would be written over a file that the same command line names.
+def refuse_one_file_twice(command: str, parameters: Mapping[str, Any]) -> None:
+    """Refuse a result that would be written over a file that the same command is given.
 
     Raises
     ------
     ConfigError
         An output is an input as well, or two outputs are one file; nothing was read or written.
     """
-    written = _written_files(words)
-    read = [Path(word).resolve() for i, word in enumerate(words) if i not in written]
-    for i, path in written.items():
-        others = [other for k, other in written.items() if k != i]
-        if (path in read and path.is_file()) or path in others:
+    written = [p for name in WRITTEN for p in _paths(parameters.get(name))]
+    if command == "diagnose":  # the grown model lies beside its result
+        written += [p.with_suffix(".model.json") for p in _paths(parameters.get("json_target"))]
+    given = [p for name, value in parameters.items() if name not in WRITTEN for p in _paths(value)]
+    for i, path in enumerate(written):
+        if (path in given and path.is_file()) or path in written[:i]:
             raise ConfigError(
                 f"{path.name} is named twice: the result would be written over it.",
                 code="PC-CLI-014",
@@ -96,22 +97,10 @@ def refuse_one_file_twice(words: Sequence[str]) -> None:
             )
 
 
-def _written_files(words: Sequence[str]) -> dict[int, Path]:
-    """Files that a command line names for results, by the place of the word."""
-    found: dict[int, Path] = {}
-    for i, word in enumerate(words):
-        option, _, value = word.partition("=")
-        if option in _WRITTEN and value not in {"", "-"}:
-            found[i] = Path(value).resolve()
-        elif i and words[i - 1] in _WRITTEN:
-            found[i] = Path(word).resolve()
-    if words and words[0] == "convert":
-        places = [i for i, word in enumerate(words) if i and not word.startswith("-")]
-        found |= {i: Path(words[i]).resolve() for i in places[1:2]}
-    results = [path for i, path in found.items() if words[i].startswith("--json=")]
-    if words and words[0] == "diagnose" and results:
-        found[-1] = results[-1].with_suffix(".model.json")  # of the grown model
-    return found
+def _paths(value: Any) -> list[Path]:
+    """What a parameter may name as files: one, several or none."""
+    values = value if isinstance(value, (list, tuple)) else [value]
+    return [Path(v).resolve() for v in values if isinstance(v, (str, Path)) and v not in {"", "-"}]
 
 
 def plain(value: Any) -> Any:

@@ -9,6 +9,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from pmac_comp.cli.app import CHANGING, app
+from pmac_comp.cli.output import WRITTEN
 from pmac_comp.workflow.motions import KEYS
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -73,3 +74,10 @@ def test_commands_named_in_the_readme_and_in_errors_exist_with_their_options() -
         if command not in commands or unknown:
             wrong.append((place, command, unknown))
     assert wrong == []
+
+
+def test_what_a_command_writes_is_known_to_the_check_for_one_file_named_twice() -> None:
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for parameter in getattr(command, "params", []):
+            if "to write" in (parameter.help or "") or "--out" in parameter.opts:
+                assert parameter.name in WRITTEN, f"{name} {parameter.name}"

@@ -10,7 +10,6 @@ import pytest
 
 from pmac_comp.base.errors import (
     AmplitudeExceeded,
-    ConfigError,
     ControllerState,
     SafetyRefusal,
     TableStateError,
@@ -101,6 +100,14 @@ def test_several_files_after_one_option_all_belong_to_it(words: str, spelled: st
     assert output.spell_out_lists(words.split()) == spelled.split()
 
 
+def refused(words: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What a command line that ends with an error says."""
+    with pytest.raises(SystemExit) as left:
+        main(words.split())
+    assert left.value.code
+    return capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -109,17 +116,27 @@ def test_several_files_after_one_option_all_belong_to_it(words: str, spelled: st
         "identify run.csv --bench z.toml -o z.toml",
         "identify run.csv --bench z.toml --out=new.json --json=new.json",
         "report model.json --out model.json",
+        "config check z.toml --json=z.toml",
         "diagnose run.csv -b z.toml --model old.model.json --json=old.json",
+        "diagnose run.csv -b z.toml --model old.model.json --json old.json",
+        "compensate -b z.toml --model compensation.json",
+        "predict -b z.toml -m model.json -c run.csv -orun.csv",
+        "diff tcp://h model.json --plot=z.toml -b z.toml",
+        "verify --before new.csv run.csv --after new.csv --report run.csv -b z.toml",
     ],
 )
 def test_a_result_is_not_written_over_a_file_that_is_named_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("run.csv", "z.toml", "model.json", "old.model.json"):
+    names = ("run.csv", "z.toml", "model.json", "old.model.json", "compensation.json")
+    for name in names:
         (tmp_path / name).write_text("kept")
-    with pytest.raises(ConfigError, match="named twice"):
-        output.refuse_one_file_twice(words.split())
+    assert "named twice" in refused(words, capsys)
+    assert {(tmp_path / name).read_text() for name in names} == {"kept"}
 
 
 @pytest.mark.parametrize(
@@ -133,13 +150,16 @@ def test_a_result_is_not_written_over_a_file_that_is_named_beside_it(
     ],
 )
 def test_results_in_files_of_their_own_are_no_clash(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     for name in ("run.csv", "z.toml", "old.json"):
         (tmp_path / name).write_text("kept")
-    output.refuse_one_file_twice(words.split())
+    assert "named twice" not in refused(words, capsys)
 
 
 def test_an_error_begins_on_a_line_of_its_own_below_the_progress(
