@@ -249,8 +249,9 @@ def capture(
         typer.Option(
             "--motion",
             help="e.g. sine:amplitude_mm=10,frequency_Hz=2 or a CSV file with a command "
-            "(repeatable); none: the proposed campaign. Keys of sine: amplitude_mm frequency_Hz "
-            "cycles centre_mm; of trapezoid: distance_mm speed_mm_per_s acceleration_m_per_s2 "
+            "(repeatable); none: the proposed campaign. Without centre_mm or start_mm a motion "
+            "lies about the middle of the travel. Keys of sine: amplitude_mm frequency_Hz cycles "
+            "centre_mm; of trapezoid: distance_mm speed_mm_per_s acceleration_m_per_s2 "
             "s_curve_ms start_mm repeats; of triangle: amplitude_mm speed_mm_per_s cycles "
             "centre_mm acceleration_m_per_s2",
         ),

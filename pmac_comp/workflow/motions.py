@@ -94,22 +94,22 @@ def check_motion(motion: Motion, bench: Bench) -> None:
 # Specifications -----------------------------------------------------------------------------------
 
 _Maker = Callable[[float, Mapping[str, float]], Trajectory]
-# Keys of each kind of motion with their defaults.
-KEYS: Mapping[str, Mapping[str, float]] = {
-    "sine": {"amplitude_mm": 10.0, "frequency_Hz": 1.0, "cycles": 4.0, "centre_mm": 0.0},
+# Keys of each kind of motion with their defaults; None: about the middle of the travel.
+KEYS: Mapping[str, Mapping[str, float | None]] = {
+    "sine": {"amplitude_mm": 10.0, "frequency_Hz": 1.0, "cycles": 4.0, "centre_mm": None},
     "trapezoid": {
         "distance_mm": 100.0,
         "speed_mm_per_s": 200.0,
         "acceleration_m_per_s2": 2.0,
         "s_curve_ms": 15.0,
-        "start_mm": 0.0,
+        "start_mm": None,
         "repeats": 1.0,
     },
     "triangle": {
         "amplitude_mm": 10.0,
         "speed_mm_per_s": 5.0,
         "cycles": 2.0,
-        "centre_mm": 0.0,
+        "centre_mm": None,
         "acceleration_m_per_s2": 1.0,
     },
 }
@@ -178,9 +178,18 @@ def parse_motion(text: str, bench: Bench) -> Motion:
             code="PC-MOV-004",
             hint=f"Its keys are {', '.join(KEYS[kind])}.",
         )
-    motion = Motion(text, maker(bench.servo_period_s, {**KEYS[kind], **values}))
+    motion = Motion(text, maker(bench.servo_period_s, _whole(kind, values, bench)))
     check_motion(motion, bench)
     return motion
+
+
+def _whole(kind: str, values: Mapping[str, float], bench: Bench) -> dict[str, float]:
+    """Every value of a motion; it lies about the middle of the travel where no place is given."""
+    stated = {key: value for key, value in KEYS[kind].items() if value is not None} | dict(values)
+    middle_mm = bench.mid_travel_m * MM_PER_M
+    if kind == "trapezoid":
+        return {"start_mm": middle_mm - stated["distance_mm"] / 2.0, **stated}
+    return {"centre_mm": middle_mm, **stated}
 
 
 def _finite(text: str) -> float:

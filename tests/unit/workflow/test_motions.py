@@ -177,6 +177,29 @@ def test_motion_outside_travel_and_limits_is_refused_with_all_reasons() -> None:
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "sine",
+        "triangle",
+        "trapezoid:speed_mm_per_s=100",
+        "trapezoid:speed_mm_per_s=100,distance_mm=-30",
+    ],
+)
+@pytest.mark.parametrize("name", ["paper", "emps"])
+def test_a_motion_without_a_place_lies_about_the_middle_of_the_travel(name: str, text: str) -> None:
+    bench = load_bench(name)
+    position_m = parse_motion(text, bench).position_m
+    middle_m = 0.5 * (position_m.min() + position_m.max())
+    assert middle_m == pytest.approx(bench.mid_travel_m, abs=1e-5)
+
+
+def test_a_place_that_is_given_is_taken() -> None:
+    bench = load_bench("emps")
+    assert parse_motion("triangle:centre_mm=30", bench).position_m.min() == pytest.approx(0.020)
+    assert parse_motion("sine:centre_mm=20", bench).position_m[0] == pytest.approx(0.020)
+
+
+@pytest.mark.parametrize(
     ("text", "said", "known"),
     [
         ("wiggle:amplitude_mm=1", "not a kind", "sine, trapezoid, triangle"),
