@@ -55,9 +55,19 @@ def remarks(bench: Bench) -> list[str]:
         )
     if bench.scale is None:
         out.append("there is no [scale]: compensation at the table cannot be identified or checked")
-    if bench.controller.kind == "pmac" and bench.controller.ivariables.get("I8", 2.0) != 0.0:
-        out.append("I8 is not 0: the route law will not run every servo cycle")
-    return out + implausible(bench)
+    return out + _pace(bench) + implausible(bench)
+
+
+def _pace(bench: Bench) -> list[str]:
+    """What the bench file says of how often PLC 0 runs; the upload of a law sets that itself."""
+    stated = bench.controller.ivariables.get("I8")
+    if bench.controller.kind != "pmac" or stated == 0.0:
+        return []
+    said = "is not stated (a card without settings has 2)" if stated is None else f"= {stated:g}"
+    return [
+        f"I8 {said}, so PLC 0 does not run every servo cycle; the upload of a law sets I8 to what "
+        "`compensate --every` asks for"
+    ]
 
 
 def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:

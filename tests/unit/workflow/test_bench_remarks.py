@@ -33,6 +33,17 @@ def test_a_value_in_another_unit_is_remarked_on(old, new, said):
     assert said in " ".join(remarks(parse_bench(TEXT.replace(old, new, 1))))
 
 
+@pytest.mark.parametrize(
+    ("line", "said"), [("", "I8 is not stated"), ("I8 = 3\n", "I8 = 3,"), ("I8 = 0\n", "")]
+)
+def test_the_pace_of_plc_0_is_told_as_the_bench_file_has_it(line, said):
+    stated = "I8 = 0          # PLC 0 every servo cycle\n"
+    assert stated in TEXT
+    told = [text for text in remarks(parse_bench(TEXT.replace(stated, line))) if "I8" in text]
+    assert bool(told) == bool(said)
+    assert said in "".join(told)
+
+
 @pytest.mark.parametrize("name", ["paper", "paper_x4", "emps"])
 def test_gains_of_existing_benches_do_not_ring(name):
     assert loop_remarks(load_bench(name)) == []
