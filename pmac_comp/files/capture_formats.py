@@ -36,7 +36,8 @@ def read_hdf5(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
         raise CaptureError(
             f"not a readable HDF5 file: {error}.",
             code="PC-CAP-010",
-            hint="If the run was interrupted, `pmac-comp capture --recover` rebuilds it.",
+            hint="If the run was interrupted, "
+            "`pmac-comp capture URL --bench FILE --recover LOG --out FOLDER` rebuilds it.",
         ) from error
     return columns, attributes
 

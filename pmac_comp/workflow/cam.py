@@ -104,7 +104,8 @@ def render_cam(compensation: Compensation, bench: Bench) -> Cam:
         raise ConfigError(
             "The compensation holds no motion.",
             code="PC-DEP-051",
-            hint="Run `pmac-comp compensate --route cam --command MOTION` again.",
+            hint="Compute it again: "
+            "`pmac-comp compensate --bench FILE --model FILE --route cam --command MOTION`.",
         )
     time_s = np.arange(position.size, dtype=np.float64) * bench.servo_period_s
     known = Motion("compensated motion", Trajectory(time_s, position))
@@ -335,7 +336,8 @@ class CamAxis(Axis):
             raise ConfigError(
                 "This cam belongs to another motion.",
                 code="PC-DEP-054",
-                hint="Compute one for this motion: `pmac-comp compensate --route cam --command`.",
+                hint="Compute one for this motion: "
+                "`pmac-comp compensate --bench FILE --model FILE --route cam --command MOTION`.",
             )
         gather.stop(self.link)
         self.release_axis()

@@ -86,8 +86,8 @@ def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
             f"{cost_text(bench, law)}: nothing would be left for the background "
             "tasks, and the watchdog would stop the card.",
             code="PC-LAW-043",
-            hint=f"Compute it for fewer passes (`pmac-comp compensate --every "
-            f"{fitting_cycles(bench, law)}`), or for the open servo (--route servo).",
+            hint=f"Compute it for fewer passes (`--every {fitting_cycles(bench, law)}` of "
+            "`pmac-comp compensate`), or for the open servo (--route servo).",
         )
     ]
 
@@ -149,9 +149,9 @@ def cost_remarks(
     here = [offer for offer in offers if offer.every_cycles == every_cycles]
     ways = "; ".join(_offer_text(offer, here) for offer in slower)
     if not ways and every_cycles == 1:
-        ways = "run it every second cycle (`pmac-comp compensate --every 2`)"
+        ways = "run it every second cycle (`--every 2` of `pmac-comp compensate`)"
     elif not ways and every_cycles < _SLOWEST_CYCLES:
-        ways = f"`pmac-comp compensate --every {_SLOWEST_CYCLES}`"
+        ways = f"`--every {_SLOWEST_CYCLES}` of `pmac-comp compensate`"
     ways = ways or "no slower rhythm is left"
     fits = share_frac(bench, law) <= 1.0
     much = "more than a quarter" if fits else "more than there is, `upload` refuses it"

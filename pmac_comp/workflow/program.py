@@ -87,7 +87,8 @@ def draw_motion(compensation: Compensation, bench: Bench) -> DrawnMotion:
         raise ConfigError(
             "The compensation holds no correction.",
             code="PC-DEP-051",
-            hint="Run `pmac-comp compensate --route program --command MOTION` again.",
+            hint="Compute it again: "
+            "`pmac-comp compensate --bench FILE --model FILE --route program --command MOTION`.",
         )
     drawn = with_offset(motion, correction)
     check_motion(drawn, bench)

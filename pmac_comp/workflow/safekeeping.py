@@ -128,7 +128,8 @@ def _held_programs(axis: Axis, goal: Settings) -> str:
         return ""
     return (
         f"; I5 = {i5} holds background PLCs, ENABLE PLC {background[0]} starts nothing: state "
-        f"I5 = {i5 | _BACKGROUND_PLCS} in the bench file and run `pmac-comp setup`"
+        f"I5 = {i5 | _BACKGROUND_PLCS} in the bench file and run "
+        "`pmac-comp setup URL --bench FILE`"
     )
 
 

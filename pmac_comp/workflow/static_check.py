@@ -214,7 +214,8 @@ def _targets(up: Sequence[Rest], down: Sequence[Rest]) -> FloatArray:
         raise CaptureError(
             "No target is approached from both sides.",
             code="PC-ISO-003",
-            hint="Run a staircase up and down: `pmac-comp capture --campaign positioning`.",
+            hint="Run a staircase up and down, as "
+            "`pmac-comp verify URL --bench FILE --compensation FILE --static 5` does.",
         )
     return np.sort(np.asarray(both))
 

@@ -72,8 +72,9 @@ def require_covered(bench: Bench, lead: LeadMap) -> None:
         f"{bench.travel.min_mm:g} to {bench.travel.max_mm:g} mm: a table over the travel would "
         "be a guess.",
         code="PC-LEAD-011",
-        hint="Capture the whole travel: `pmac-comp capture --campaign lead`; or correct only "
-        "what was measured with --limit.",
+        hint="Capture the whole travel: "
+        "`pmac-comp capture URL --bench FILE --campaign lead --out FOLDER`; or correct only what "
+        "was measured with --limit.",
     )
 
 

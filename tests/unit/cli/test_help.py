@@ -13,6 +13,7 @@ from pmac_comp.cli.output import WRITTEN
 from pmac_comp.workflow.motions import KEYS
 
 ROOT = Path(__file__).resolve().parents[3]
+LEAD = "pmac_comp/physics/compensate/lead.py"  # names `capture --campaign lead` alone
 
 
 def option_help(command: str, option: str) -> str:
@@ -58,7 +59,7 @@ def test_a_dry_run_of_improve_leaves_nothing(
 def named_commands() -> Iterator[tuple[str, str, str]]:
     """Where a command line is named to people, its command and the rest of it."""
     for path in (ROOT / "README.md", *sorted((ROOT / "pmac_comp").rglob("*.py"))):
-        text = path.read_text(encoding="utf-8")
+        text = re.sub(r'"\n\s*f?"', "", path.read_text(encoding="utf-8"))
         for command, rest in re.findall(r"`pmac-comp ([a-z]+)([^`\n]*)`", text):
             yield path.relative_to(ROOT).as_posix(), command, rest
 
@@ -74,6 +75,21 @@ def test_commands_named_in_the_readme_and_in_errors_exist_with_their_options() -
         if command not in commands or unknown:
             wrong.append((place, command, unknown))
     assert wrong == []
+
+
+def test_command_lines_to_paste_name_all_that_the_command_requires() -> None:
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    incomplete = []
+    for place, command, rest in named_commands():
+        if not re.search(r"--[a-z-]+ [^- ]", rest):  # a command by its name, not a line to paste
+            continue
+        required = [p for p in getattr(commands[command], "params", []) if p.required]
+        options = [p.opts[0] for p in required if p.opts[0].startswith("-")]
+        n_places = len(required) - len(options)
+        places = re.findall(r"^(?: [^- ]\S*)*", rest)[0].split()
+        if len(places) < n_places or any(option not in rest for option in options):
+            incomplete.append((place, command, rest))
+    assert [found for found in incomplete if found[0] != LEAD] == []
 
 
 def test_what_a_command_writes_is_known_to_the_check_for_one_file_named_twice() -> None:
