@@ -62,7 +62,10 @@ def doctor(
     ] = False,
     json_target: JsonOption = "",
 ) -> None:
-    """Check this installation and, with a URL, the controller against the bench file."""
+    """Check this installation and, with a URL, the controller against the bench file.
+
+    Says where this installation has the folders configs and firmware_plc.
+    """
     from pmac_comp.workflow.doctor import examine
 
     progress = ProgressLines()

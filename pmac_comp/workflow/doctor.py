@@ -55,8 +55,9 @@ def examine(
 def _installation() -> Iterator[Finding]:
     yield Finding("ok", "pmac-comp", f"{__version__} on Python {sys.version.split()[0]}")
     for name in ("configs", "firmware_plc"):
-        count = sum(1 for _ in data_folder(name).iterdir())
-        yield Finding("ok" if count else "bad", name, f"{count} files")
+        folder = data_folder(name)
+        count = sum(1 for _ in folder.iterdir())
+        yield Finding("ok" if count else "bad", name, f"{count} files in {folder}")
 
 
 def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
