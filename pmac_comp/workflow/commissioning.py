@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
+from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.identity import CLOCK_CT_PER_MS
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import plain
@@ -37,6 +39,7 @@ _OF_COMPENSATION: Final = ("05", "06", "07", "29", "59", "85", "86", "87")  # of
 _SOFTWARE_1T, _NO_EXTENSION = 0x0, 0xC  # methods: first hex digit of the entry
 _LOWEST_CHANNEL: Final = 0x78000  # of a servo IC; second lines of entries lie below
 _SHOWN: Final = 8
+_CLOCK_FRAC: Final = 0.01  # rounded figures of bench files lie closer; doctor remarks on less
 
 
 def require_as_described(axis: Axis) -> None:
@@ -49,6 +52,7 @@ def require_as_described(axis: Axis) -> None:
     """
     raise_all(
         [
+            *clock_refusals(axis.link, axis.bench),
             *variable_refusals(axis.link, axis.bench),
             *motor_refusals(axis.link, axis.bench),
             *swap_refusals(axis.bench),
@@ -96,6 +100,22 @@ def variable_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
             code="PC-COM-001",
             hint="Correct [controller.ivariables] where the card is right, or put the file's "
             "values on the card with `pmac-comp setup URL --bench FILE`.",
+        )
+    ]
+
+
+def clock_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
+    """Refusal where the card's servo period is another: the bench file is of another axis."""
+    period_s = read_one(link, "I10") / CLOCK_CT_PER_MS / MS_PER_S
+    if abs(period_s / bench.servo_period_s - 1.0) < _CLOCK_FRAC:
+        return []
+    return [
+        SafetyRefusal(
+            f"A servo cycle of the card takes {period_s * US_PER_S:.1f} us (I10), in the bench "
+            f"file it is {bench.servo_period_s * US_PER_S:.1f} us.",
+            code="PC-COM-007",
+            hint="Name the bench file of this axis with --bench, or correct servo_period_us and "
+            "I10 in it; nothing was moved.",
         )
     ]
 

@@ -127,6 +127,13 @@ def test_what_differs_from_the_bench_file_is_named_and_nothing_moves() -> None:
         assert motors.read_motor(axis.link, 1).status.is_killed
 
 
+def test_a_bench_file_with_another_servo_period_is_refused_and_nothing_moves() -> None:
+    with axis_of(make_card(PAPER), load_bench("emps")) as axis:
+        with pytest.raises(SafetyRefusal, match=r"442\.0 us \(I10\), in the bench file"):
+            prepare(axis)
+        assert motors.read_motor(axis.link, 1).status.is_killed
+
+
 def test_a_program_of_somebody_else_in_our_place_is_not_replaced() -> None:
     with axis_of(make_card(PAPER), PAPER) as axis:
         axis.link.write_buffer(["CLOSE", "OPEN PROG 703 CLEAR", "LINEAR", "X10", "CLOSE"])
