@@ -111,8 +111,9 @@ def status(
                 for m in result["motors"]
             ],
         )
+        said = {"verdict": "verdict on tables"}  # the law's state stands beside it
         items = result["compensation"].items()
-        rows = [(name.replace("_", " "), value) for name, value in items]
+        rows = [(said.get(name, name.replace("_", " ")), value) for name, value in items]
         output.table("compensation", ("item", "value"), rows)
 
     output.finish(result, json_target, show)

@@ -189,5 +189,5 @@ def _compensation(axis: "Axis") -> Iterator[Finding]:
     yield Finding(
         "note" if state.decision.state.value == "DISABLED" else "ok",
         "compensation",
-        f"{state.decision.state.value}: {state.decision.reason}",
+        f"tables {state.decision.state.value}: {state.decision.reason}",
     )

@@ -48,6 +48,12 @@ def read_sealed_json(path: Path) -> dict[str, object]:
     ConfigError
         Missing, unreadable or changed since it was written.
     """
+    if not path.exists():
+        raise ConfigError(
+            f"There is no file {path}.",
+            code="PC-TXN-012",
+            hint="Give a file that `pmac-comp backup --out` wrote, or one of a journal folder.",
+        )
     try:
         outer = json.loads(path.read_text(encoding="utf-8"))
         body = str(outer["body"])

@@ -218,7 +218,7 @@ def _settled(
         if was_rollback and status.decision.state is ControllerState.NEW:
             note = (f"the rollback was not begun: {reason}",)
             return UploadResult(ControllerState.NEW, "table", crc, crc, notes=note)
-        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(f"no upload: {reason}",))
+        return UploadResult(ControllerState.OLD, "table", crc, crc, notes=(reason,))
     state = ControllerState.NEW if _is_removed(last, status) else status.decision.state
     untouched = state is ControllerState.OLD
     if last.is_rollback:

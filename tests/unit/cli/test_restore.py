@@ -1,4 +1,4 @@
-"""``restore`` as a user calls it."""
+"""``restore``, and what ``recover`` and ``status`` print, as a user calls them."""
 
 from pathlib import Path
 
@@ -6,7 +6,8 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.cli.app import main
-from pmac_comp.cli.controller import backup, restore
+from pmac_comp.cli.compensation import recover
+from pmac_comp.cli.controller import backup, restore, status
 
 
 def test_what_a_restore_replaces_is_journalled_in_the_folder_named(
@@ -37,3 +38,22 @@ def test_a_rehearsed_restore_of_what_stands_says_so(
     capsys.readouterr()
     restore("sim://", tmp_path / "before.json", dry_run=True)
     assert "nothing differs" in capsys.readouterr().out
+
+
+def test_a_backup_that_is_not_there_is_no_damaged_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="There is no file"):
+        restore("sim://", tmp_path / "none.json", dry_run=True)
+
+
+def test_a_card_without_an_upload_is_told_so_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recover("sim://", "paper", tmp_path)
+    assert capsys.readouterr().out == "OLD: no upload is under way\n"
+
+
+def test_the_verdict_in_the_status_says_that_it_is_of_the_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status("sim://", "paper", tmp_path)
+    assert "verdict on tables  OLD" in capsys.readouterr().out
