@@ -267,8 +267,9 @@ def file_digest(path: Path) -> str:
 
 
 def _unknown_suffix(path: Path, known: list[str]) -> CaptureError:
+    wrong = "is a folder" if path.is_dir() else "has a suffix that is not a capture format"
     return CaptureError(
-        f"{path.name} has a suffix that is not a capture format.",
+        f"{path.name} {wrong}.",
         code="PC-CAP-008",
         hint="Use one of " + " ".join(known) + ".",
     )

@@ -180,3 +180,8 @@ def test_a_run_is_told_from_what_can_be_computed_again(tmp_path, suffix):
 def test_what_may_be_a_run_is_taken_for_one(tmp_path, name, content, kept):
     (tmp_path / name).write_bytes(content)
     assert holds_runs(tmp_path / name) is kept
+
+
+def test_a_folder_is_no_file_with_a_wrong_suffix(tmp_path):
+    with pytest.raises(CaptureError, match="is a folder"):
+        read_capture(tmp_path)
