@@ -193,5 +193,5 @@ def _uncovered(reason: str) -> NotIdentifiable:
         f"The lead error cannot be mapped: {reason}.",
         code="PC-LEAD-001",
         hint="Capture slow runs over the travel in both directions: "
-        "`pmac-comp capture --campaign lead`.",
+        "`pmac-comp capture URL --bench FILE --campaign lead --out FOLDER`.",
     )
