@@ -336,6 +336,13 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
     out["friction torque fades at rest 1/s"] = law.rest_fade_per_s
     out["look-ahead ms"] = law.lookahead_s * 1e3
+    if law.torque_impulse_Nm_s3_per_m != 0.0:
+        # By a step of the jerk as a move of 5 m/s2 with an S-curve of 15 ms begins with.
+        kick_Nm = law.torque_impulse_Nm_s3_per_m * 5.0 / 0.015
+        out["impulse against ringing as a hard move begins, one pass, Nm"] = kick_Nm
+    if law.torque_place_Nm_per_m != 0.0:
+        lead_m_per_rad = law.turn_m / (2.0 * math.pi)
+        out["load that rises along the travel N/m"] = law.torque_place_Nm_per_m / lead_m_per_rad
     if law.gap_half_m > 0.0:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
