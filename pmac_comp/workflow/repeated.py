@@ -29,7 +29,8 @@ from pmac_comp.workflow.motions import Motion
 
 Progress = Callable[[str, float], None]
 _FRESH_RUNS = 2
-_STEP_m = 1e-9  # a command that moved by more has begun
+# Of its way, after which a command has begun: before a learned offset a card's cubics bow by nm.
+_BEGUN_FRAC = 1e-3
 _SOFT_START = 150  # samples by which beginnings may lie apart
 
 
@@ -141,8 +142,9 @@ def delay_samples(planned: FloatArray, gathered: FloatArray) -> int:
     Both are laid over each other as a whole: the first step of a soft start lies some
     milliseconds off, as the card draws parabolas between points.
     """
-    first = int(np.flatnonzero(np.abs(planned - planned[0]) > _STEP_m)[0])
-    start = int(np.flatnonzero(np.abs(gathered - gathered[0]) > _STEP_m)[0])
+    begun_m = _BEGUN_FRAC * float(np.ptp(planned))
+    first = int(np.argmax(np.abs(planned - planned[0]) > begun_m))
+    start = int(np.argmax(np.abs(gathered - gathered[0]) > begun_m))
     at = np.arange(planned.size)
 
     def distance(late: int) -> float:

@@ -48,6 +48,23 @@ def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> Non
     assert law.compliance_slope_per_m == pytest.approx(1.82 / 2.2, rel=0.10)
 
 
+def test_impulse_takes_from_the_ringing_that_a_hard_move_excites(law: CompensationLaw) -> None:
+    loop, period = model_loop(DriveModel.base(BENCH)), BENCH.servo_period_s
+    move = trapezoid(
+        period_s=period, distance_m=0.15, speed_m_per_s=0.15, acceleration_m_per_s2=4.5,
+        s_curve_s=0.015, start_m=-0.2, dwell_s=0.1,
+    )  # fmt: skip
+
+    def left_m(law: CompensationLaw) -> float:
+        sent = evaluate_law(law, move.position_m, period, latency_cycles=1)
+        run = loop(move.position_m, move.position_m + sent.correction_m, sent.torque_Nm)
+        residual = run.table_position_m - run.motor_position_m + sent.correction_m
+        return float(np.std(residual))
+
+    assert law.torque_impulse_Nm_s3_per_m < 0.0
+    assert left_m(law) < 0.75 * left_m(law.with_values(torque_impulse_Nm_s3_per_m=0.0))
+
+
 def test_law_looks_ahead_by_what_lies_between_its_pass_and_the_shaft() -> None:
     period, delay_s = BENCH.servo_period_s, nominal_delay_s(BENCH)
     loop = model_loop(DriveModel.base(BENCH))

@@ -7,7 +7,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.constant import BY_PLACE, LOAD
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.design import STATIC_EFFECTS, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
@@ -39,6 +39,20 @@ def test_delays_that_a_diagnosis_found_are_those_of_the_law() -> None:
     soft = base.with_effect("current_bandwidth", {"bandwidth_Hz": 100.0})
     lag_s = 1.0 / (200.0 * math.pi) - 1.0 / (600.0 * math.pi)
     assert drive_delay_s(soft) - drive_delay_s(base) == pytest.approx(lag_s)
+
+
+def test_a_cable_that_the_model_holds_is_in_the_torque_and_not_in_its_dynamics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cable = {"stiffness_N_per_m": 400.0, "centre_m": -0.3}
+    plain = CompensationLaw(torque_limit_Nm=17.0, origin_m=BENCH.mid_travel_m)
+    monkeypatch.setattr("pmac_comp.workflow.dynamic_law.design_law", lambda *_, **__: plain)
+    held = dynamic_law(BENCH, DriveModel.base(BENCH).with_effect("cable_drag", cable), "law")
+    slope = 400.0 * BENCH.lead_m_per_rad
+    assert held.torque_place_Nm_per_m == pytest.approx(slope)
+    assert held.torque_constant_Nm == pytest.approx(slope * (BENCH.mid_travel_m + 0.3))
+    # What it does to the nut is taken by the table of the lead, as slow runs show it.
+    assert "cable_drag" in STATIC_EFFECTS
 
 
 def test_gap_of_a_grown_model_is_that_of_backlash_or_of_the_soft_zone() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
@@ -15,7 +16,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.repeated import Refinement, refine_motion
+from pmac_comp.workflow.repeated import Refinement, delay_samples, refine_motion
 from pmac_comp.workflow.simulated import embedded
 from tests.generators.true_values import friction_of
 
@@ -71,3 +72,13 @@ def test_a_person_reads_both_shares(refined: Refinement) -> None:
     assert f"the model takes {100 * refined.model_share:.0f} %" in text
     assert "it converges" in text
     assert "ended because the last pass changed the error by less than" in text
+
+
+def test_a_rest_that_bows_by_nanometres_is_not_the_beginning_of_the_motion() -> None:
+    # Cubics through a learned offset leave the rest before it by 2 nm, long before it begins.
+    planned = np.concatenate([np.zeros(240), 0.02 * (1.0 - np.cos(np.linspace(0.0, 12.0, 4000)))])
+    late = 38
+    gathered = np.concatenate([np.zeros(late), planned, np.full(300, planned[-1])])
+    bow = np.zeros(gathered.size)
+    bow[90:278] = -5e-9 * np.sin(np.linspace(0.0, np.pi, 188))
+    assert delay_samples(planned, gathered + bow) == late
