@@ -11,6 +11,7 @@ ends of every stretch has run them all.
 
 import copy
 import functools
+import gc
 import sys
 from collections.abc import Callable, Sequence
 from itertools import groupby
@@ -121,11 +122,13 @@ def traced(act: Callable[[], bytes]) -> tuple[bytes, list[CodeType]]:
         if event == "call":
             ran.append(frame.f_code)
 
+    gc.disable()  # libraries have themselves called as it collects, whatever runs here
     sys.setprofile(note)
     try:
         return act(), ran
     finally:
         sys.setprofile(None)
+        gc.enable()
 
 
 # To the host --------------------------------------------------------------------------------------
