@@ -114,8 +114,12 @@ def test_f01_rollback_may_be_cut(*, tmp_path: Path, exhaustive: bool, count_runs
         bench = uploaded(rig)
         bench.tap.sent = 0
         bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])
-        with pytest.raises(PmacCompError):
+        try:
             recovery.rollback_last(bench.link, bench.context)
+        except PmacCompError:
+            pass
+        else:
+            assert n >= bench.tap.sent  # random numbers of this run have fewer digits
         seen.add(rig.recover())
         if rig.state is ControllerState.NEW:
             recovery.rollback_last(rig.bench.link, rig.bench.context)
