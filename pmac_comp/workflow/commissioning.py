@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
-from pmac_comp.base.units import MS_PER_S, US_PER_S
+from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.identity import CLOCK_CT_PER_MS
+from pmac_comp.machine.controller.identity import read_servo_period_s
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import plain
@@ -106,7 +106,7 @@ def variable_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
 
 def clock_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
     """Refusal where the card's servo period is another: the bench file is of another axis."""
-    period_s = read_one(link, "I10") / CLOCK_CT_PER_MS / MS_PER_S
+    period_s = read_servo_period_s(link)
     if abs(period_s / bench.servo_period_s - 1.0) < _CLOCK_FRAC:
         return []
     return [

@@ -22,7 +22,7 @@ CARDS: Final = {
     603382: "3U Turbo PMAC2 (UMAC, Geo Brick)",
 }
 OLDEST_FIRMWARE: Final = 1.934  # per-port addressing, ## groups (p. 270, 276)
-CLOCK_CT_PER_MS: Final = 8388608.0
+_CLOCK_CT_PER_MS: Final = 8388608.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def read_identity(link: Link) -> Identity:
             code="PC-CID-002",
             hint=f"A Turbo PMAC with firmware {OLDEST_FIRMWARE} or later is needed.",
         )
-    clock = read_one(link, "I10")
+    servo_period_s = read_servo_period_s(link)
     return Identity(
         card=int(card),
         card_name=CARDS.get(int(card), "unknown card"),
@@ -95,9 +95,14 @@ def read_identity(link: Link) -> Identity:
         card_type=card_type,
         cpu=cpu,
         dpram=_dpram(link),
-        servo_period_s=clock / CLOCK_CT_PER_MS / 1e3,
+        servo_period_s=servo_period_s,
         free_long_words=parse_integer(free),
     )
+
+
+def read_servo_period_s(link: Link) -> float:
+    """Servo period that the controller states in I10, s."""
+    return read_one(link, "I10") / _CLOCK_CT_PER_MS / 1e3
 
 
 def is_simulated(link: Link) -> bool:

@@ -22,8 +22,6 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 
 LOAD = "load"  # of a law's provenance, where captures show one
 BY_PLACE = "torque_by_place"  # the same where it rises along the travel
-CONSTANT = "torque_constant_Nm"
-PLACE = "torque_place_Nm_per_m"
 _CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
 _LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
 _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
@@ -92,16 +90,12 @@ def with_load(
     law: CompensationLaw, *, constant_Nm: float = 0.0, slope_Nm_per_m: float = 0.0
 ) -> CompensationLaw:
     """Law that sends more, constant and along the travel; kept as ``trim``."""
+    both = {"torque_constant_Nm": constant_Nm, "torque_place_Nm_per_m": slope_Nm_per_m}
+    more = {name: value for name, value in both.items() if value != 0.0}
     trim = dict(law.provenance.get("trim", {}))
-    for name, more in ((CONSTANT, constant_Nm), (PLACE, slope_Nm_per_m)):
-        if more != 0.0:
-            trim[name] = trim.get(name, 0.0) + more
-    return replace(
-        law,
-        torque_constant_Nm=law.torque_constant_Nm + constant_Nm,
-        torque_place_Nm_per_m=law.torque_place_Nm_per_m + slope_Nm_per_m,
-        provenance={**law.provenance, "trim": trim},
-    )
+    trim |= {name: trim.get(name, 0.0) + value for name, value in more.items()}
+    law = law.with_values(**{name: getattr(law, name) + value for name, value in more.items()})
+    return replace(law, provenance={**law.provenance, "trim": trim})
 
 
 def _with_load_by_place(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw:
