@@ -49,7 +49,13 @@ from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
 from pmac_comp.workflow.run_log import RunLog
 from pmac_comp.workflow.scales import Scales
-from pmac_comp.workflow.sensors import LOOP_BLIND, MISMATCH_m, block_watch, require_agreement
+from pmac_comp.workflow.sensors import (
+    MISMATCH_m,
+    block_watch,
+    is_blind,
+    jog_watch,
+    require_agreement,
+)
 
 Progress = Callable[[str, float], None]
 _LEAD_IN_s = 0.05  # kept before the first motion of a run
@@ -118,16 +124,26 @@ class Axis:
         motors.kill(self.link, self.motor)
 
     def move_to(self, place_ct: float) -> None:
-        """Jog to a position in counts and wait; whoever stops waiting stops the axis as well."""
+        """Jog to a position in counts and wait; whoever stops waiting stops the axis as well.
+
+        Encoder and scale are compared on the way: with wrong counts it would be a long one.
+        """
+        watch = jog_watch(self.link, self.bench, self.scales)
         try:
-            motors.move_to(self.link, self.motor, place_ct)
-        except (PmacCompError, KeyboardInterrupt):
+            motors.move_to(self.link, self.motor, place_ct, during=watch)
+        except (PmacCompError, KeyboardInterrupt) as error:
             with suppress(PmacCompError):
                 self.link.flush()
-                if motors.read_motor(self.link, self.motor).status.is_closed_loop:
-                    self.link.command(f"#{self.motor}J/")
-                    motors.wait_in_position(self.link, self.motor, timeout_s=HALT_s)
+                self._end_jog(blind=isinstance(error, PmacCompError) and is_blind(error))
             raise
+
+    def _end_jog(self, *, blind: bool) -> None:
+        """Hold the axis where it is, or kill it where its own encoder may be at fault."""
+        if blind:
+            self.kill()
+        elif motors.read_motor(self.link, self.motor).status.is_closed_loop:
+            self.link.command(f"#{self.motor}J/")
+            motors.wait_in_position(self.link, self.motor, timeout_s=HALT_s)
 
     def run(
         self, motion: Motion, *, relaxed: bool = False, progress: Progress | None = None
@@ -182,7 +198,7 @@ class Axis:
             raise
         except PmacCompError as error:
             self.halt()
-            if error.context.get("fault") in LOOP_BLIND:
+            if is_blind(error):
                 with suppress(PmacCompError):
                     self.kill()
             raise

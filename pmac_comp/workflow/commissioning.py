@@ -29,6 +29,7 @@ from pmac_comp.machine.controller.variables import read_many, read_one, same_val
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import tuned_motors
+from pmac_comp.workflow.card_law import law_refusals
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.session import open_axis
@@ -54,6 +55,7 @@ def require_as_described(axis: Axis) -> None:
         [
             *clock_refusals(axis.link, axis.bench),
             *variable_refusals(axis.link, axis.bench),
+            *law_refusals(axis.link, axis.bench),
             *motor_refusals(axis.link, axis.bench),
             *swap_refusals(axis.bench),
             *conversion_refusals(axis.link, axis.bench),

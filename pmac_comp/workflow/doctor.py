@@ -100,6 +100,7 @@ def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding
         yield from _identity(axis, bench)
         yield _flash(axis, backup)
         yield from _variables(axis, bench)
+        yield from _law(axis, bench)
         yield from _motors(axis)
         yield from _reference(axis, bench)
         yield from _compensation(axis)
@@ -152,6 +153,13 @@ def _variables(axis: "Axis", bench: Bench) -> Iterator[Finding]:
         "I-variables",
         f"bench file in brackets: {variables_text(differing)}" if differing else agreed,
     )
+
+
+def _law(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    from pmac_comp.workflow.card_law import law_refusals
+
+    for refusal in law_refusals(axis.link, bench):
+        yield Finding("bad", "law and units", f"{refusal.message} {refusal.advice}")
 
 
 def _motors(axis: "Axis") -> Iterator[Finding]:

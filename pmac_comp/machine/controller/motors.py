@@ -349,8 +349,10 @@ def jog_to(link: Link, motor: int, position_ct: float) -> None:
     link.command(f"#{motor}J={nine_digits(position_ct)}")
 
 
-def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReading:
-    """Wait until a motor is in position.
+def wait_in_position(
+    link: Link, motor: int, *, timeout_s: float, during: Callable[[], None] | None = None
+) -> MotorReading:
+    """Wait until a motor is in position; ``during`` is called after each look that finds it going.
 
     Raises
     ------
@@ -372,6 +374,8 @@ def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReadin
             )
         if reading.status.is_in_position and reading.status.is_commanded_still:
             return reading
+        if during is not None:
+            during()
         if deadline.expired():
             raise ReplyTimeout(
                 f"Motor #{motor} was not in position after {timeout_s:g} s "
@@ -382,8 +386,20 @@ def wait_in_position(link: Link, motor: int, *, timeout_s: float) -> MotorReadin
         link.clock.sleep_s(POLL_s)
 
 
-def move_to(link: Link, motor: int, position_ct: float, *, timeout_s: float = 60.0) -> MotorReading:
-    """Jog to a position in counts and wait until it is reached."""
+def move_to(
+    link: Link,
+    motor: int,
+    position_ct: float,
+    *,
+    timeout_s: float = 60.0,
+    during: Callable[[], None] | None = None,
+) -> MotorReading:
+    """Jog to a position in counts and wait until it is reached; ``during`` watches, and may raise.
+
+    It is called once before the jog.
+    """
+    if during is not None:
+        during()
     jog_to(link, motor, position_ct)
     link.clock.sleep_s(POLL_s)
-    return wait_in_position(link, motor, timeout_s=timeout_s)
+    return wait_in_position(link, motor, timeout_s=timeout_s, during=during)

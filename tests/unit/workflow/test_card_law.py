@@ -1,0 +1,132 @@
+"""A card whose law or units are not those of the bench file is refused before anything moves."""
+
+import pytest
+
+from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
+from pmac_comp.files.bench import Bench, load_bench, parse_bench
+from pmac_comp.machine.controller import motors
+from pmac_comp.simulator.card import Card
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.calibrate import prepare
+from pmac_comp.workflow.doctor import _law
+from pmac_comp.workflow.simulated import embedded, make_card
+
+PAPER = load_bench("paper")
+EMPS = load_bench("emps")
+PER_MM = 0.1 * 2 * 3.141592653589793
+SI = f"""
+[controller.si]
+Kp_Nm_per_mm = {23.7 * PER_MM}
+Ki_Nm_per_mm_s = {298.0 * PER_MM}
+Kd_Nm_s_per_mm = {0.227 * PER_MM}
+Kvff_Nm_s_per_mm = {0.2295 * PER_MM}
+Kaff_Nm_s2_per_mm = {1.112e-3 * PER_MM}
+"""
+CASCADE = """
+[controller.cascade]
+kp_per_s = 160.18
+kv_V_per_m_per_s = 243.45
+gain_N_per_V = 35.1507
+"""
+
+
+def other_law(kind: str, table: str) -> Bench:
+    """The paper's bench with its clock, its law stated in another form."""
+    head, tail = PAPER.text.split("[controller.ivariables]")
+    rest = tail[tail.index("[travel]") :]
+    return parse_bench(head.replace('kind = "pmac"', f'kind = "{kind}"') + table + rest)
+
+
+def refusal(card: Card, bench: Bench, *lines: str) -> str:
+    """What is said to a bench file whose axis must not be started."""
+    with embedded(card) as link:
+        axis = Axis(link, bench)
+        link.write_buffer(list(lines))
+        with pytest.raises(SafetyRefusal) as caught:
+            prepare(axis)
+        assert motors.read_motor(link, 1).status.is_killed
+        assert any(finding.state == "bad" for finding in _law(axis, bench))
+    return str(caught.value)
+
+
+def started(card: Card, bench: Bench, *lines: str) -> None:
+    """Close the loop of an axis that must not be refused."""
+    with embedded(card) as link:
+        link.write_buffer(list(lines))
+        prepare(Axis(link, bench))
+
+
+def test_the_cards_own_law_in_si_units_is_no_contradiction() -> None:
+    bench = other_law("si", SI)
+    started(make_card(PAPER), bench)
+    started(make_card(bench), bench)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Kp_Nm_per_mm", "Ki_Nm_per_mm_s", "Kd_Nm_s_per_mm", "Kvff_Nm_s_per_mm", "Kaff_Nm_s2_per_mm"],
+)
+def test_a_gain_in_si_units_that_the_card_does_not_have_is_named(name: str) -> None:
+    said = refusal(make_card(PAPER), other_law("si", SI.replace(f"{name} = ", f"{name} = 1")))
+    assert "PC-COM-009" in said
+    assert f"{name} " in said
+    assert "counts_per_rev" in said
+
+
+def test_a_cascade_with_the_right_clock_is_refused() -> None:
+    said = refusal(make_card(PAPER), other_law("cascade", CASCADE))
+    assert "kind = 'cascade'" in said
+    assert "PC-COM-009" in said
+
+
+def test_a_law_in_si_units_tells_wrong_counts() -> None:
+    text = other_law("si", SI).text.replace("counts_per_rev = 10000.0", "counts_per_rev = 40000.0")
+    assert "Kp_Nm_per_mm" in refusal(make_card(PAPER), parse_bench(text))
+
+
+def test_a_servo_of_the_users_own_may_run_any_law() -> None:
+    started(make_card(PAPER), other_law("cascade", CASCADE), "I159=1")
+
+
+def test_what_the_file_leaves_out_must_be_at_its_factory_value() -> None:
+    said = refusal(make_card(PAPER), PAPER, "I108=64", "I163=1000", "I208=32")
+    for words in ("I108 = 64 (96)", "I163 = 1000 (4194304)", "I208 = 32 (96)", "PC-COM-008"):
+        assert words in said
+
+
+def test_a_travel_beyond_the_software_limits_is_refused() -> None:
+    text = PAPER.text.replace("counts_per_rev = 10000.0", "counts_per_rev = 20000.0")
+    said = refusal(make_card(PAPER), parse_bench(text))
+    assert "I113 = 305000 counts are 152.5 mm, max_mm is 300 mm" in said
+    assert "I114" in said
+
+
+def test_limits_that_are_off_say_nothing() -> None:
+    text = PAPER.text.replace("I113 = 305000", "I113 = 0").replace("I114 = -305000", "I114 = 0")
+    started(make_card(PAPER), parse_bench(text), "I113=0", "I114=0")
+
+
+@pytest.mark.parametrize("counts", ["2500.0", "20000.0"])
+def test_a_jog_with_wrong_counts_ends_after_a_few_millimetres(counts: str) -> None:
+    text = PAPER.text.replace("I113 = 305000", "I113 = 0").replace("I114 = -305000", "I114 = 0")
+    wrong = parse_bench(text.replace("counts_per_rev = 10000.0", f"counts_per_rev = {counts}"))
+    with embedded(make_card(PAPER)) as link:
+        axis = Axis(link, wrong)
+        link.write_buffer(["I113=0", "I114=0"])
+        prepare(axis)
+        with pytest.raises(MotorNotSafe, match="differ in resolution") as caught:
+            axis.move_to(axis.scales.counts(0.1))
+        assert "resolutions in the bench file" in str(caught.value)
+        link.clock.sleep_s(0.3)
+        reading = motors.read_motor(link, 1)
+        assert reading.status.is_closed_loop
+        assert reading.status.is_commanded_still
+        assert abs(reading.position_ct) < 15000.0
+
+
+def test_a_jog_of_an_axis_that_is_as_described_arrives() -> None:
+    with embedded(make_card(PAPER)) as link:
+        axis = Axis(link, PAPER)
+        prepare(axis)
+        axis.move_to(axis.scales.counts(0.05))
+        assert motors.read_motor(link, 1).position_ct == pytest.approx(50000.0, abs=5.0)
