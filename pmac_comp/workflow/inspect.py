@@ -1,12 +1,14 @@
 """Looking at a controller: who answers, what the motors do, what compensation is on it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
 from pmac_comp.machine.controller import law_state, motors, recovery
 from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -19,7 +21,6 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis, open_link
 
-Ask = Callable[[str], list[str]]
 _BENCH_FOR_LOOKING = "paper"  # sim:// needs some bench; a real controller does not
 
 
@@ -123,12 +124,33 @@ def _state(status: motors.MotorStatus) -> str:
 def terminal_session(url: str) -> Iterator[Ask]:
     """A function that asks a controller one line; refusals come back as text."""
     if parse_url(url).scheme == "sim":
-        from pmac_comp.machine.client.terminal import terminal_of
-
         with open_link(url, load_bench(_BENCH_FOR_LOOKING)) as link:
             yield terminal_of(link)
         return
-    from pmac_comp.machine.client.terminal import open_terminal
-
     with open_terminal(url) as ask:
         yield ask
+
+
+def ask_all(ask: Ask, lines: Iterable[str], *, until_refused: bool) -> list[dict[str, Any]]:
+    """Answers to lines in their order; a refused one may end it, for what follows may need it."""
+    said: list[dict[str, Any]] = []
+    for line in lines:
+        answer = ask(line)
+        said.append({"command": line, "answer": list(answer), "refused": answer.is_refusal})
+        if answer.is_refusal and until_refused:
+            break
+    return said
+
+
+def refusal_of(said: list[dict[str, Any]], n_given: int) -> CommandRefused | None:
+    """What a conversation ends with if commands of it were refused."""
+    refused = [str(item["command"]) for item in said if item["refused"]]
+    if not refused:
+        return None
+    left = n_given - len(said)
+    rest = f" {left} more behind it were not sent." if left else ""
+    return CommandRefused(
+        f"The controller refused {', '.join(refused)}.{rest}",
+        code="PC-ERR-001",
+        hint="The answer says why; `pmac-comp status URL` shows motors and compensation.",
+    )

@@ -127,9 +127,19 @@ def test_looking_at_the_embedded_card() -> None:
     status = json.loads(run("status", "sim://", "--json").stdout)
     assert [m["number"] for m in status["motors"]] == [1, 2]
     talk = run("terminal", "sim://", "-c", "I130", "-c", "NONSENSE")
-    assert talk.returncode == 0
+    assert talk.returncode == 5
     assert "139449" in talk.stdout
     assert "ERR003" in talk.stdout
+    assert "refused NONSENSE" in talk.stderr
+    assert run("terminal", "sim://", "-c", "I130").returncode == 0
+
+
+def test_what_follows_a_refused_command_is_not_sent() -> None:
+    talk = run("terminal", "sim://", "-c", "NONSENSE", "-c", "I130", "--json")
+    assert talk.returncode == 5
+    (said,) = json.loads(talk.stdout)
+    assert said["refused"]
+    assert "1 more behind it were not sent" in talk.stderr
 
 
 def test_asking_in_a_pipe_counts_as_no() -> None:

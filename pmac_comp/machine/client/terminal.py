@@ -3,7 +3,7 @@
 Control characters are written ``^K``. Imports the commander and, for a Power PMAC, gpascii.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from pmac_comp.base.errors import CommandRefused
@@ -11,7 +11,24 @@ from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.machine.wire.errors import error_meaning, error_text
 
-Ask = Callable[[str], list[str]]
+
+class Answer(list[str]):
+    """Lines to show.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        The lines.
+    is_refusal : bool
+        Whether the controller refused the command.
+    """
+
+    def __init__(self, lines: Iterable[str] = (), *, is_refusal: bool = False) -> None:
+        super().__init__(lines)
+        self.is_refusal = is_refusal
+
+
+Ask = Callable[[str], Answer]
 
 
 def terminal_of(commander: Commander) -> Ask:
@@ -23,18 +40,21 @@ def terminal_of(commander: Commander) -> Ask:
         Conversation to use. The line is sent once, whatever it is.
     """
 
-    def ask(line: str) -> list[str]:
+    def ask(line: str) -> Answer:
         if not line.strip():
-            return []
+            return Answer()
         if len(line.strip()) == 2 and line.strip()[0] == "^":
             answer = commander.control(line.strip()[1])
-            return [answer] if answer else []
+            return Answer([answer] if answer else [])
+        refused = False
         try:
             shown = commander.command(line)
         except CommandRefused as error:
+            refused = True
             shown = [str(text) for text in _list(error.context["lines"])]
             shown.append(_refusal(error))
-        return [*(f"<{text}>" for text in commander.take_unsolicited()), *shown]
+        unasked = (f"<{text}>" for text in commander.take_unsolicited())
+        return Answer([*unasked, *shown], is_refusal=refused)
 
     return ask
 
@@ -52,12 +72,13 @@ def open_terminal(url: str) -> Iterator[Ask]:
         yield _forgiving(power.query)
 
 
-def _forgiving(query: Ask) -> Ask:
-    def ask(line: str) -> list[str]:
+def _forgiving(query: Callable[[str], list[str]]) -> Ask:
+    def ask(line: str) -> Answer:
         try:
-            return query(line) if line.strip() else []
+            return Answer(query(line) if line.strip() else [])
         except CommandRefused as error:
-            return [str(text) for text in _list(error.context["lines"])]
+            lines = (str(text) for text in _list(error.context["lines"]))
+            return Answer(lines, is_refusal=True)
 
     return ask
 
