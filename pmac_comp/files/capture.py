@@ -15,6 +15,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
+from pmac_comp.base.reading import why
 from pmac_comp.base.units import MM_PER_M, US_PER_S
 from pmac_comp.files import capture_formats as formats
 from pmac_comp.files.capture_formats import Attribute
@@ -203,12 +204,20 @@ def read_capture(path: Path | str) -> Capture:
         raise _unknown_suffix(source, sorted(readers))
     if not source.is_file():
         raise CaptureError(
-            f"There is no capture file {source}.",
+            f"{source} is a folder, not a capture file."
+            if source.is_dir()
+            else f"There is no capture file {source}.",
             code="PC-CAP-006",
             hint="Check the path; `pmac-comp capture` writes new ones.",
         )
     try:
         return reader(source)
+    except OSError as error:
+        raise CaptureError(
+            f"The capture file {source} cannot be read: {why(error)}.",
+            code="PC-CAP-017",
+            hint="Check the path and the rights to read it.",
+        ) from error
     except CaptureError as error:
         error.message = f"{source.name}: {error.message}"
         raise
@@ -235,7 +244,7 @@ def write_capture(path: Path | str, capture: Capture) -> None:
         writer(target, capture)
     except OSError as error:
         raise StorageFull(
-            f"{target} could not be written: {error}.",
+            f"{target} could not be written: {why(error)}.",
             code="PC-CAP-007",
             hint="Free space or choose another folder; nothing was changed.",
         ) from error
@@ -258,6 +267,17 @@ def holds_runs(path: Path) -> bool:
     except OSError:
         return True
     return names.issuperset(_REQUIRED) and attributes.get("source") != PREDICTED
+
+
+def capture_source(path: Path) -> str:
+    """Where the run of a file was made, as its headings say; empty where they do not.
+
+    A file that cannot be opened says nothing either: it may be damaged, and is nobody's to replace.
+    """
+    try:
+        return str(formats.headings(path)[1].get("source", ""))
+    except OSError:
+        return ""
 
 
 def file_digest(path: Path) -> str:

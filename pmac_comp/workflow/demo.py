@@ -16,7 +16,7 @@ from typing import Any
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, read_capture, write_capture
+from pmac_comp.files.capture import Capture, capture_source, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
@@ -207,7 +207,7 @@ def run_demo(
 def _refuse_measured(out: Path) -> None:
     """Refuse a folder of a real axis: its runs have the names of the demo's."""
     for path in sorted(out.glob("*.h5")):
-        if "simulated" not in str(read_capture(path).attributes.get("source", "")):
+        if "simulated" not in capture_source(path):
             raise ConfigError(
                 f"{out} holds {path.name}, which was not captured on the simulated card.",
                 code="PC-DEM-001",
