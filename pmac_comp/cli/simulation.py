@@ -110,7 +110,6 @@ def sim(
         return
     from pmac_comp.workflow.simulated import serve_forever
 
-    output.say("starting; the first time on a machine its kernels are compiled, about a minute")
     serve_forever(
         tcp=tcp,
         udp=udp,
@@ -125,4 +124,7 @@ def sim(
         flash=flash,
         force=force,
         faults=faults,
+        starting=lambda: output.say(
+            "starting; the first time on a machine its kernels are compiled, about a minute"
+        ),
     )

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmac_comp.base.atomic import atomic_write_bytes
+from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.reading import why
 
 _MAGIC = b"TURBO PMAC FLASH 1\n"
 _SUM_BYTES = 64
@@ -99,6 +101,29 @@ class Image:
             {int(k): v for k, v in stored["plcs"].items()},
             [(int(cs), int(motor), str(text)) for cs, motor, text in stored["axes"]],
             str(stored["password"]),
+        )
+
+
+def check_image(path: Path) -> None:
+    """Refuse a path that SAVE must not write over or cannot write to; a damaged image is none.
+
+    Raises
+    ------
+    ConfigError
+        A folder, a file of another kind, or no folder to make it in.
+    """
+    try:
+        with path.open("rb") as stream:
+            wrong = "" if stream.read(len(_MAGIC)) in {_MAGIC, b""} else "it holds something else"
+    except FileNotFoundError as error:
+        wrong = "" if path.parent.is_dir() else why(error)
+    except OSError as error:
+        wrong = why(error)
+    if wrong:
+        raise ConfigError(
+            f"{path} cannot be the flash image: {wrong}.",
+            code="PC-SIM-006",
+            hint="Name a new file, or one that a simulated card has saved; SAVE writes it.",
         )
 
 

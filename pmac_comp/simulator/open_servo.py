@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.reading import why
 from pmac_comp.simulator import vm
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import (
@@ -379,7 +380,7 @@ def translate_open_servo(text: str, *, name: str = "open servo") -> Compiled:
         return translator.finish()
     except CardError as error:
         raise ConfigError(
-            f"{name}, line {number}: {error}.",
+            f"{name}, line {number}: {error}." if number else f"{name} is empty.",
             code="PC-OSV-001",
             hint="The open servo takes the statements of the User Manual p. 169-179.",
         ) from error
@@ -391,7 +392,7 @@ def read_open_servo(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"The open servo source {path} cannot be read: {error}.",
+            f"The open servo source {path} cannot be read: {why(error)}.",
             code="PC-OSV-002",
             hint="Give a text file such as firmware_plc/feedforward_servo.txt.",
         ) from error

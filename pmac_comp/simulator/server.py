@@ -22,7 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ConnectFailed
+from pmac_comp.base.reading import why
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.endpoints import DatagramPort, PseudoTerminal, Session, StreamClient
 from pmac_comp.simulator.pace import AS_FAST_AS_FOLLOWED, HostPace, Pace
@@ -178,24 +180,8 @@ class SimulatorServer:
         return int(server.sockets[0].getsockname()[1])
 
     def _schedule_force(self) -> None:
-        if self.options.force is None:
-            return
-        try:
-            table = np.genfromtxt(self.options.force, delimiter=",", names=True)
-            time_s, force_N = np.atleast_1d(table["time_s"]), np.atleast_1d(table["force_N"])
-        except (OSError, ValueError, IndexError) as error:
-            raise ConfigError(
-                f"The force schedule {self.options.force} cannot be used: {error}.",
-                code="PC-SIM-004",
-                hint="Give a CSV file with the columns time_s,force_N.",
-            ) from error
-        if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(force_N))):
-            raise ConfigError(
-                f"The force schedule {self.options.force} holds values that are not finite.",
-                code="PC-SIM-005",
-                hint="Each row needs a time in s and a force in N.",
-            )
-        self.card.servo.set_force_schedule(time_s, force_N)
+        if self.options.force is not None:
+            self.card.servo.set_force_schedule(*_force_schedule(self.options.force))
 
     def tell(self, text: str) -> None:
         """Tell the person at the server; what comes too often is told no more."""
@@ -208,6 +194,35 @@ class SimulatorServer:
             client.flush_announcements()
         if self._terminal is not None:
             self._terminal.send(self._terminal.session.pending())
+
+
+def check_options(options: ServeOptions) -> None:
+    """Refuse a speed or a force schedule that cannot be served; raises ConfigError."""
+    _ = options.factor
+    if options.force is not None:
+        _force_schedule(options.force)
+
+
+def _force_schedule(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Times in s and forces in N of a CSV file; ConfigError where it is none."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        table = np.genfromtxt(lines or ["empty"], delimiter=",", names=True)
+        time_s, force_N = np.atleast_1d(table["time_s"]), np.atleast_1d(table["force_N"])
+    except (OSError, ValueError, IndexError) as error:
+        said = why(error) if isinstance(error, (OSError, UnicodeError)) else "it has other columns"
+        raise ConfigError(
+            f"The force schedule {path} cannot be used: {said}.",
+            code="PC-SIM-004",
+            hint="Give a CSV file with the columns time_s,force_N.",
+        ) from error
+    if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(force_N))):
+        raise ConfigError(
+            f"The force schedule {path} holds values that are not finite.",
+            code="PC-SIM-005",
+            hint="Each row needs a time in s and a force in N.",
+        )
+    return time_s, force_N
 
 
 def warm_up(card: Card) -> None:

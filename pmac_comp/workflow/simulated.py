@@ -6,7 +6,7 @@ handling of ``sim``. What may not: anything of the card itself.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,19 +154,40 @@ def serve_forever(
     flash: Path | None,
     force: Path | None,
     faults: bool,
+    starting: Callable[[], None],
 ) -> None:
-    """Serve a card until it is stopped; prints one JSON line with the endpoints when ready."""
-    from pmac_comp.simulator.server import ServeOptions, serve
+    """Serve a card until it is stopped; prints one JSON line with the endpoints when ready.
+
+    ``starting`` is called when all options were found good, before anything is compiled.
+    """
+    from pmac_comp.simulator.server import ServeOptions, check_options, serve
 
     if tcp is None and udp is None and ascii_port is None and not pty:
         tcp = 1025
     loaded = load_bench(bench)
-    warm_up(loaded, plant)
-    card = make_card(loaded, plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults)
     options = ServeOptions(
         tcp=tcp, udp=udp, ascii_port=ascii_port, pty=pty, host=host, speed=speed, force=force
     )
+    check_options(options)
+    _check_files(plant, servo, flash)
+    starting()
+    warm_up(loaded, plant)
+    card = make_card(loaded, plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults)
     serve(card, options)
+
+
+def _check_files(plant: str | None, servo: Path | None, flash: Path | None) -> None:
+    """Refuse files that the card cannot start with, as far as it is quickly seen."""
+    from pmac_comp.simulator.flash import check_image
+    from pmac_comp.simulator.open_servo import read_open_servo, translate_open_servo
+    from pmac_comp.simulator.plant.door import check_plant
+
+    if plant is not None:
+        check_plant(plant)
+    if servo is not None:
+        translate_open_servo(read_open_servo(servo), name=servo.name)
+    if flash is not None:
+        check_image(flash)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import importlib.util
 import math
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -184,15 +185,7 @@ def load_plant(text: str, bench: Bench) -> Plant:
     Plant
         Our own compiled drive as it is, any other one with a guard around it.
     """
-    path, factory_name = _split(text)
-    module = _module_from(path)
-    factory = getattr(module, factory_name, None)
-    if not callable(factory):
-        raise ConfigError(
-            f"{path} has no factory '{factory_name}'.",
-            code="PC-PLT-012",
-            hint="Define make_plant(bench), or name the factory: FILE:FACTORY.",
-        )
+    path, factory_name, factory = _factory_of(text)
     try:
         plant = factory(bench)
     except _USER_ERRORS as error:
@@ -233,6 +226,23 @@ def _line_of(error: BaseException, name: str) -> str:
         if Path(frame.filename).name == name
     ]
     return f" (line {lines[-1]})" if lines else ""
+
+
+def check_plant(text: str) -> None:
+    """Refuse what is no file or defines no such factory; raises ConfigError. Makes no plant."""
+    _factory_of(text)
+
+
+def _factory_of(text: str) -> tuple[Path, str, Callable[[Bench], object]]:
+    path, name = _split(text)
+    factory = getattr(_module_from(path), name, None)
+    if not callable(factory):
+        raise ConfigError(
+            f"{path} has no factory '{name}'.",
+            code="PC-PLT-012",
+            hint="Define make_plant(bench), or name the factory: FILE:FACTORY.",
+        )
+    return path, name, factory
 
 
 def _split(text: str) -> tuple[Path, str]:
