@@ -332,6 +332,7 @@ def verify(
         check_bench(law, bench)
     progress = ProgressLines()
     if before or after:
+        _refuse_controller_options(url, out)
         first = capture_paths(before or (), side="before")
         second = capture_paths(after or (), side="after")
         outcome = verify_files(bench, first, second, model=model, law=law)
@@ -376,7 +377,24 @@ def verify(
 
         write_verification_report(outcome, output.checked_target(report))
 
-    output.finish_with_report(outcome.as_result(), outcome.lines, json_target, report)
+    def lines() -> list[str]:
+        kept = [] if out is None else [f"runs and result: {out}"]
+        return [*outcome.lines(), *kept]
+
+    result = outcome.as_result() if out is None else {**outcome.as_result(), "folder": out}
+    output.finish_with_report(result, lines, json_target, report)
+
+
+def _refuse_controller_options(url: str, out: Path | None) -> None:
+    """Refuse what only a measurement uses, rather than leave it aside without a word."""
+    for given, name in ((url, "a URL"), (out, "--out")):
+        if given:
+            raise ConfigError(
+                f"Stored runs are compared (--before, --after), and {name} is given as well.",
+                code="PC-CLI-016",
+                hint="Leave it out; --json FILE and --report FILE keep the result. Without "
+                "--before and --after runs are made on the controller.",
+            )
 
 
 def improve(

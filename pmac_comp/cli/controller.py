@@ -126,29 +126,28 @@ def terminal(
     ] = None,
     json_target: JsonOption = "",
 ) -> None:
-    """Talk to a controller in its own language."""
-    from pmac_comp.workflow.inspect import terminal_session
+    """Talk to a controller in its own language.
+
+    With -c the first refused command ends it, with exit code 5; what follows is not sent.
+    """
+    from pmac_comp.workflow.inspect import ask_all, refusal_of, terminal_session
 
     with terminal_session(url) as ask:
-        if command:
-            answers = [{"command": line, "answer": ask(line)} for line in command]
-            output.finish(
-                answers,
-                json_target,
-                lambda: output.echo_all(x for item in answers for x in item["answer"]),
-            )
+        if not command and not json_target:
+            output.say("one command per line; end with Ctrl-D")
+            for line in sys.stdin:
+                output.echo_all(ask(line.rstrip("\r\n")))
             return
-        output.say("one command per line; end with Ctrl-D")
-        if json_target:
-            lines = [line.rstrip("\r\n") for line in sys.stdin]
-            said = [{"command": line, "answer": ask(line)} for line in lines]
-            output.finish(
-                said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"])
-            )
-            return
-        for line in sys.stdin:
-            for answer in ask(line.rstrip("\r\n")):
-                output.echo(answer)
+        if not command:
+            output.say("one command per line; end with Ctrl-D")
+        lines = command or [line.rstrip("\r\n") for line in sys.stdin]
+        said = ask_all(ask, lines, until_refused=bool(command))
+    output.finish(said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"]))
+    refused = refusal_of(said, len(lines)) if command else None
+    if refused is not None:
+        # Standard output holds its document already: the answers themselves.
+        output.show_error(refused, as_json=False)
+        raise typer.Exit(refused.exit_code)
 
 
 def backup(
@@ -217,7 +216,7 @@ def setup(
     """
     from pmac_comp.workflow.commissioning import plan_setup, set_up
 
-    plan = plan_setup(url, bench)
+    plan = plan_setup(url, bench, killed=not dry_run)
 
     def show_plan() -> None:
         rows = [(name, card, wanted) for name, (card, wanted) in plan.items()]
@@ -293,11 +292,12 @@ def capture(
         show_plan()
     confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
     progress = ProgressLines()
-    result = capture_to_folder(url, bench, plan, out, progress=progress)
+    result = capture_to_folder(
+        url, bench, plan, out, progress=progress, tell=lambda text: output.say(f"note: {text}")
+    )
     progress.close()
 
-    def show() -> None:
-        output.echo_all(str(path) for path in result["files"])
-        output.echo_all(f"note: {remark}" for remark in result["remarks"])
-
-    output.finish(result, json_target, show)
+    # Remarks were told before the axis moved, when something could still be done about them.
+    output.finish(
+        result, json_target, lambda: output.echo_all(str(path) for path in result["files"])
+    )

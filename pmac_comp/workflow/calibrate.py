@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
+from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
@@ -69,16 +70,25 @@ def plan_capture(bench: str, *, campaign: str, motions: tuple[str, ...]) -> Capt
 
 
 def capture_to_folder(
-    url: str, bench: str, plan: CapturePlan, out: Path, *, progress: Progress | None = None
+    url: str,
+    bench: str,
+    plan: CapturePlan,
+    out: Path,
+    *,
+    progress: Progress | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Run the motions of a plan and store one HDF5 file each; names of the files."""
+    """Run the motions of a plan and store one HDF5 file each; names of the files.
+
+    ``tell`` is called with each remark before the axis moves, when it is not too late to stop.
+    """
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
     with open_axis(url, bench) as axis, at_work(axis, url):
         remarks = (*reference_remarks(axis.link, axis.bench), *acting_remarks(axis))
-        if progress is not None:
+        if tell is not None:
             for remark in remarks:
-                progress(f"note: {remark}", -1.0)
+                tell(remark)
         for motion in plan.motions:  # all of them before the first one moves the axis
             axis.require_room(motion)
         with motor_as_found(axis):
@@ -197,7 +207,7 @@ def _probe(folder: Path) -> None:
             probe.unlink(missing_ok=True)
     except OSError as error:
         raise StorageFull(
-            f"{folder} cannot be written: {error}.",
+            f"{folder} cannot be written: {why(error)}.",
             code="PC-CAL-002",
             hint="Choose another folder with --out; nothing was moved.",
         ) from error

@@ -203,10 +203,19 @@ def reference_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
     )
 
 
-def plan_setup(url: str, bench: str) -> dict[str, tuple[float, float]]:
-    """What ``set_up`` would change: value on the card, value in the bench file."""
+def plan_setup(url: str, bench: str, *, killed: bool = False) -> dict[str, tuple[float, float]]:
+    """What ``set_up`` would change: value on the card, value in the bench file.
+
+    Raises
+    ------
+    MotorNotSafe
+        Something would change, ``killed`` motors are asked for, and one is enabled.
+    """
     with open_axis(url, bench) as axis:
-        return settable_variables(axis)
+        differing = settable_variables(axis)
+        if differing and killed:
+            require_killed(axis)
+        return differing
 
 
 def set_up(url: str, bench: str, journal: Path = DEFAULT_JOURNAL) -> dict[str, Any]:
@@ -234,7 +243,7 @@ def set_up_axis(
     """
     motors = axis.bench.motor_numbers
     with untouched():
-        raise_all(_enabled_refusals(axis.link, motors), "The set-up")
+        require_killed(axis)
     goal = Settings(texts({name: wanted for name, (_, wanted) in differing.items()}))
     with grouped(axis.link, context, "setup") as inner:
         return change_settings(axis.link, inner, goal, route="setup", motors=motors)
@@ -243,6 +252,11 @@ def set_up_axis(
 def settable_variables(axis: Axis) -> dict[str, tuple[float, float]]:
     """Variables of the bench file that stand otherwise and may be set, the clocks apart."""
     return {k: v for k, v in differing_variables(axis.link, axis.bench).items() if k not in CLOCK}
+
+
+def require_killed(axis: Axis) -> None:
+    """Refuse a set-up while a motor of the bench file is enabled; raises MotorNotSafe."""
+    raise_all(_enabled_refusals(axis.link, axis.bench.motor_numbers), "The set-up")
 
 
 def _enabled_refusals(link: Link, numbers: Sequence[int]) -> list[SafetyRefusal]:

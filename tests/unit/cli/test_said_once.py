@@ -1,0 +1,100 @@
+"""What commands say before and after they act: refusals before questions, notes once."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.cli import app
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import read_capture
+from pmac_comp.workflow import commissioning, verify
+from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.verification import Verification
+
+PAPER = load_bench("paper")
+SINE = "sine:amplitude_mm=1,frequency_Hz=4,cycles=2"
+
+
+def ended(words: list[str]) -> int:
+    """Exit code of a command."""
+    with pytest.raises(SystemExit) as left:
+        app.main(words)
+    return int(left.value.code or 0)
+
+
+def test_setup_refuses_an_enabled_motor_before_it_asks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with embedded(make_card(PAPER)) as link:
+        axis = Axis(link, PAPER)
+        link.write_buffer(["I116=400"])
+        axis.enable()
+
+        @contextmanager
+        def same(*_: object) -> Iterator[Axis]:
+            yield axis
+
+        monkeypatch.setattr(commissioning, "open_axis", same)
+        assert ended(["setup", "tcp://card:1", "--bench", "paper"]) == 6
+        said = capsys.readouterr()
+        assert "is enabled" in said.err
+        assert "Nobody can answer here" not in said.err
+        assert said.out == ""
+        # Looking is allowed, and so is asking where nothing would change.
+        assert ended(["setup", "tcp://card:1", "--bench", "paper", "--dry-run"]) == 0
+        link.write_buffer(["I116=500"])
+        assert ended(["setup", "tcp://card:1", "--bench", "paper"]) == 0
+
+
+def test_notes_of_a_capture_are_said_once_and_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["capture", "sim://", "--bench", "paper", "--motion", SINE, "--yes"]
+    assert ended([*words, "--out", str(tmp_path / "runs")]) == 0
+    said = capsys.readouterr()
+    assert (said.err + said.out).count("has not been homed") == 1
+    assert said.err.count("note: ") == 1
+    (path,) = (tmp_path / "runs").glob("*.h5")
+    assert read_capture(path).n > 0
+
+
+def test_verify_says_where_the_runs_went(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        verify, "verify_on_controller", lambda *_, **__: Verification((), 0.0, simulated=True)
+    )
+    monkeypatch.setattr("pmac_comp.workflow.previews.preview_verification", _no_plan)
+    monkeypatch.setattr("pmac_comp.workflow.compensation_file.named_compensation", lambda _: None)
+    folder = tmp_path / "verified"
+    words = ["verify", "sim://", "--bench", "paper", "--yes"]
+    assert ended([*words, "--out", str(folder)]) == 0
+    assert f"runs and result: {folder}" in capsys.readouterr().out
+    assert ended(words) == 0
+    assert "runs and result" not in capsys.readouterr().out
+
+
+def test_what_a_comparison_of_stored_runs_would_leave_aside_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stored = ["--bench", "paper", "--before", "a.h5", "--after", "b.h5"]
+    for more in (["--out", "folder"], ["tcp://card"]):
+        assert ended(["verify", *more, *stored]) == 2
+        assert "PC-CLI-016" in capsys.readouterr().err
+
+
+class _NoPlan:
+    """A plan without motions."""
+
+    def rows(self) -> list[tuple[object, ...]]:
+        return []
+
+    def lines(self) -> list[str]:
+        return []
+
+
+def _no_plan(*_: object, **__: object) -> _NoPlan:
+    return _NoPlan()
