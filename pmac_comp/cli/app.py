@@ -16,6 +16,7 @@ from typer.core import TyperCommand
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError, StorageFull
+from pmac_comp.base.reading import why
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 
 _INTERRUPTED = 130
@@ -149,12 +150,12 @@ def _as_refusal(error: OSError) -> PmacCompError:
     """A file that cannot be used as asked: the user's to settle, not a bug."""
     if error.errno in _FULL:
         return StorageFull(
-            f"{error.filename or 'A file'} could not be written: {error.strerror}.",
+            f"{error.filename or 'A file'} could not be written: {why(error)}.",
             code="PC-CLI-013",
             hint="Free space or name another folder, and run the command again.",
         )
     return ConfigError(
-        f"{error.filename or 'A file'} cannot be used: {error.strerror or error}.",
+        f"{error.filename or 'A file'} cannot be used: {why(error)}.",
         code="PC-CLI-003",
         hint="Check the path and its permissions.",
     )

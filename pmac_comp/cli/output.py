@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
+from pmac_comp.base.reading import why
 
 JSON_STDOUT = "--json=-"
 _WHOLE_BELOW = 1e7  # counts are shown to the last one
@@ -153,7 +154,7 @@ def checked_target(path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(
-            f"The folder {path.parent} cannot be used: {error}.",
+            f"The folder {path.parent} cannot be used: {why(error)}.",
             code="PC-CLI-001",
             hint="Name a folder that can be written.",
         ) from error

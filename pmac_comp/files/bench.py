@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.reading import why
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S, lead_m_per_rad
 from pmac_comp.files.resources import data_folder
 from pmac_comp.files.validation import problems
@@ -359,7 +360,7 @@ def load_bench(path: Path | str) -> Bench:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"The bench file {source} cannot be read: {error}.",
+            f"The bench file {source} cannot be read: {why(error)}.",
             code="PC-CFG-002",
             hint=known,
         ) from error

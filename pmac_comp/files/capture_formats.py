@@ -34,7 +34,9 @@ def read_hdf5(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
             attributes = {key: _attribute(value) for key, value in file.attrs.items()}
     except OSError as error:
         raise CaptureError(
-            f"not a readable HDF5 file: {error}.",
+            "it is empty."
+            if not path.stat().st_size
+            else "not a readable HDF5 file, or one that was cut off.",
             code="PC-CAP-010",
             hint="If the run was interrupted, "
             "`pmac-comp capture URL --bench FILE --recover LOG --out FOLDER` rebuilds it.",
@@ -194,7 +196,7 @@ def read_mat(path: Path) -> dict[str, Any]:
         return dict(loadmat(path, squeeze_me=True))
     except (MatReadError, NotImplementedError, ValueError, TypeError) as error:
         raise CaptureError(
-            f"not a readable MAT file (version 5): {error}.",
+            "not a readable MAT file of version 5, or one that was cut off.",
             code="PC-CAP-015",
             hint="Save with `save -v7`; version 7.3 files are HDF5: rename them to .h5.",
         ) from error

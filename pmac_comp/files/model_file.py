@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.validation import problems
 
@@ -97,7 +98,7 @@ def read_model(path: Path | str) -> ModelFile:
         return ModelFile.model_validate_json(source.read_text(encoding="utf-8"))
     except OSError as error:
         raise ModelError(
-            f"The model file {source} cannot be read: {error}.",
+            f"The model file {source} cannot be read: {why(error)}.",
             code="PC-MFL-001",
             hint="`pmac-comp identify` writes model files.",
         ) from error
@@ -112,7 +113,7 @@ def read_model(path: Path | str) -> ModelFile:
 
 def _problems(error: ValidationError | UnicodeDecodeError) -> list[str]:
     if isinstance(error, UnicodeDecodeError):
-        return ["it is no text in UTF-8"]
+        return [why(error)]
     found = problems(error, ModelFile)
     more = [f"and {len(found) - _MOST_SHOWN} more"] if len(found) > _MOST_SHOWN else []
     return [*found[:_MOST_SHOWN], *more]

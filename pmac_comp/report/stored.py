@@ -6,6 +6,7 @@ from typing import Any
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.reading import why
 from pmac_comp.report.page import Page, Section, Table, write_page
 
 _MOST_DEPTH = 6
@@ -26,7 +27,7 @@ def report_from_file(source: Path, out: Path) -> Path:
         data = json.loads(source.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(
-            f"{source} is not a stored result: {error}.",
+            f"{source} is not a stored result: {why(error)}.",
             code="PC-REP-001",
             hint=_HINT,
         ) from error

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import CaptureError, ConfigError, SampleGap
+from pmac_comp.base.reading import why
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.capture import read_capture
 
@@ -109,7 +110,7 @@ def _rows(path: Path) -> list[list[str]]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise CaptureError(
-            f"The command file {path} cannot be read: {error}.",
+            f"The command file {path} cannot be read: {why(error)}.",
             code="PC-CMD-004",
             hint="Give a CSV file with time_s,commanded_position_mm, or a capture (.csv .h5 .mat).",
         ) from error

@@ -12,6 +12,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
+from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -138,7 +139,7 @@ def read_compensation(path: Path) -> Compensation:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise _bad(path, str(error)) from error
+        raise _bad(path, why(error)) from error
     if not isinstance(data, dict) or data.get("compensation_version") != _VERSION:
         raise _bad(path, "it has no compensation_version 1")
     try:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
+from pmac_comp.base.reading import why
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import backup as kept
@@ -156,10 +157,16 @@ def _program_text(bench: str, source: Path) -> str:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
-            f"The program file {source} cannot be read: {error}.",
+            f"The program file {source} cannot be read: {why(error)}.",
             code="PC-BCK-011",
             hint="Give a backup (.json) or a program file as text. Nothing was changed.",
         ) from error
+    if not text.strip():
+        raise ConfigError(
+            f"The program file {source} is empty.",
+            code="PC-BCK-012",
+            hint="Give a backup (.json) or a program file as text. Nothing was changed.",
+        )
     motor = loaded.encoder.motor_number
     scale_motor = loaded.scale.motor_number if loaded.scale else motor
     return programs.render(text, motor=motor, scale_motor=scale_motor, first_p=block.first)

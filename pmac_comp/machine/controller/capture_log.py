@@ -23,6 +23,7 @@ import numpy as np
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.base.clock import Clock, SystemClock
 from pmac_comp.base.errors import CaptureError, StorageFull
+from pmac_comp.base.reading import why
 
 MAGIC: Final = b"PMAC-COMP CAPTURE LOG 1\n"
 SYNC_EVERY_s: Final = 0.5
@@ -76,7 +77,7 @@ class CaptureLog:
             log._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except OSError as error:
             raise CaptureError(
-                f"The capture log {path} cannot be made: {error.strerror}.",
+                f"The capture log {path} cannot be made: {why(error)}.",
                 code="PC-LOG-001",
                 hint="Choose a new name in a folder that can be written.",
             ) from error
@@ -151,7 +152,7 @@ class CaptureLog:
                 context={"rows": self._n_rows},
             )
         return CaptureError(
-            f"The capture log {self.path} cannot be written: {error.strerror}.",
+            f"The capture log {self.path} cannot be written: {why(error)}.",
             code="PC-LOG-003",
             hint="Check the disk, or capture into another folder with --out.",
         )

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from pmac_comp.base.errors import ConfigError, StorageFull
+from pmac_comp.base.reading import why
 
 _NOT_YET: Final = -1
 _ENCODER: Final = json.JSONEncoder(sort_keys=True)
@@ -85,7 +86,7 @@ class Journal:
                 self._append(line, when)
         except OSError as error:
             raise StorageFull(
-                f"The journal {self.path} cannot be written: {error.strerror}.",
+                f"The journal {self.path} cannot be written: {why(error)}.",
                 code="PC-JRN-001",
                 hint="Nothing is changed without a journal; free the disk or choose a folder.",
             ) from error
@@ -198,7 +199,7 @@ def _prepare(folder: Path) -> int:
 def unwritable(folder: Path, error: OSError) -> ConfigError:
     """What is said of a folder in which no journal can be kept."""
     return ConfigError(
-        f"The folder {folder} cannot be written: {error.strerror}.",
+        f"The folder {folder} cannot be written: {why(error)}.",
         code="PC-JRN-002",
         hint="Choose a folder with room that you may write to; the controller was not touched.",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pmac_comp.base.atomic import atomic_write_bytes
 from pmac_comp.base.errors import ConfigError, ControllerState, StorageFull, TableStateError
+from pmac_comp.base.reading import why
 
 
 def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
@@ -27,7 +28,7 @@ def write_sealed_json(path: Path, data: Mapping[str, object]) -> None:
         stored = path.read_bytes()
     except OSError as error:
         raise StorageFull(
-            f"The backup {path} cannot be written: {error.strerror}.",
+            f"The backup {path} cannot be written: {why(error)}.",
             code="PC-TXN-008",
             hint="Nothing is changed without a backup; free the disk or choose a folder.",
         ) from error

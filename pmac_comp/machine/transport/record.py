@@ -14,6 +14,7 @@ from typing import TextIO
 
 from pmac_comp.base.clock import Clock, Deadline
 from pmac_comp.base.errors import ConfigError, RemoteProtocolError, ReplyTimeout
+from pmac_comp.base.reading import why
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.tap import Way
 
@@ -40,7 +41,7 @@ class RecordingTransport:
         except OSError as error:
             inner.close()
             raise ConfigError(
-                f"the session cannot be recorded in {path}: {error.strerror}",
+                f"the session cannot be recorded in {path}: {why(error)}",
                 code="PC-URL-005",
                 hint="?record= takes the name of a new file in a folder that can be written.",
             ) from error
