@@ -40,10 +40,11 @@ app = typer.Typer(
 
 
 class _Command(TyperCommand):
-    """A command that is refused before it begins where its result would destroy what it reads."""
+    """A command that is refused before it begins where its result could not be kept."""
 
     def invoke(self, ctx: Any) -> Any:
         output.refuse_one_file_twice(self.name or "", ctx.params)
+        output.refuse_unusable_targets(self.name or "", ctx.params)
         return super().invoke(ctx)
 
 
@@ -142,7 +143,13 @@ _OF_THE_FOLDER = _FULL | {errno.EROFS, errno.ENAMETOOLONG, errno.EFBIG, errno.EL
 
 def _is_of_the_user(error: OSError) -> bool:
     """Whether a path, a right or a disk is at fault, and not the program."""
-    by_class = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+    by_class = (
+        FileExistsError,
+        FileNotFoundError,
+        IsADirectoryError,
+        NotADirectoryError,
+        PermissionError,
+    )
     return isinstance(error, by_class) or error.errno in _OF_THE_FOLDER
 
 

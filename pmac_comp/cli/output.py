@@ -98,6 +98,42 @@ def refuse_one_file_twice(command: str, parameters: Mapping[str, Any]) -> None:
             )
 
 
+_FOLDERS = frozenset({"capture", "demo", "improve", "verify"})  # whose --out is one
+
+
+def refuse_unusable_targets(command: str, parameters: Mapping[str, Any]) -> None:
+    """Refuse a result that could not be written, before minutes of work are spent on it.
+
+    Nothing is made yet: a command that is refused for another reason leaves nothing behind.
+    """
+    for name in WRITTEN:
+        for path in _paths(parameters.get(name)):
+            if name == "out" and command in _FOLDERS:
+                continue
+            _refuse_folder(path)
+            place = next(above for above in path.parents if above.exists())
+            if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+                wrong = "this user may not write there" if place.is_dir() else "it is a file"
+                raise _no_folder(place, wrong)
+
+
+def _refuse_folder(path: Path) -> None:
+    if path.is_dir():
+        raise ConfigError(
+            f"{path} is a folder, a file name is needed.",
+            code="PC-CLI-002",
+            hint="Name the file to be written.",
+        )
+
+
+def _no_folder(folder: Path, wrong: str) -> ConfigError:
+    return ConfigError(
+        f"The folder {folder} cannot be used: {wrong}.",
+        code="PC-CLI-001",
+        hint="Name a folder that can be written.",
+    )
+
+
 def _paths(value: Any) -> list[Path]:
     """What a parameter may name as files: one, several or none."""
     values = value if isinstance(value, (list, tuple)) else [value]
@@ -153,17 +189,8 @@ def checked_target(path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(
-            f"The folder {path.parent} cannot be used: {why(error)}.",
-            code="PC-CLI-001",
-            hint="Name a folder that can be written.",
-        ) from error
-    if path.is_dir():
-        raise ConfigError(
-            f"{path} is a folder, a file name is needed.",
-            code="PC-CLI-002",
-            hint="Name the file to be written.",
-        )
+        raise _no_folder(path.parent, why(error)) from error
+    _refuse_folder(path)
     if holds_runs(path):
         raise ConfigError(
             f"There is a capture {path} already; the run that it holds cannot be measured again.",

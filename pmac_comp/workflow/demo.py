@@ -180,6 +180,12 @@ def run_demo(
         Unknown route, or a folder that holds runs of a real axis.
     """
     check_route(route)
+    if out.exists() and not out.is_dir():
+        raise ConfigError(
+            f"{out} is a file, a folder is needed.",
+            code="PC-DEM-002",
+            hint="Name a folder with --out; nothing was written.",
+        )
     _refuse_measured(out)
     loaded = load_bench(bench)
     out.mkdir(parents=True, exist_ok=True)

@@ -31,6 +31,7 @@ _SOFTER = 2.0  # than stated, at most: a slender screw lets a fast sine grow by 
 _LAGS_m = 5e-5  # more than friction and a worn nut hold back
 _REPEATED = 0.02  # share of moving samples
 _FLAT = 0.02  # share of samples at the very top of the torque
+_BEYOND, _FULL_DAC = 1.5, 32768.0  # times the full output: no card sends that
 _INERTIA = (0.7, 1.6)  # torque per acceleration over what the bench file says
 _FINER = (1.02, 16.0)  # count of the bench file over that of the readings
 _ROUND_OFF_m = 2e-10
@@ -247,6 +248,14 @@ def _require_whole_torque(capture: Capture, bench: Bench, name: str) -> None:
     if capture.torque_command_Nm is None:
         return
     top = float(np.abs(capture.torque_command_Nm[capture.mask]).max())
+    full_Nm = _FULL_DAC * bench.drive.torque_per_dac_Nm
+    if bench.controller.kind == "pmac" and top > _BEYOND * full_Nm:
+        raise CaptureError(
+            f"{name}: the torque reaches {top:.4g} N m, the full output of the card is "
+            f"{full_Nm:.4g} N m.",
+            code="PC-IDN-049",
+            hint="Is the torque channel in N m? Else check torque_per_dac_Nm.",
+        )
     share = _share_at(capture, top)
     if top > 0.0 and share > _FLAT and top < 0.98 * _least_limit_Nm(bench):
         raise CaptureError(

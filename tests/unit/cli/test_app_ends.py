@@ -30,6 +30,7 @@ def ended(monkeypatch: pytest.MonkeyPatch, error: BaseException, command: str) -
         (errno.EROFS, "PC-CLI-003", 2),
         (errno.ENAMETOOLONG, "PC-CLI-003", 2),
         (errno.ENOENT, "PC-CLI-003", 2),
+        (errno.EEXIST, "PC-CLI-003", 2),
         (errno.EBADF, "PC-BUG-001", 70),
     ],
 )

@@ -56,6 +56,27 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_capture(Path("good.h5"), Capture(grid, grid, grid))
 
 
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["identify", "good.h5", *BENCH, "--out", "there"], "PC-CLI-002"),
+        (["identify", "good.h5", *BENCH, "--report", "good.h5/page.html"], "PC-CLI-001"),
+        (["diagnose", "good.h5", *BENCH, "--json", "there/x.json"], "PC-CLI-002"),
+        (["convert", "good.h5", "there"], "PC-CLI-002"),
+    ],
+)
+def test_a_result_that_cannot_be_written_is_refused_before_the_work(
+    words: list[str], code: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("there/x.json").mkdir(parents=True)
+    for work in ("identification.identify_files", "diagnosis.diagnose_files"):
+        monkeypatch.setattr(f"pmac_comp.workflow.{work}", lambda *_, **__: pytest.fail("worked"))
+    with pytest.raises(SystemExit) as left:
+        app.main(words)
+    assert left.value.code == 2
+    assert code in capsys.readouterr().err
+
+
 def make(path: Path, kind: str) -> None:
     """A file that is wrong in some way."""
     if kind == "folder":

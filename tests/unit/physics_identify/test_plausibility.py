@@ -54,6 +54,7 @@ SPOILT: dict[str, tuple[Capture, str]] = {
     ),
     "torque reversed": (replace(RUN, torque_command_Nm=-TORQUE), "sign"),
     "torque in percent": (replace(RUN, torque_command_Nm=5.0 * TORQUE), "torque_per_dac_Nm"),
+    "torque in mN m": (replace(RUN, torque_command_Nm=1e3 * TORQUE), "in N m"),
     "repeated samples": (repeated(), "rate"),
     "motor without power": (
         replace(RUN, motor_position_m=np.full(RUN.n, 0.1), table_position_m=np.full(RUN.n, 0.1)),

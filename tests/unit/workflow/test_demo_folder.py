@@ -54,6 +54,12 @@ def test_a_file_that_cannot_be_opened_is_not_written_over(tmp_path: Path) -> Non
         demo.run_demo(tmp_path)
 
 
+def test_a_file_is_no_folder_for_the_demo(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("")
+    with pytest.raises(ConfigError, match="is a file"):
+        demo.run_demo(tmp_path / "a.csv")
+
+
 def test_the_demo_can_be_run_again_into_its_folder(tmp_path: Path) -> None:
     run_in(tmp_path, "simulated controller and drive, gathered at the servo rate")
     with pytest.raises(Started):
