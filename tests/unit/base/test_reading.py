@@ -30,8 +30,8 @@ def test_each_wrong_file_has_its_words(tmp_path: Path) -> None:
 
 def test_a_right_that_is_missing_and_a_full_disk_are_named() -> None:
     assert why(PermissionError(errno.EACCES, "Permission denied")) == (
-        "this user has no right to do so"
+        "Permission denied for this user"
     )
-    assert why(OSError(errno.ENOSPC, "No space left on device")) == "the disk is full"
+    assert why(OSError(errno.ENOSPC, "No space left on device")) == "No space left on the disk"
     assert why(OSError(errno.ENETDOWN, "as the system says")) == "as the system says"
     assert why(ValueError("two of them")) == "two of them"

@@ -118,7 +118,7 @@ def test_ctrl_c_on_the_way_to_a_sign_test_stops_the_axis_and_takes_all_back(
 ) -> None:
     before = read_many(axis.link, ["I51"])
 
-    def interrupted(link: Commander, motor: int, position_ct: float) -> None:
+    def interrupted(link: Commander, motor: int, position_ct: float, **_: object) -> None:
         motors.jog_to(link, motor, position_ct)
         link.clock.sleep_s(0.2)
         raise KeyboardInterrupt
