@@ -15,7 +15,7 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis, HALT_s, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
-from pmac_comp.workflow.commissioning import reference_remarks, require_as_described
+from pmac_comp.workflow.commissioning import place_remarks, require_as_described
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import (
     Motion,
@@ -85,7 +85,7 @@ def capture_to_folder(
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
     with open_axis(url, bench) as axis, at_work(axis, url):
-        remarks = (*reference_remarks(axis.link, axis.bench), *acting_remarks(axis))
+        remarks = (*place_remarks(axis.link, axis.bench), *acting_remarks(axis))
         if tell is not None:
             for remark in remarks:
                 tell(remark)

@@ -45,7 +45,7 @@ class _Gain:
 
 def law_refusals(link: Link, bench: Bench) -> list[SafetyRefusal]:
     """Refusals where the card's control law or units are not those of the bench file."""
-    return [*_unstated(link, bench), *_other_law(link, bench), *_limits(link, bench)]
+    return [*_unstated(link, bench), *_other_law(link, bench)]
 
 
 def _unstated(link: Link, bench: Bench) -> list[SafetyRefusal]:
@@ -140,10 +140,10 @@ def _stated(bench: Bench) -> dict[str, float]:
     return dict(zip((*names, "Kaff_Nm_s2_per_mm"), values, strict=True))
 
 
-def _limits(link: Link, bench: Bench) -> list[SafetyRefusal]:
-    """Refusal where the travel of the file goes beyond the card's software limits (Ixx13, Ixx14).
+def limit_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
+    """Where the travel of the file goes beyond the card's software limits (Ixx13, Ixx14).
 
-    A wrong count per mm shows here before a long way is jogged in wrong units.
+    Motions within the limits run all the same; a wrong count per mm shows here as well.
     """
     motor = bench.encoder.motor_number
     count_mm = bench.motor_resolution_m * MM_PER_M
@@ -162,12 +162,8 @@ def _limits(link: Link, bench: Bench) -> list[SafetyRefusal]:
         if is_out
     ]
     if not told:
-        return []
-    return [
-        SafetyRefusal(
-            "The travel of the bench file goes beyond the software limits of the card: "
-            f"{'; '.join(told)}.",
-            code="PC-COM-010",
-            hint="Check counts_per_rev and pitch_mm, or shorten [travel]; nothing was moved.",
-        )
-    ]
+        return ()
+    return (
+        f"the travel of the bench file goes beyond the software limits of the card: "
+        f"{'; '.join(told)}; check counts_per_rev and pitch_mm, or shorten [travel]",
+    )

@@ -29,7 +29,7 @@ from pmac_comp.machine.controller.variables import read_many, read_one, same_val
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_view import tuned_motors
-from pmac_comp.workflow.card_law import law_refusals
+from pmac_comp.workflow.card_law import law_refusals, limit_remarks
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.session import open_axis
@@ -189,7 +189,12 @@ def program_refusals(link: Link) -> list[SafetyRefusal]:
     ]
 
 
-def reference_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
+def place_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
+    """What a person should know of the axis's zero and of its limits before it moves."""
+    return (*_reference_remarks(link, bench), *limit_remarks(link, bench))
+
+
+def _reference_remarks(link: Link, bench: Bench) -> tuple[str, ...]:
     """That zero lies where the motor stood at power-up, if it was not homed since.
 
     Tables, the law's dependence on position and the travel limits all count from the motor's zero.

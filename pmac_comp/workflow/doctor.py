@@ -176,10 +176,10 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
 
 
 def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
-    from pmac_comp.workflow.commissioning import reference_remarks
+    from pmac_comp.workflow.commissioning import place_remarks
 
-    for remark in reference_remarks(axis.link, bench):
-        yield Finding("note", "zero", remark)
+    for remark in place_remarks(axis.link, bench):
+        yield Finding("note", "zero and limits", remark)
 
 
 def _compensation(axis: "Axis") -> Iterator[Finding]:

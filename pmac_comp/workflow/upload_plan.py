@@ -20,7 +20,7 @@ from pmac_comp.machine.controller.upload_plan import UploadPlan
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
-from pmac_comp.workflow.commissioning import reference_remarks
+from pmac_comp.workflow.commissioning import place_remarks
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,
@@ -123,7 +123,7 @@ def preview(
         lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
     cost = cost_remarks(axis.bench, compensation.route, compensation.law)
     text += [f"  {line}" for line in cost]
-    text += [f"  {remark}" for remark in reference_remarks(axis.link, axis.bench)]
+    text += [f"  {remark}" for remark in place_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
     refusals = list({refusal.message: refusal for refusal in refusals}.values())
     text += [f"  refused: {refusal.message}" for refusal in refusals]

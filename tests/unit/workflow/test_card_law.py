@@ -8,6 +8,7 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import prepare
+from pmac_comp.workflow.card_law import limit_remarks
 from pmac_comp.workflow.doctor import _law
 from pmac_comp.workflow.simulated import embedded, make_card
 
@@ -94,9 +95,11 @@ def test_what_the_file_leaves_out_must_be_at_its_factory_value() -> None:
         assert words in said
 
 
-def test_a_travel_beyond_the_software_limits_is_refused() -> None:
+def test_a_travel_beyond_the_software_limits_is_remarked() -> None:
     text = PAPER.text.replace("counts_per_rev = 10000.0", "counts_per_rev = 20000.0")
-    said = refusal(make_card(PAPER), parse_bench(text))
+    with embedded(make_card(PAPER)) as link:
+        (said,) = limit_remarks(link, parse_bench(text))
+        assert limit_remarks(link, PAPER) == ()
     assert "I113 = 305000 counts are 152.5 mm, max_mm is 300 mm" in said
     assert "I114" in said
 

@@ -17,7 +17,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_remarks import remarks
 from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.commissioning import (
-    reference_remarks,
+    place_remarks,
     set_up_axis,
     settable_variables,
 )
@@ -163,12 +163,12 @@ def test_set_up_puts_the_bench_file_on_and_rollback_takes_it_back(tmp_path: Path
 
 def test_a_zero_that_nobody_looked_for_is_said_until_the_axis_is_homed() -> None:
     with axis_of(make_card(PAPER), PAPER) as axis:
-        (said,) = reference_remarks(axis.link, PAPER)
+        (said,) = place_remarks(axis.link, PAPER)
         assert "motor #1 has not been homed" in said
         axis.enable()
         axis.link.write_buffer(["I123=10", "I7012=1", "I126=0", "#1HM"])
         axis.link.clock.sleep_s(3.0)
-        assert reference_remarks(axis.link, PAPER) == ()
+        assert place_remarks(axis.link, PAPER) == ()
 
 
 def test_encoder_and_scale_swapped_in_the_bench_file_enable_nothing() -> None:
