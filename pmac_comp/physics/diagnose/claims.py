@@ -181,7 +181,9 @@ def _doubt(
     """Why an effect may not be claimed, or nothing."""
     if why := imitation(accepted.effect, model):
         return why
-    if _weak(done, accepted, rules) and _nothing(accepted, model, estimates):
+    # Where something stays open, effects that lean on one another close much and are still none.
+    doubtful = left.unexplained or _weak(done, accepted, rules)
+    if doubtful and _nothing(accepted, model, estimates):
         return _TOO_SMALL
     # A stiffness beyond its tolerance that leaves something all the same is the part of that which
     # goes with the force: a scale on a bracket, a carriage that pitches.

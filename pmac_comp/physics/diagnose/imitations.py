@@ -12,6 +12,7 @@ from pmac_comp.physics.model.drive import DriveModel
 _SHORTEST_DIP_m = 0.15e-3  # dips are half to five millimetres long, presliding 5 to 50 um
 _SHORTEST_PRESLIDING_m = 1e-6
 _SHORTEST_GROWTH_s = 0.5  # screws warm over minutes
+_LEAST_CURVE = 0.05  # of an exponent: so far from 0 (Coulomb friction) and from 1 (viscous)
 ONSET = "it is so short that the friction is Coulomb friction, which nowhere sets in at once"
 """Of presliding within what the encoder resolves."""
 
@@ -38,7 +39,9 @@ def _no_mode(model: DriveModel) -> str:
 
 
 def _no_curve(model: DriveModel) -> str:
-    if 0.05 < model.parameters["viscous_nonlinear.exponent"] < 0.95:
+    exponent = model.parameters["viscous_nonlinear.exponent"]
+    # Beyond 1 it is a drag (2 is a fluid's), as much a curve as below.
+    if min(exponent, abs(exponent - 1.0)) > _LEAST_CURVE:
         return ""
     return "its exponent makes it Coulomb or viscous friction"
 

@@ -13,10 +13,11 @@ from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.estimates import pulled
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import as_true_name, imitation, true_name
-from pmac_comp.physics.diagnose.result import Finding
+from pmac_comp.physics.diagnose.result import Estimate, Finding
 from pmac_comp.physics.model.drive import DriveModel, simulate
 
 BENCH = load_bench("paper")
+SIZED = SimpleNamespace(start=SimpleNamespace(linear=False))  # does not vanish at zero
 
 
 @pytest.mark.parametrize(("ratio", "share"), [(0.0, 0.02), (0.02, 0.25)])
@@ -51,6 +52,36 @@ def test_an_imitation_that_outlived_what_closed_the_gap_is_not_nothing(first_um,
     assert found.imitated is imitated
 
 
+@pytest.mark.parametrize("unexplained", [False, True])
+def test_a_size_that_is_not_determined_is_claimed_only_where_nothing_is_left(unexplained):
+    # On a drive whose coupling has play, presliding and skew lean on one another: both close much
+    # and the size of neither is known.
+    skew = SimpleNamespace(
+        effect="channel_skew",
+        key="channel_skew",
+        fit_gain=1e9,
+        gap_um=0.5,
+        screened=SimpleNamespace(start=SimpleNamespace(linear=True)),
+    )
+    done = SimpleNamespace(
+        accepted=skew,
+        gap_um=2.0,
+        floor_um=0.2,
+        rows_fit=1e4,
+        screening=SimpleNamespace(rival_gain=0.0),
+    )
+    model = DriveModel.base(BENCH).with_effect("channel_skew", {"time_s": -2.7e-6})
+    size = Estimate("channel_skew.time_us", -2.7, "us", 9.0, -20.0, 15.0)
+    grown: Any = SimpleNamespace(
+        rounds=(done,), accepted=(skew,), final=SimpleNamespace(model=model)
+    )
+    left: Any = SimpleNamespace(
+        unexplained=unexplained, explained=True, visible=False, open_share=0.0, missed=False
+    )
+    found = claims_of(grown, left, (size,), Rules())
+    assert found.effects == (() if unexplained else ("channel_skew",))
+
+
 @pytest.mark.parametrize(
     ("effect", "own", "corner"),
     [
@@ -62,6 +93,7 @@ def test_an_imitation_that_outlived_what_closed_the_gap_is_not_nothing(first_um,
         ("preload_loss", {"stiffness_ratio": 0.3}, {"stiffness_ratio": 0.0}),
         ("base_mode", {"damping_ratio": 0.05}, {"damping_ratio": 1.0}),
         ("viscous_nonlinear", {"exponent": 0.5}, {"exponent": 0.99}),
+        ("viscous_nonlinear", {"exponent": 2.0}, {"exponent": 1.01}),
         ("post_reversal_dip", {"length_m": 1e-3}, {"length_m": 2e-5}),
         ("presliding", {"distance_m": 5e-6}, {"distance_m": 3e-7}),
         ("thermal_growth", {"time_constant_s": 5.0}, {"time_constant_s": 0.05}),
@@ -132,7 +164,10 @@ def test_an_effect_of_another_size_in_every_run_is_claimed_by_nobody(apart):
 def test_of_many_effects_that_foretell_no_run_the_small_ones_are_stand_ins(missed, count, claimed):
     # The first closes most of what it met, as Coulomb friction does on a real axis.
     steps = (("payload", 5.0, 0.8), ("backlash", 0.8, 0.6), ("base_mode", 0.6, 0.4))[:count]
-    accepted = tuple(SimpleNamespace(effect=n, fit_gain=1e5, gap_um=after) for n, _, after in steps)
+    accepted = tuple(
+        SimpleNamespace(effect=n, fit_gain=1e5, gap_um=after, screened=SIZED)
+        for n, _, after in steps
+    )
     rounds: Any = tuple(
         SimpleNamespace(accepted=a, rows_fit=1e4, gap_um=before, floor_um=0.1)
         for a, (_, before, _) in zip(accepted, steps, strict=True)
@@ -164,7 +199,7 @@ def test_a_stiffness_out_of_tolerance_that_leaves_something_is_no_finding(
 ):
     # A scale on a bracket of 170 Hz lags with the acceleration, most of which a coupling ten times
     # as soft as stated makes up for.
-    soft = SimpleNamespace(effect="coupling_windup", fit_gain=1e5, gap_um=0.21)
+    soft = SimpleNamespace(effect="coupling_windup", fit_gain=1e5, gap_um=0.21, screened=SIZED)
     done = SimpleNamespace(accepted=soft, gap_um=0.63, floor_um=0.09, rows_fit=1e4)
     done.screening = SimpleNamespace(rival_gain=1e3)
     model = DriveModel.base(BENCH).with_effect(
