@@ -4,6 +4,7 @@ The plant is written separately from the model. A bench of each kind is here for
 of some parameter once missed the truth by several half-widths.
 """
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench
@@ -29,14 +30,19 @@ def runs_of(bench: Bench, plant: BallscrewPlant) -> list[Capture]:
     return [closed_loop_capture(bench, plant, m.position_m) for m in calibration_motions(bench)]
 
 
-def missed(found: Identification, truth: dict[str, float]) -> dict[str, float]:
-    """Distance of the truth from the estimate over the half-width on its side, where far."""
+def distances(found: Identification, truth: dict[str, float]) -> dict[str, float]:
+    """Distance of the truth from the estimate over the half-width on its side."""
     off = {}
     for name, value in truth.items():
         p = found.parameters[name]
         half = p.upper95 - p.value if value > p.value else p.value - p.lower95
         off[name] = abs(value - p.value) / max(half, 1e-300)
-    return {name: z for name, z in off.items() if z > _FAR}
+    return off
+
+
+def missed(found: Identification, truth: dict[str, float]) -> dict[str, float]:
+    """Distances of parameters whose truth lies far from the estimate."""
+    return {name: z for name, z in distances(found, truth).items() if z > _FAR}
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +76,15 @@ def test_intervals_of_a_vertical_axis_hold_its_friction_and_weight(
 
 def test_intervals_hold_where_coarse_counts_dither_friction() -> None:
     bench = bench_of(COARSE, "4000 counts over 16 mm")
-    plant = make_plant(bench, effects={}, seed=1)
-    assert not missed(identify(runs_of(bench, plant), bench), truth_si(plant.truth))
+    off: list[float] = []
+    # Chance decides where the motor hunts between two counts, and the last digit of a processor
+    # decides over chance: one drive alone tells of its own luck.
+    for seed in (1, 2, 3):
+        plant = make_plant(bench, effects={}, seed=seed)
+        found = identify(runs_of(bench, plant), bench)
+        off += distances(found, truth_si(plant.truth)).values()
+    assert np.mean(np.array(off) > 1.0) < 0.25
+    assert max(off) < 2.5
 
 
 def test_intervals_of_a_slender_screw_hold_what_no_bench_file_states() -> None:
