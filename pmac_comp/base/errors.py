@@ -15,14 +15,30 @@
       ModelError        exit 9   NotIdentifiable, DidNotConverge, NonFinite
       InternalError     exit 70  a bug; asks for the journal
 
-What lives here: error classes only. ``message`` says what happened, ``hint`` what to do next,
-``left`` the state in which a mutating call left the controller. An error that is raised without a
-hint gives the advice of its class, and one without a code that of its class; codes never change.
+What lives here: error classes and a group of them only. ``message`` says what happened, ``hint``
+what to do next, ``left`` the state in which a mutating call left the controller. An error that is
+raised without a hint gives the advice of its class, and one without a code that of its class; codes
+never change.
 """
 
 from collections.abc import Mapping
 from enum import Enum
-from typing import ClassVar
+from typing import ClassVar, Final
+
+USER_CODE_ERRORS: Final = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
+"""What code of a user's own (a plant, an effect) raises when it is wrong."""
 
 
 class ControllerState(Enum):

@@ -14,26 +14,11 @@ from functools import cache
 from pathlib import Path
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.errors import USER_CODE_ERRORS, ConfigError
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model.parameters import ParameterSpec
 from pmac_comp.physics.model.terms import TableTerm
-
-# What code of a user's own raises when it is wrong.
-_USER_ERRORS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    NameError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-)
 
 Values = Mapping[str, float]
 Apply = Callable[[FloatArray, Values, Bench, str], None]
@@ -164,7 +149,7 @@ def _executed(source: Path) -> object:
             )
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-    except _USER_ERRORS as error:
+    except USER_CODE_ERRORS as error:
         what = f"{type(error).__name__}: {error}"
         if isinstance(error, OSError):
             what = why(error)

@@ -15,26 +15,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
+from pmac_comp.base.errors import USER_CODE_ERRORS, ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import Bench
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 
 _DEFAULT_FACTORY = "make_plant"
 _TRIAL_STEPS = 3
-# What code of a user's own raises when it is wrong.
-_USER_ERRORS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    NameError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-)
 
 
 @runtime_checkable
@@ -77,7 +63,7 @@ class GuardedPlant:
         """Put the drive at rest; it reads the motor angle that belongs to the position."""
         try:
             self.plant.reset(table_position_m)
-        except _USER_ERRORS as error:
+        except USER_CODE_ERRORS as error:
             raise self._failed("reset", error) from error
         self._reading = (table_position_m / self._lead, table_position_m)
         self._cycle = 0
@@ -99,7 +85,7 @@ class GuardedPlant:
         self._cycle += 1
         try:
             result = self.plant.step(torque_command_Nm)
-        except _USER_ERRORS as error:
+        except USER_CODE_ERRORS as error:
             raise self._failed("step", error) from error
         angle, table = self._pair(result)
         if not (math.isfinite(angle) and math.isfinite(table)):
@@ -122,7 +108,7 @@ class GuardedPlant:
             return
         try:
             push(force_N)
-        except _USER_ERRORS as error:
+        except USER_CODE_ERRORS as error:
             raise self._failed("set_external_force", error) from error
 
     def _pair(self, result: object) -> tuple[float, float]:
@@ -188,7 +174,7 @@ def load_plant(text: str, bench: Bench) -> Plant:
     path, factory_name, factory = _factory_of(text)
     try:
         plant = factory(bench)
-    except _USER_ERRORS as error:
+    except USER_CODE_ERRORS as error:
         raise ConfigError(
             f"{factory_name} of {path} failed{_line_of(error, path.name)}: "
             f"{type(error).__name__}: {error}.",
@@ -283,7 +269,7 @@ def _module_from(path: Path) -> object:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except _USER_ERRORS as error:
+    except USER_CODE_ERRORS as error:
         del sys.modules[name]
         raise ConfigError(
             f"The plant file {path} cannot be loaded: {error}.",
