@@ -133,13 +133,12 @@ def terminal(
     from pmac_comp.workflow.inspect import ask_all, refusal_of, terminal_session
 
     with terminal_session(url) as ask:
-        if not command and not json_target:
+        if not command:
             output.say("one command per line; end with Ctrl-D")
+        if not command and not json_target:
             for line in sys.stdin:
                 output.echo_all(ask(line.rstrip("\r\n")))
             return
-        if not command:
-            output.say("one command per line; end with Ctrl-D")
         lines = command or [line.rstrip("\r\n") for line in sys.stdin]
         said = ask_all(ask, lines, until_refused=bool(command))
     output.finish(said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"]))

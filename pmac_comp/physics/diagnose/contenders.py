@@ -53,11 +53,12 @@ _MOST_FRESH = 2
 # Runs whose largest torques differ by less are not on two sides of a limit; levels between others.
 _APART, _LEVELS, _PER_OCTAVE = 1.05, 6, 24
 _EXACT = 1e-4  # share of a limit to which it is moved alone
-# Friction at the guide and the same at the shaft, the shares of it that go there for backlash, and
-# gaps that are tried beside each.
+# Friction at the guide, the same at the shaft with the power of the lead between, the shares of it
+# that go there for backlash, and gaps that are tried beside each.
 _AT_SHAFT = {
-    "coulomb.guide_N": "coulomb.motor_Nm",
-    "viscous.guide_Ns_per_m": "viscous.motor_Nms_per_rad",
+    # Force times lead is torque; a speed at the shaft is that of the table over the lead.
+    "coulomb.guide_N": ("coulomb.motor_Nm", 1),
+    "viscous.guide_Ns_per_m": ("viscous.motor_Nms_per_rad", 2),
 }
 _TAKEN_BACK = (0.5, 0.75)
 _GAPS_m = (1e-6, 2e-6, 4e-6, 8e-6)
@@ -200,14 +201,13 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
     While the effect was missing, the fit dragged what is known to the edges of its tolerance to
     imitate it; beside a delay near the truth those values may not even be stable.
     """
-    gap = item is screening.starts.get("backlash", (None,))[0]
-    if item.start.effect not in _FRESH and not gap:
-        return []
-    part = ground.bench.fitting_bench()
     nominal = {s.name: s.nominal for s in ground.before.model.specs if s.kind == "known"}
     fresh = ground.before.model.with_parameters(nominal)
-    if gap:
+    if item is screening.starts.get("backlash", (None,))[0]:
         return _loosened(ground, item, fresh)
+    if item.start.effect not in _FRESH:
+        return []
+    part = ground.bench.fitting_bench()
     leads = item.fit_gain > _LEADS * screening.ranked[0].fit_gain
     limits = item.start.effect == "torque_saturation" and leads
     begun = _limited(part, fresh, screening) if limits else []
@@ -252,14 +252,12 @@ def _with_friction_at_shaft(model: DriveModel, share: float) -> dict[str, float]
     """Parameters with a share of each friction of the guide at the shaft, the sum as it was."""
     values: dict[str, float] = {}
     lead = model.bench.lead_m_per_rad
-    for guide, shaft in _AT_SHAFT.items():
+    for guide, (shaft, power) in _AT_SHAFT.items():
         if guide not in model.parameters or shaft not in model.parameters:
             continue
         taken = share * model.parameters[guide]
-        # Force times lead is torque; a speed at the shaft is that of the table over the lead.
-        through = lead if shaft.endswith("_Nm") else lead**2
         values[guide] = model.parameters[guide] - taken
-        values[shaft] = model.parameters[shaft] + taken * through
+        values[shaft] = model.parameters[shaft] + taken * lead**power
     return values
 
 

@@ -11,31 +11,15 @@ from pmac_comp.workflow.calibrate import prepare
 from pmac_comp.workflow.card_law import limit_remarks
 from pmac_comp.workflow.doctor import _law
 from pmac_comp.workflow.simulated import embedded, make_card
+from tests.generators.control_laws import PAPER, SI, other_law
 
-PAPER = load_bench("paper")
 EMPS = load_bench("emps")
-PER_MM = 0.1 * 2 * 3.141592653589793
-SI = f"""
-[controller.si]
-Kp_Nm_per_mm = {23.7 * PER_MM}
-Ki_Nm_per_mm_s = {298.0 * PER_MM}
-Kd_Nm_s_per_mm = {0.227 * PER_MM}
-Kvff_Nm_s_per_mm = {0.2295 * PER_MM}
-Kaff_Nm_s2_per_mm = {1.112e-3 * PER_MM}
-"""
 CASCADE = """
 [controller.cascade]
 kp_per_s = 160.18
 kv_V_per_m_per_s = 243.45
 gain_N_per_V = 35.1507
 """
-
-
-def other_law(kind: str, table: str) -> Bench:
-    """The paper's bench with its clock, its law stated in another form."""
-    head, tail = PAPER.text.split("[controller.ivariables]")
-    rest = tail[tail.index("[travel]") :]
-    return parse_bench(head.replace('kind = "pmac"', f'kind = "{kind}"') + table + rest)
 
 
 def refusal(card: Card, bench: Bench, *lines: str) -> str:
