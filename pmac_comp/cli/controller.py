@@ -128,22 +128,25 @@ def terminal(
 ) -> None:
     """Talk to a controller in its own language.
 
-    With -c the first refused command ends it, with exit code 5; what follows is not sent.
+    With -c the first refused command ends it; what follows is not sent. Lines from a pipe are all
+    sent, each answered at once. Both end with exit code 5 where something was refused.
     """
     from pmac_comp.workflow.inspect import ask_all, refusal_of, terminal_session
 
+    at_once = not command and not json_target
     with terminal_session(url) as ask:
         if not command:
             output.say("one command per line; end with Ctrl-D")
-        if not command and not json_target:
-            for line in sys.stdin:
-                output.echo_all(ask(line.rstrip("\r\n")))
-            return
-        lines = command or [line.rstrip("\r\n") for line in sys.stdin]
-        said = ask_all(ask, lines, until_refused=bool(command))
-    output.finish(said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"]))
-    refused = refusal_of(said, len(lines)) if command else None
-    if refused is not None:
+        given = command or (line.rstrip("\r\n") for line in sys.stdin)
+        said = ask_all(
+            ask, given, until_refused=bool(command), show=output.echo_now if at_once else None
+        )
+    if not at_once:
+        output.finish(
+            said, json_target, lambda: output.echo_all(x for i in said for x in i["answer"])
+        )
+    refused = refusal_of(said, len(command or said))
+    if refused is not None and (command or not sys.stdin.isatty()):
         # Standard output holds its document already: the answers themselves.
         output.show_error(refused, as_json=False)
         raise typer.Exit(refused.exit_code)

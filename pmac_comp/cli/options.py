@@ -49,7 +49,9 @@ ValidateOption = Annotated[
     list[Path] | None,
     typer.Option("--validate", help="Captures or folders for judging, one or several"),
 ]
-JournalOption = Annotated[Path, typer.Option("--journal", help="Folder for backup and journal")]
+JournalOption = Annotated[
+    Path, typer.Option("--journal", file_okay=False, help="Folder for backup and journal")
+]
 PersistOption = Annotated[
     bool, typer.Option("--persist", help="SAVE to flash afterwards and verify (motors killed)")
 ]

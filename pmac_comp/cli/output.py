@@ -247,6 +247,12 @@ def echo_all(lines: Iterable[str]) -> None:
         echo(line)
 
 
+def echo_now(lines: Iterable[str]) -> None:
+    """Lines of the result that somebody behind a pipe waits for."""
+    echo_all(lines)
+    sys.stdout.flush()
+
+
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Plain aligned table on standard output; works in a pipe as in a terminal."""
     cells = [[safe(_cell(value)) for value in row] for row in rows]

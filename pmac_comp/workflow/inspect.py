@@ -1,6 +1,6 @@
 """Looking at a controller: who answers, what the motors do, what compensation is on it."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -131,11 +131,22 @@ def terminal_session(url: str) -> Iterator[Ask]:
         yield ask
 
 
-def ask_all(ask: Ask, lines: Iterable[str], *, until_refused: bool) -> list[dict[str, Any]]:
-    """Answers to lines in their order; a refused one may end it, for what follows may need it."""
+def ask_all(
+    ask: Ask,
+    lines: Iterable[str],
+    *,
+    until_refused: bool,
+    show: Callable[[Sequence[str]], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Answers to lines in their order, shown as they come; a refused one may end it.
+
+    What follows a refused line may need it.
+    """
     said: list[dict[str, Any]] = []
     for line in lines:
         answer = ask(line)
+        if show is not None:
+            show(answer)
         said.append({"command": line, "answer": list(answer), "refused": answer.is_refusal})
         if answer.is_refusal and until_refused:
             break

@@ -54,10 +54,21 @@ def test_compensation_of_another_bench_is_refused(tmp_path: Path, verb: str) -> 
 
 def test_terminal_in_a_pipe_answers_as_json(tmp_path: Path) -> None:
     done = run("terminal", "sim://", "--json", cwd=tmp_path, said="I130\nNONSENSE\n")
+    assert done.returncode == 5
     answers = json.loads(done.stdout)
     assert [a["command"] for a in answers] == ["I130", "NONSENSE"]
     assert answers[0]["answer"] == ["139449"]
     assert "ERR003" in answers[1]["answer"][0]
+
+
+def test_lines_from_a_pipe_are_all_sent_and_a_refused_one_is_in_the_exit_code(
+    tmp_path: Path,
+) -> None:
+    done = run("terminal", "sim://", cwd=tmp_path, said="NONSENSE\nI130\n")
+    assert done.returncode == 5
+    assert "refused NONSENSE" in done.stderr
+    assert done.stdout.splitlines()[1:] == ["139449"]
+    assert run("terminal", "sim://", cwd=tmp_path, said="I130\n").returncode == 0
 
 
 def test_a_command_that_cannot_ask_advises_its_dry_run(tmp_path: Path) -> None:

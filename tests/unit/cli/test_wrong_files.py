@@ -106,3 +106,13 @@ def test_a_wrong_file_is_refused_in_words(
     assert not [text for text in SYSTEM_WORDS if text in shown.err + shown.out]
     assert "starting" not in shown.err
     assert not list(Path().glob("out*"))
+
+
+def test_a_journal_that_is_a_file_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "notes.txt").write_text("a file", encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        app.main(["status", "sim://", "--journal", str(tmp_path / "notes.txt")])
+    assert ended.value.code == 2
+    assert "is a file" in capsys.readouterr().err
