@@ -115,4 +115,4 @@ def test_a_journal_that_is_a_file_is_refused(
     with pytest.raises(SystemExit) as ended:
         app.main(["status", "sim://", "--journal", str(tmp_path / "notes.txt")])
     assert ended.value.code == 2
-    assert "is a file" in capsys.readouterr().err
+    assert "'--journal'" in capsys.readouterr().err
