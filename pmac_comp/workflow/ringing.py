@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError
@@ -102,6 +101,8 @@ def ringing_of(
 
 def ringing_signal(capture: Capture, lowest_Hz: float) -> FloatArray:
     """Total error above a frequency in m, shape (n,), without shift in time."""
+    from scipy.signal import butter, sosfiltfilt
+
     if capture.table_position_m is None:
         raise CaptureError(
             "The capture has no table position.",

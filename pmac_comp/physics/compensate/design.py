@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
@@ -547,6 +546,8 @@ def _refined(
     *,
     most: int = _MOST_STEPS,
 ) -> CompensationLaw:
+    from scipy.optimize import least_squares
+
     has_gap, has_torque = start.gap_half_m > 0.0, start.torque_limit_Nm > 0.0
     scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
     lower = dict(_LOWEST)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, finite_array, stretches
 from pmac_comp.physics.compensate.design import LoopRunner
@@ -216,6 +215,8 @@ def _step(
 
 def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatArray:
     """Values low-passed forward and backward, so that nothing is shifted in time."""
+    from scipy.signal import butter, sosfiltfilt
+
     sos = butter(2, min(cutoff_Hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
     pad = min(values.size - 1, round(_PAD_s / period_s))
     return np.asarray(sosfiltfilt(sos, values, padlen=pad))

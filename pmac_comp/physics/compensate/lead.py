@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import NotIdentifiable
@@ -135,6 +134,8 @@ def _over_a_turn(values: FloatArray) -> FloatArray:
 
     What does change there is rounding, of a scale of 1 um up to 0.8 um of difference.
     """
+    from scipy.ndimage import uniform_filter1d
+
     size = min(_KNOTS_PER_TURN, values.size)
     return np.asarray(uniform_filter1d(values, size, mode="nearest"))
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
@@ -311,6 +310,8 @@ def _integrated(
     knots: list[float], slopes: list[tuple[float, float]], period_s: float, start_m: float
 ) -> Trajectory:
     """Second integral of a piecewise linear acceleration, sampled."""
+    from scipy.interpolate import PPoly
+
     times = np.asarray(knots)
     durations = np.diff(times)
     keep = durations > _TINY

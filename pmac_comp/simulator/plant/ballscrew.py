@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
@@ -336,6 +335,8 @@ def modal_frequencies_Hz(par: FloatArray, table_position_m: float) -> FloatArray
     Source: equations of motion of the four-degree-of-freedom drive, built as matrices here and
     as a recursion in the kernel.
     """
+    from scipy.linalg import eigh
+
     x = par[k.P_ORIGIN] + table_position_m
     near = x / par[k.P_LENGTH]
     rho = par[k.P_LEAD]
