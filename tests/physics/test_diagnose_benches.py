@@ -93,6 +93,7 @@ def with_controller(bench: Bench, ivariables: dict[str, float]) -> Bench:
     return bench.model_copy(update={"controller": controller})
 
 
+@pytest.mark.slow
 def test_a_bench_ten_per_cent_off_in_several_values_still_gets_a_verdict():
     off = {
         key: 1.1 * value if key != "efficiency" else 0.9 * value

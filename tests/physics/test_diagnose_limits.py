@@ -70,7 +70,12 @@ def test_a_torque_limit_is_found_although_the_base_fit_made_friction_of_it(
 @pytest.mark.parametrize(
     ("effect", "values", "twin"),
     [
-        ("current_bandwidth", {"bandwidth_Hz": 110.0}, "actuator_delay"),
+        pytest.param(
+            "current_bandwidth",
+            {"bandwidth_Hz": 110.0},
+            "actuator_delay",
+            marks=pytest.mark.slow,
+        ),
         (
             "encoder_eccentricity",
             {"amplitude_um": 1.0, "order_per_rev": 1.0, "phase_rad": 0.7},

@@ -4,6 +4,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.identify.scale_age import measured_scale_age
+from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
 from tests.physics.identified import identified
@@ -19,6 +21,12 @@ def shown(effects: PlantEffects, *, seed: int = 4) -> Shown:
     assert set(again.effects) == set(found.model.effects)
     assert again.parameters == found.model.parameters
     return found
+
+
+def test_a_drive_with_neither_shows_no_late_scale_and_no_bed() -> None:
+    runs, model = identified(BENCH, {}, seed=3)
+    assert measured_scale_age(runs, BENCH, model) is None
+    assert measured_bed(runs, BENCH, model) is None
 
 
 @pytest.mark.slow

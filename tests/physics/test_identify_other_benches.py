@@ -74,6 +74,7 @@ def test_intervals_of_a_vertical_axis_hold_its_friction_and_weight(
     assert weight.std < 0.02 * abs(GRAVITY_N)
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_coarse_counts_dither_friction() -> None:
     bench = bench_of(COARSE, "4000 counts over 16 mm")
     off: list[float] = []

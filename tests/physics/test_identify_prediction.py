@@ -80,6 +80,7 @@ def test_friction_of_guide_and_screw_is_found_from_the_captures_alone() -> None:
         assert row["left_um"] < 0.2, name
 
 
+@pytest.mark.slow
 def test_damping_of_bristles_does_not_bend_the_other_parameters() -> None:
     # Dahl's form has none; a damping that the model took for given once went into the inertias.
     friction = {"presliding": {"distance_um": 8.0, "place": "rotary", "damping_ratio": 0.0}}
@@ -106,7 +107,7 @@ def some_runs(bench: Bench, effects: PlantEffects, seed: int = 0) -> list[Captur
     return [closed_loop_capture(bench, plant, m.position_m) for m in motions]
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) -> None:
     # Cogging and a joint that stiffens leave as much elsewhere as presliding does at reversals.
     effects = {

@@ -33,13 +33,12 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
 @pytest.mark.parametrize(
     "effects",
     [
-        {},
-        {"viscous": {"guide_Ns_per_m": 600.0}},
+        pytest.param({"viscous": {"guide_Ns_per_m": 600.0}}, marks=pytest.mark.slow),
         pytest.param({"viscous_nonlinear": {}}, marks=pytest.mark.slow),
         pytest.param({"chain_damping": {}}, marks=pytest.mark.slow),
         pytest.param({"actuator_delay": {"time_us": 400.0}}, marks=pytest.mark.slow),
     ],
-    ids=["nothing", "viscous", "viscous_nonlinear", "chain_damping", "actuator_delay"],
+    ids=["viscous", "viscous_nonlinear", "chain_damping", "actuator_delay"],
 )
 def test_a_drive_whose_scale_is_not_late_shows_none(effects: PlantEffects) -> None:
     runs, model = identified(BENCH, effects, seed=3)
