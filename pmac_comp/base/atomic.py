@@ -5,7 +5,8 @@ import secrets
 from pathlib import Path
 from typing import Final
 
-_BINARY: Final = getattr(os, "O_BINARY", 0)
+BINARY: Final[int] = getattr(os, "O_BINARY", 0)
+"""Flag without which Windows ends lines its own way in what is written through a descriptor."""
 
 
 def atomic_write_bytes(path: Path, data: bytes) -> None:
@@ -26,7 +27,7 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
     temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
     # Never a file that is there already. Who may read it is for the user's umask to say: a model or
     # report on a bench's computer is for everybody who works there.
-    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
     try:
         try:
             rest = memoryview(data)

@@ -21,6 +21,7 @@ from typing import Final, Self
 import numpy as np
 
 from pmac_comp.base.arrays import IntArray
+from pmac_comp.base.atomic import BINARY
 from pmac_comp.base.clock import Clock, SystemClock
 from pmac_comp.base.errors import CaptureError, StorageFull
 from pmac_comp.base.reading import why
@@ -74,7 +75,8 @@ class CaptureLog:
         """
         log = cls(path, clock or SystemClock())
         try:
-            log._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | BINARY
+            log._fd = os.open(path, flags, 0o644)
         except OSError as error:
             raise CaptureError(
                 f"The capture log {path} cannot be made: {why(error)}.",

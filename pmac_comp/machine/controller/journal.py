@@ -16,6 +16,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
+from pmac_comp.base.atomic import BINARY
 from pmac_comp.base.errors import ConfigError, StorageFull
 from pmac_comp.base.reading import why
 
@@ -93,7 +94,7 @@ class Journal:
 
     def _append(self, line: bytes, when: Sync) -> None:
         if self._kept[-1] == _NOT_YET:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | BINARY
             self._kept[-1] = os.open(self.path, flags, 0o644)
         _append(self._kept[-1], line, when)
 

@@ -1,9 +1,14 @@
 """What the lines of a journal say after damage: nothing that is half-changed looks settled."""
 
+import os
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+from pmac_comp.base import atomic
+from pmac_comp.machine.controller import capture_log
+from pmac_comp.machine.controller import journal as journal_file
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.transaction import is_torn
 
@@ -41,3 +46,26 @@ def test_a_damaged_byte_before_the_closing_line_leaves_it_open(journal: Journal)
     for place in range(first, len(whole) - 1):
         journal.path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         assert journal.is_open, place
+
+
+@pytest.mark.parametrize("module", [atomic, journal_file, capture_log])
+def test_bytes_reach_the_disk_as_they_are_on_windows_too(
+    module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Stands for the flag that only Windows has, where LF would become CR LF without it.
+    binary, seen, plain = os.O_NOCTTY, [], os.open
+    monkeypatch.setattr(module, "BINARY", binary)
+
+    def noted(path: Path, flags: int, *rest: int) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR):
+            seen.append(flags & binary)
+        return plain(path, flags, *rest)
+
+    monkeypatch.setattr(os, "open", noted)
+    if module is atomic:
+        atomic.atomic_write_text(tmp_path / "a.json", "{}\n")
+    elif module is journal_file:
+        Journal(tmp_path / "b.journal").write("begin")
+    else:
+        capture_log.CaptureLog.create(tmp_path / "c.log", {}).close()
+    assert seen == [binary]
