@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import tty
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, cast
@@ -184,6 +183,8 @@ class PseudoTerminal:
     """Serial line of the card on a pseudo terminal."""
 
     def __init__(self, card: Card) -> None:
+        import tty  # Windows has none, and no pseudo terminals
+
         self.session = AsciiSession(card)
         self.master, self.slave = os.openpty()
         tty.setraw(self.slave)

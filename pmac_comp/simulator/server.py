@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import signal
 import sys
 import threading
@@ -197,8 +198,14 @@ class SimulatorServer:
 
 
 def check_options(options: ServeOptions) -> None:
-    """Refuse a speed or a force schedule that cannot be served; raises ConfigError."""
+    """Refuse a speed, a line or a force schedule that cannot be served; raises ConfigError."""
     _ = options.factor
+    if options.pty and not hasattr(os, "openpty"):
+        raise ConfigError(
+            "This system has no pseudo terminals.",
+            code="PC-SIM-007",
+            hint="Serve --tcp, --udp or --ascii-port instead.",
+        )
     if options.force is not None:
         _force_schedule(options.force)
 
@@ -257,7 +264,8 @@ def serve(
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, stop.set)
+            with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C ends the loop itself
+                loop.add_signal_handler(number, stop.set)
 
         def announce(endpoints: dict[str, str]) -> None:
             told = {"ready": True, "speed": options.speed, "faults": card.faults, **endpoints}
