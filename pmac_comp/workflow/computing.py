@@ -22,7 +22,7 @@ from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.compensate.trim import trimmed_law
+from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
@@ -136,7 +136,7 @@ def compute_compensation(
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
     lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-    backlash = lead is not None and has_backlash(lead, route)
+    backlash = _takes_up(model, law, route, captures, lead)
     if route in MOTION_ROUTES:
         law = with_unmodelled(bench, law, model, captures, lead)
         known = require_motion(route, motion)
@@ -155,9 +155,26 @@ def compute_compensation(
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-        backlash = lead is not None and has_backlash(lead, route)
+        backlash = _takes_up(model, law, route, captures, lead)
         law = with_unmodelled(bench, law, model, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
+
+
+def _takes_up(
+    model: Any,
+    law: CompensationLaw,
+    route: str,
+    captures: tuple[Capture, ...],
+    lead: LeadMap | None,
+) -> bool:
+    """Whether a backlash table takes the difference of the directions away.
+
+    For the route ``table`` that is all of it; beside a law or a known motion the rest of it, which
+    the other runs must show too.
+    """
+    if lead is None or not has_backlash(lead, route):
+        return False
+    return route == "table" or shows_reversal(law, model_loop(model), captures, lead)
 
 
 def _law_that_fits(
@@ -438,9 +455,10 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
             f"{what} away"
         ]
     else:
-        out = [
-            f"the two directions differ by {mean_um:.2f} um in the mean: not worth a backlash table"
-        ]
+        why = "not worth a backlash table"
+        if has_backlash(lead, compensation.route):
+            why = "the other runs do not show it, so no backlash table puts it on every motion"
+        out = [f"the two directions differ by {mean_um:.2f} um in the mean: {why}"]
     covered = covered_m(bench, lead)
     if covered is not None:
         out.append(

@@ -114,16 +114,7 @@ def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit
     """
     columns, rests = [], []
     for run in runs:
-        v = np.gradient(run.motor_m, run.period_s)
-        a = np.gradient(v, run.period_s)
-        x = run.motor_m - law.origin_m
-        s = friction_state(v, breakaway_m, run.period_s, run.start)
-        own = friction_state(v, law.breakaway_m, run.period_s, run.start)
-        along = 1.0 + law.compliance_slope_per_m * x
-        friction_m, _ = friction_levels(law, v)
-        elastic = law.inertia_s2 * a + law.viscous_s * v + friction_m * s
-        terms = np.column_stack([along * a, along * v, along * s, x * elastic])[run.use]
-        rest = run.rest_m - (along * friction_m * (own - s))[run.use]
+        terms, rest = _terms(law, run, breakaway_m, law.breakaway_m)
         columns.append(terms - terms.mean(axis=0))
         rests.append(rest - rest.mean())
     matrix, rest = np.concatenate(columns), np.concatenate(rests)
@@ -131,3 +122,59 @@ def _fit(law: CompensationLaw, runs: Sequence[_Run], breakaway_m: float) -> _Fit
     found, *_ = np.linalg.lstsq(matrix / scale, rest, rcond=1e-6)
     left = float(np.std(rest - matrix / scale @ found))
     return _Fit(breakaway_m, np.asarray(found / scale), left)
+
+
+def _terms(
+    law: CompensationLaw, run: _Run, breakaway_m: float, own_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Error per unit of each term, and what a model leaves whose friction breaks away over own."""
+    v = np.gradient(run.motor_m, run.period_s)
+    a = np.gradient(v, run.period_s)
+    x = run.motor_m - law.origin_m
+    s = friction_state(v, breakaway_m, run.period_s, run.start)
+    own = friction_state(v, own_m, run.period_s, run.start)
+    along = 1.0 + law.compliance_slope_per_m * x
+    friction_m, _ = friction_levels(law, v)
+    elastic = law.inertia_s2 * a + law.viscous_s * v + friction_m * s
+    terms = np.column_stack([along * a, along * v, along * s, x * elastic])[run.use]
+    return terms, run.rest_m - (along * friction_m * (own - s))[run.use]
+
+
+def shows_reversal(
+    law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture], lead: LeadMap
+) -> bool:
+    """Whether runs that accelerate bear out the difference of the directions that slow runs left.
+
+    Where a load presses a nut with play to one side, a few newtons decide on which flank it runs
+    one way at steady speed: what a model has wrong there is as large as the play, and a table that
+    took it for a property of the place would put it on every motion.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        With its ``trim`` in its provenance where captures moved it.
+    loop : LoopRunner
+        Closed loop of the model.
+    captures : sequence of Capture
+        Runs without compensation.
+    lead : LeadMap
+        Static error with the difference that slow runs left.
+    """
+    usable = [c for c in captures if c.table_position_m is not None]
+    if not usable:
+        return True  # nothing speaks against it
+    trim = law.provenance.get("trim", {})
+    own_m = law.breakaway_m - trim.get("breakaway_m", 0.0)
+    changes = np.array([trim.get(name, 0.0) for name in _TERMS])
+    without, beside = [], []
+    for run in (_run(law, loop, capture, lead) for capture in usable):
+        terms, rest = _terms(law, run, law.breakaway_m, own_m)
+        rest = rest + terms @ changes
+        v = np.gradient(run.motor_m, run.period_s)
+        side = friction_state(v, law.breakaway_m, run.period_s, run.start)
+        way = 0.5 * side * np.interp(run.motor_m, lead.position_m, lead.reversal_m)
+        without.append(rest - rest.mean())
+        left = rest - way[run.use]
+        beside.append(left - left.mean())
+    rms_m, with_m = (float(np.std(np.concatenate(rests))) for rests in (without, beside))
+    return with_m < (1.0 - _LEAST_GAIN_FRAC) * rms_m

@@ -9,9 +9,10 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
-from pmac_comp.physics.compensate.trim import trimmed_law
+from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid
+from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
 MODEL = DriveModel.base(BENCH)
@@ -77,3 +78,36 @@ def test_captures_without_a_table_change_nothing() -> None:
     full = capture_of(MODEL, MOTIONS[0])
     bare = Capture(full.time_s, full.commanded_position_m, full.motor_position_m)
     assert trimmed_law(LAW, model_loop(MODEL), [bare]) == (LAW, 0.0)
+
+
+def lost_on_the_way(model: DriveModel, motion: Trajectory, lost_m: float) -> Capture:
+    """A run of a drive whose table lags by half of what is lost whichever way it goes."""
+    run = capture_of(model, motion)
+    v = np.gradient(run.motor_position_m, BENCH.servo_period_s)
+    side = friction_state(v, LAW.breakaway_m, BENCH.servo_period_s)
+    table = run.table_position_m
+    assert table is not None
+    return replace(run, table_position_m=table + 0.5 * lost_m * side)
+
+
+def test_a_difference_of_the_directions_counts_where_fast_runs_show_it_too() -> None:
+    lead, loop = lead_map(0.0, reversal_um=-2.0), model_loop(MODEL)
+    lost = [lost_on_the_way(MODEL, m, -2e-6) for m in MOTIONS]
+    assert shows_reversal(LAW, loop, lost, lead)
+    # A slow run on another flank of the nut than the model's leaves as much, and fast runs nothing.
+    assert not shows_reversal(LAW, loop, [capture_of(MODEL, m) for m in MOTIONS], lead)
+    assert not shows_reversal(LAW, loop, [lost_on_the_way(MODEL, m, 2e-6) for m in MOTIONS], lead)
+
+
+def test_what_the_captures_moved_into_the_law_is_no_difference_of_the_directions_any_more() -> None:
+    lead, loop = lead_map(0.0, reversal_um=-2.0), model_loop(MODEL)
+    lost = [lost_on_the_way(MODEL, m, -2e-6) for m in MOTIONS]
+    law, _ = trimmed_law(LAW, loop, lost)
+    moved = {"coulomb_m": law.coulomb_m - LAW.coulomb_m}
+    assert moved["coulomb_m"] == pytest.approx(1e-6, rel=0.05)
+    law = replace(law, provenance={"trim": moved})
+    assert not shows_reversal(law, loop, lost, lead)
+
+
+def test_without_runs_at_the_table_nothing_speaks_against_a_difference_of_the_directions() -> None:
+    assert shows_reversal(LAW, model_loop(MODEL), [], lead_map(0.0, reversal_um=-2.0))

@@ -29,6 +29,7 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
+from pmac_comp.workflow.computing import table_remarks
 from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign
@@ -45,6 +46,13 @@ def test_only_a_difference_above_noise_and_size_is_worth_a_table() -> None:
     assert has_backlash(LEAD, "table")
     assert not has_backlash(replace(LEAD, noise_m=3e-6), "table")
     assert not has_backlash(replace(LEAD, reversal_m=0.01 * LEAD.reversal_m), "table")
+
+
+def test_a_difference_that_other_runs_do_not_show_is_told_from_one_that_is_small() -> None:
+    left_out = replace(COMPENSATION, route="law", backlash=False)
+    assert "the other runs do not show it" in table_remarks(BENCH, left_out)[0]
+    small = replace(left_out, lead=replace(LEAD, reversal_m=0.01 * LEAD.reversal_m))
+    assert "not worth a backlash table" in table_remarks(BENCH, small)[0]
 
 
 def test_the_tables_together_take_both_directions_away() -> None:
