@@ -77,6 +77,7 @@ def require_agreement(fault: SensorFault) -> None:
         f"{MISMATCH_m * MM_PER_M:g} mm. The axis was {state}.",
         code="PC-AXI-003",
         hint="Look at coupling, scale head and cables, and at the resolutions in the bench "
-        "file, before anything moves again.",
+        "file, before anything moves again. Did the axis hum before? A loop that is unstable "
+        "shakes them apart too: lower the gains.",
         context={"fault": fault.name},
     )
