@@ -140,6 +140,18 @@ def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> 
     assert found.parameters["stribeck.speed_m_per_s"].value == pytest.approx(0.01, rel=0.4)
 
 
+def test_stribeck_friction_of_nut_and_motor_is_not_sought_at_the_guide_alone() -> None:
+    effects = {
+        "presliding": {"distance_um": 6.0, "place": "rotary"},
+        "stribeck": {"excess_N": 0.0, "excess_Nm": 0.15, "speed_m_per_s": 0.008},
+    }
+    found = identify_with_friction(some_runs(BENCH, effects), BENCH)
+    assert found.model is not None
+    assert "stribeck@nut" in found.model.effects
+    assert found.parameters["stribeck.excess_Nm"].value == pytest.approx(0.15, rel=0.3)
+    assert found.parameters["stribeck.speed_m_per_s"].value == pytest.approx(0.008, rel=0.3)
+
+
 @pytest.mark.parametrize("name", ["paper", pytest.param("paper_x4", marks=pytest.mark.slow)])
 def test_presliding_and_stribeck_friction_are_told_apart_on_the_default_drive(name: str) -> None:
     # With the distances still far off, Stribeck's curve once ran to speeds at which nothing moves.

@@ -26,6 +26,7 @@ from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
+from pmac_comp.physics.model.effect import split_name
 
 Progress = Callable[[str, float], None]
 
@@ -36,6 +37,7 @@ _WORDS = {
     "presliding@all": "presliding at guide, nut and motor (presliding@all)",
     "presliding_gms": "presliding at the guide with memory of earlier reversals (presliding_gms)",
     "stribeck": "Stribeck friction at the guide (stribeck)",
+    "stribeck@nut": "Stribeck friction at nut and motor (stribeck@nut)",
 }
 _CARRIES = ("chain.table_mass_kg", "chain.axial_stiffness_N_per_m")
 _TURNING = ("nut_", "motor_", "rotary")
@@ -101,6 +103,7 @@ class _Form:
         return found
 
 
+_TURNING_FRAC = 0.2  # of Coulomb friction at nut and motor, where a fit of their Stribeck's begins
 _FIRST_GUESS = _Form(guide_m=10e-6, rotary_m=5e-6, excess_N=10.0, stribeck_m_per_s=0.005)
 # No friction turns over at once: Coulomb's, as drives have it.
 _ONSET = _Form(0.2e-6, 0.2e-6, excess_N=0.0, stribeck_m_per_s=0.005, has_stribeck=False)
@@ -233,14 +236,37 @@ def _chosen(
     figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
     # counts can hide what it leaves around reversals: only the held-out samples tell.
-    if form.guide_m <= _STICK_ZONE_m:
-        return found
-    other = trial.fitted_at_guide(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
+    if form.guide_m > _STICK_ZONE_m:
+        other = trial.fitted_at_guide(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
+        if other is not None:
+            left = trial.errors(other)
+            figures["held_out_gms_um"] = rms_um(left)
+            found, errors = (other, left) if is_better(left, errors, _RATHER) else (found, errors)
+    other = _with_turning_curve(trial, found)
     if other is None:
         return found
     left = trial.errors(other)
-    figures["held_out_gms_um"] = rms_um(left)
+    figures["held_out_turning_stribeck_um"] = rms_um(left)
     return other if is_better(left, errors, _RATHER) else found
+
+
+def _with_turning_curve(trial: _FrictionTrial, found: Identification) -> Identification | None:
+    """The same with Stribeck's curve at the nut instead of the guide.
+
+    What nut and bearings lose with speed costs torque and hardly moves the table: a curve at the
+    guide, which moves both, comes out as nothing beside it or bends the guide's other friction.
+    """
+    if found.model is None:
+        return None
+    model, own = found.model, found.model.parameters
+    if "stribeck" in model.effects:
+        model = model.without_effect("stribeck")
+    turning_Nm = own["coulomb.nut_Nm"] + own["coulomb.motor_Nm"]
+    curve = {
+        "excess_Nm": _TURNING_FRAC * turning_Nm,
+        "speed_m_per_s": _FIRST_GUESS.stribeck_m_per_s,
+    }
+    return trial.fitted(model.with_effect("stribeck@nut", curve))
 
 
 def _with_curve_anew(trial: _FrictionTrial, found: Identification) -> Identification | None:
@@ -280,10 +306,15 @@ def _left(errors: FloatArray, plain: FloatArray) -> float:
 
 def _without_nothing(trial: _FrictionTrial, final: Identification | None) -> Identification | None:
     """The fit again without Stribeck friction of which all captures together leave nothing."""
-    excess = None if final is None else final.parameters.get("stribeck.excess_N")
-    if final is None or final.model is None or excess is None or excess.value > excess.std:
+    if final is None or final.model is None:
         return final
-    return trial.settled(final.model.without_effect("stribeck")) or final
+    name = next((n for n in final.model.effects if split_name(n)[0] == "stribeck"), None)
+    if name is None:
+        return final
+    excess = final.parameters[f"stribeck.excess_{'Nm' if name == 'stribeck@nut' else 'N'}"]
+    if excess.value > excess.std:
+        return final
+    return trial.settled(final.model.without_effect(name)) or final
 
 
 def _set_in(
