@@ -129,7 +129,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         notes += guard_install.install_guard(axis.link, context)
     _set_take_up(axis, context, tables)
     if compensation.route == "cam":
-        parts.append(_deploy_cam(axis, compensation, context, tables))
+        parts.append(_deploy_cam(axis, compensation, context, tables, stale))
         notes.append(
             f"the motion is PROG {CAM_PROGRAM}; motor #{axis.bench.controller.cam_motor_number} "
             "counts its time"
@@ -210,10 +210,12 @@ def _download_lines(missing: Sequence[programs.Program]) -> list[str]:
 def stale_tables(
     axis: Axis, compensation: Compensation, tables: Sequence[Table]
 ) -> tuple[tuple[TableKind, int], ...]:
-    """Backlash tables on the card that the new compensation must not stand beside."""
+    """Backlash tables on the card that the new compensation must not stand beside.
+
+    Law, cam and program carry friction themselves, whether or not a lead table comes with them.
+    """
     key = (TableKind.BLCOMP, axis.motor)
-    new = any((table.kind, table.motor) == key for table in tables)
-    if new or (compensation.lead is None and compensation.route not in TORQUE_ROUTES):
+    if any((table.kind, table.motor) == key for table in tables):
         return ()
     return () if read_table(axis.link, *key) is None else (key,)
 
@@ -260,12 +262,16 @@ def _set_take_up(axis: Axis, context: Context, tables: Sequence[Table]) -> None:
 
 
 def _deploy_cam(
-    axis: Axis, compensation: Compensation, context: Context, tables: tuple[Table, ...]
+    axis: Axis,
+    compensation: Compensation,
+    context: Context,
+    tables: tuple[Table, ...],
+    stale: tuple[tuple[TableKind, int], ...],
 ) -> UploadResult:
     """Program with the time axis, then its table."""
     stand_at_zero(axis)
     deploy_program(axis, render_cam(compensation, axis.bench), context)
-    with TableUpload(axis.link, context, tables, route="cam") as upload:
+    with TableUpload(axis.link, context, tables, without=stale, route="cam") as upload:
         return upload.execute()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.upload import TableUpload
@@ -39,6 +41,8 @@ from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
 from pmac_comp.workflow.simulated import TruthRecorder
+from pmac_comp.workflow.upload_plan import preview
+from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
@@ -181,3 +185,22 @@ def test_motor_in_use_is_refused(axis: Axis, tmp_path: Path) -> None:
     with pytest.raises(SafetyRefusal, match="in use"):
         deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
     assert len(read_tables(axis.link)) == 0
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+@pytest.mark.parametrize("lead", [None, lead_map()])
+def test_a_backlash_table_does_not_stand_beside_the_friction_of_a_motion(
+    axis: Axis, tmp_path: Path, route: str, lead: LeadMap | None
+) -> None:
+    context = context_of(axis, tmp_path)
+    with_backlash = Compensation(
+        "table", CompensationLaw(), lead_map(reversal_um=-4.0), backlash=True
+    )
+    deploy(axis, with_backlash, context)
+    backlash = (TableKind.BLCOMP, axis.motor)
+    assert read_tables(axis.link).get(*backlash) is not None
+    compensation = replace(cam_of(BUMP, lead), route=route)
+    meant = preview(axis, context, compensation, "sim://").text
+    deploy(axis, compensation, context)
+    assert read_tables(axis.link).get(*backlash) is None
+    assert "BLCOMP of motor" not in " ".join(meant)
