@@ -90,7 +90,7 @@ def runs_of(
 
 
 _OWN_MOTION = (
-    "this route is for one known motion: others stay uncompensated, and positioning after "
+    "this route is for one known motion: others have its tables at most, and positioning after "
     "ISO 230-2 and ringing are not measured",
 )
 

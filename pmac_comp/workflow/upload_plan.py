@@ -186,8 +186,8 @@ def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:
         f"  cam: motor #{table.motor} counts time at {cam.shape.ct_per_cycle} counts per servo "
         f"cycle, {len(table.entries)} entries, largest {largest_um:.2f} um, rounding "
         f"{cam.table.quantisation_um:.3f} um",
-        f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, other "
-        "motions stay uncompensated",
+        f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, "
+        f"{_elsewhere(compensation)}",
     ]
 
 
@@ -197,8 +197,15 @@ def _program_lines(axis: Axis, compensation: Compensation) -> list[str]:
         f"  motion: {drawn.program.name}, {drawn.motion.duration_s:.2f} s, "
         f"{len(drawn.program.lines)} lines, largest correction {drawn.largest_um:.2f} um, shape "
         f"error {drawn.shape_error_um:.3f} um, rounding {drawn.rounding_um:.4f} um",
-        "  run this program; other motions stay uncompensated. Nothing is off meanwhile",
+        f"  run this program, {_elsewhere(compensation)}",
     ]
+
+
+def _elsewhere(compensation: Compensation) -> str:
+    """What of the route of one known motion reaches the others."""
+    if compensation.lead is None:
+        return "other motions stay uncompensated"
+    return "other motions have the tables only"
 
 
 def _law_lines(axis: Axis, compensation: Compensation) -> list[str]:

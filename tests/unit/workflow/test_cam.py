@@ -204,3 +204,15 @@ def test_a_backlash_table_does_not_stand_beside_the_friction_of_a_motion(
     deploy(axis, compensation, context)
     assert read_tables(axis.link).get(*backlash) is None
     assert "BLCOMP of motor" not in " ".join(meant)
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+def test_the_plan_says_what_other_motions_have(axis: Axis, tmp_path: Path, route: str) -> None:
+    context = context_of(axis, tmp_path)
+    bare, with_lead = (replace(cam_of(BUMP, lead), route=route) for lead in (None, lead_map()))
+    said = " ".join(preview(axis, context, bare, "sim://").text)
+    assert "other motions stay uncompensated" in said
+    said = " ".join(preview(axis, context, with_lead, "sim://").text)
+    assert "other motions have the tables only" in said
+    assert "tables of the controller are off" in said
+    assert "Nothing is off" not in said
