@@ -317,12 +317,17 @@ def require_stationary(link: Link, motors: Sequence[int]) -> None:
 
 
 def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
-    """Close the loop of a motor where it stands; raises MotorNotSafe if it does not stay closed."""
+    """Close the loop of a motor where it stands; raises MotorNotSafe if it does not stay closed.
+
+    The bit of a trajectory that stands follows a servo cycle later: who looked before would take
+    the motor for one that executes a move.
+    """
     link.command(f"#{motor}J/")
     deadline = CardDeadline(link, timeout_s)
     while True:
         reading = read_motor(link, motor)
-        if reading.status.is_closed_loop and not reading.status.trips:
+        is_closed = reading.status.is_closed_loop and not reading.status.trips
+        if is_closed and (reading.status.is_commanded_still or deadline.expired()):
             return reading
         if deadline.expired():
             reasons = ", ".join(reading.status.trips) or "the amplifier stays off"

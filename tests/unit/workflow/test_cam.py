@@ -26,7 +26,7 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow import simulated, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
@@ -216,3 +216,14 @@ def test_the_plan_says_what_other_motions_have(axis: Axis, tmp_path: Path, route
     assert "other motions have the tables only" in said
     assert "tables of the controller are off" in said
     assert "Nothing is off" not in said
+
+
+def test_a_motor_that_has_just_closed_its_loop_executes_no_move(
+    axis: Axis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motors.kill(axis.link, axis.motor)
+    axis.link.clock.sleep_s(0.1)
+    # Both requests of a fast host lie within one servo cycle; the status comes with the next one.
+    monkeypatch.setattr(simulated, "_REQUEST_CYCLES", 0)
+    reading = motors.enable(axis.link, axis.motor)
+    assert motors.executing_moves({axis.motor: reading}) == ()
