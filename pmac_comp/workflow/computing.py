@@ -24,6 +24,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
+from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
 from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
@@ -208,8 +209,14 @@ def _for_motion(
     backlash: bool,
 ) -> Compensation:
     limit_m = bench.safety.max_correction_um / UM_PER_M
+    # A run meets its start out of a jog and a rest: that friction and integrator are in its error.
     exact = exact_correction(
-        model_loop(model), motion.position_m, bench.servo_period_s, limit_m=limit_m, aim=aim
+        model_loop(model),
+        motion.position_m,
+        bench.servo_period_s,
+        limit_m=limit_m,
+        aim=aim,
+        lead_in_m=approach(bench, float(motion.position_m[0])),
     )
     said = {"error_um": list(exact.history_um), "aim": aim.value, "motion": motion.name}
     return Compensation(

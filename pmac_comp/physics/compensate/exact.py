@@ -236,14 +236,24 @@ def exact_correction(
     *,
     limit_m: float = math.inf,
     aim: Aim = Aim.TOTAL,
+    lead_in_m: FloatArray | None = None,
 ) -> Learning:
-    """Offset for one known motion by learning on the model; shape (n,) in m."""
+    """Offset for one known motion by learning on the model; shape (n,) in m.
+
+    ``lead_in_m`` is the command before the motion, which carries no offset: friction and integrator
+    begin the motion as it leaves them. None: relaxed, on the spot.
+    """
+    head = np.zeros(0) if lead_in_m is None else lead_in_m
+    commanded = np.concatenate([head, position_m])
 
     def run(offset: FloatArray) -> FloatArray:
-        signals = loop(position_m, position_m + offset, None)
+        added = np.concatenate([np.zeros(head.size), offset])
+        signals = loop(commanded, commanded + added, None)
         if aim is Aim.MECHANICAL:
-            return signals.table_position_m - signals.motor_position_m + offset
-        return signals.table_position_m - position_m
+            error = signals.table_position_m - signals.motor_position_m + added
+        else:
+            error = signals.table_position_m - commanded
+        return np.asarray(error[head.size :])
 
     return learn(
         run,
