@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_status import table_status
@@ -73,7 +74,22 @@ def preview_verification(
     seed: int,
     refine: int = 0,
 ) -> RunsPreview:
-    """What ``verify`` would run on a controller with these options."""
+    """What ``verify`` would run on a controller with these options.
+
+    Raises
+    ------
+    ConfigError
+        A motion is asked of a compensation that is for its own one only.
+    """
+    if motions and compensation.route in MOTION_ROUTES:
+        raise ConfigError(
+            f"The route {compensation.route} is for one known motion: --motion has no other to "
+            "run.",
+            code="PC-VER-006",
+            hint="Leave --motion out, or compute a compensation for this motion: "
+            f"`pmac-comp compensate --bench FILE --model FILE --route {compensation.route} "
+            "--command MOTION`.",
+        )
     loaded = load_bench(bench)
     chosen = [parse_motion(text, loaded) for text in motions]
     chosen = chosen or verification_motions(loaded, seed)

@@ -82,6 +82,22 @@ def test_a_compensation_of_one_motion_is_verified_on_that_motion_only() -> None:
     assert [row[:2] for row in told.rows()] == [("verification", 4)]
 
 
+def test_no_other_motion_is_asked_of_a_compensation_of_one() -> None:
+    known = parse_motion("sine:amplitude_mm=8,frequency_Hz=3", BENCH)
+    cam = Compensation(
+        "cam",
+        CompensationLaw(),
+        None,
+        known.trajectory.time_s,
+        known.position_m,
+        0 * known.position_m,
+    )
+    asked = ("sine:amplitude_mm=5,frequency_Hz=1",)
+    with pytest.raises(ConfigError, match="one known motion") as refused:
+        preview_verification("paper", cam, motions=asked, repeats=2, static_runs=0, seed=0)
+    assert "--route cam --command" in refused.value.hint
+
+
 def test_improvement_tells_its_runs_and_refuses_what_it_would_refuse() -> None:
     told = preview_improvement("paper", route="law", seed=0)
     assert {row[0] for row in told.rows()} == {
