@@ -105,6 +105,8 @@ def require_on_card(axis: Axis, context: Context, compensation: Compensation) ->
     """
     other = [
         f"its {table.kind.value} table"
+        if table.motor == axis.motor
+        else f"its cam (the {table.kind.value} table of motor #{table.motor})"
         for table in tables_of(compensation, axis.bench)
         if (found := read_table(axis.link, table.kind, table.motor)) is None
         or found.entries != table.entries

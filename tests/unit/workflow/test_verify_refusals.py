@@ -4,10 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ConfigError, PmacCompError
+from pmac_comp.base.errors import ConfigError, PmacCompError, VerifyMismatch
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import verify
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.runs import require_on_card
+from tests.compensations import lead_map
 
 
 @pytest.fixture
@@ -37,3 +42,18 @@ def test_a_wrong_motion_or_model_is_refused_before_the_card_is_spoken_to(
         verify.verify_on_controller("sim://", "paper", law=law, motions=("stroll:distance_mm=1",))
     with pytest.raises(PmacCompError, match=r"lost\.json"):
         verify.verify_on_controller("sim://", "paper", law=law, model=tmp_path / "lost.json")
+
+
+def test_a_cam_that_the_card_lacks_is_called_one(axis: Axis, tmp_path: Path) -> None:
+    motion = parse_motion("sine:amplitude_mm=8,frequency_Hz=3", axis.bench)
+    cam = Compensation(
+        "cam",
+        CompensationLaw(),
+        lead_map(),
+        motion.trajectory.time_s,
+        motion.position_m,
+        0.0 * motion.position_m,
+    )
+    lacks = r"does not hold its COMP table and its cam \(the COMP table of motor #8\):"
+    with pytest.raises(VerifyMismatch, match=lacks):
+        require_on_card(axis, context_of(axis, tmp_path), cam)
