@@ -59,6 +59,20 @@ class Refinement:
         """Share of it that learning takes away on top of the model."""
         return (self.model_um - self.confirmed_um) / max(self.without_um, 1e-12)
 
+    @property
+    def is_gain(self) -> bool:
+        """Whether fresh runs are better with what was learned than with the model alone."""
+        return self.confirmed_um < self.model_um
+
+    def as_compensation(self, compensation: Compensation) -> Compensation | None:
+        """The compensation with what was learned in it; None where its route has no place for it.
+
+        Learning began from the correction of the same motion: what it ends with takes its place.
+        """
+        if compensation.motion_correction_m is None or not self.is_gain:
+            return None
+        return replace(compensation, motion_correction_m=self.learning.correction_m)
+
     def lines(self) -> tuple[str, ...]:
         """Sentences for people."""
         learning = self.learning

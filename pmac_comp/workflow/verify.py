@@ -25,6 +25,7 @@ from pmac_comp.workflow.compensation_file import (
     Compensation,
     named_compensation,
     read_compensation,
+    write_compensation,
 )
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.identification import load_model
@@ -39,7 +40,7 @@ from pmac_comp.workflow.outcome import (
 )
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import Promiser, true_errors
-from pmac_comp.workflow.repeated import refine_motion
+from pmac_comp.workflow.repeated import Refinement, refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
@@ -52,6 +53,7 @@ from pmac_comp.workflow.verification import Verification, static_remarks, verdic
 
 Progress = Callable[[str, float], None]
 _RESULT = "verification.json"
+_LEARNED = "learned.json"
 Pair = tuple[list[Capture], list[Capture]]
 
 
@@ -258,11 +260,34 @@ def verify_on_controller(
                 if compensation.route in MOTION_ROUTES:
                     motion = motion_of(compensation, axis.bench)
                 learned = refine_motion(axis, context, compensation, motion, refine, progress)
-                remarks = (*verification.remarks, *learned.lines())
+                kept_as = keep_learned(learned, compensation, out, url, bench)
+                remarks = (*verification.remarks, *learned.lines(), kept_as)
                 verification = replace(verification, remarks=remarks, learning=learned)
     if out is not None:
         store(verification, out)
     return verification
+
+
+def keep_learned(
+    learned: Refinement, compensation: Compensation, out: Path | None, url: str, bench: str
+) -> str:
+    """Write what was learned as a compensation that can be uploaded, and say what became of it."""
+    if compensation.route not in MOTION_ROUTES:
+        return (
+            f"what was learned is not kept: the route {compensation.route} has no place for a "
+            "correction of one motion; the routes cam and program have"
+        )
+    found = learned.as_compensation(compensation)
+    if found is None:
+        return "what was learned is not kept: fresh runs were no better than with the model alone"
+    if out is None:
+        return "what was learned is not kept: --out FOLDER writes it as a compensation to upload"
+    path = out / _LEARNED
+    write_compensation(path, found)
+    return (
+        f"what was learned is in {path}; on the controller the model's own stands as before, and "
+        f"`pmac-comp upload {url} {path} --bench {bench}` puts what was learned in its place"
+    )
 
 
 def _earlier_runs(folder: Path) -> list[Path]:

@@ -8,16 +8,19 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.exact import Learning
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.repeated import Refinement, delay_samples, refine_motion
 from pmac_comp.workflow.simulated import embedded
+from pmac_comp.workflow.verify import keep_learned
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")
@@ -72,6 +75,31 @@ def test_a_person_reads_both_shares(refined: Refinement) -> None:
     assert f"the model takes {100 * refined.model_share:.0f} %" in text
     assert "it converges" in text
     assert "ended because the last pass changed the error by less than" in text
+
+
+@pytest.mark.parametrize(("fresh_um", "is_kept"), [(0.6, True), (2.5, False)])
+def test_what_was_learned_becomes_a_compensation_to_upload(
+    tmp_path: Path, fresh_um: float, *, is_kept: bool
+) -> None:
+    known = np.linspace(0.0, 0.01, 50)
+    model = Compensation(
+        "program", CompensationLaw(), None, 1e-3 * np.arange(50), known, np.zeros(50)
+    )
+    learning = Learning(
+        2e-6 * np.sin(known * 300.0), (2.0, 0.6), converged=True, confirmed_um=(fresh_um,)
+    )
+    learned = Refinement("sine", 9.0, 2.0, learning)
+    said = keep_learned(learned, model, tmp_path, "sim://", "paper")
+    path = tmp_path / "learned.json"
+    assert path.exists() is is_kept
+    assert (f"pmac-comp upload sim:// {path} --bench paper" in said) is is_kept
+    if is_kept:
+        stored = read_compensation(path)
+        assert stored.motion_correction_m == pytest.approx(learning.correction_m)
+        assert stored.motion_position_m == pytest.approx(known)
+        assert "--out FOLDER" in keep_learned(learned, model, None, "sim://", "paper")
+    law = Compensation("law", CompensationLaw())
+    assert "has no place" in keep_learned(learned, law, tmp_path, "sim://", "paper")
 
 
 def test_a_rest_that_bows_by_nanometres_is_not_the_beginning_of_the_motion() -> None:
