@@ -60,7 +60,10 @@ def buffer_refusals(head: Head) -> list[SafetyRefusal]:
     if head.global1 & _GATHERING:
         refusals.append(
             SafetyRefusal(
-                "Data gathering is running.", code="PC-UPL-021", hint="Stop it (ENDGATHER)."
+                "Data gathering is running.",
+                code="PC-UPL-021",
+                hint="Somebody may be measuring: while `pmac-comp status` shows a lease that is "
+                "held, wait for its end. Where nobody is, stop it (ENDGATHER).",
             )
         )
     return refusals

@@ -21,7 +21,9 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.upload import TableUpload
+from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -227,3 +229,12 @@ def test_a_motor_that_has_just_closed_its_loop_executes_no_move(
     monkeypatch.setattr(simulated, "_REQUEST_CYCLES", 0)
     reading = motors.enable(axis.link, axis.motor)
     assert motors.executing_moves({axis.motor: reading}) == ()
+
+
+def test_gathering_is_not_told_to_be_stopped_while_somebody_measures(
+    axis: Axis, tmp_path: Path
+) -> None:
+    head = read_head(axis.link, context_of(axis, tmp_path))
+    (refusal,) = buffer_refusals(replace(head, global1=head.global1 | 1 << 19))
+    assert refusal.code == "PC-UPL-021"
+    assert "wait for its end" in refusal.hint
