@@ -9,11 +9,16 @@ from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.campaigns import calibration_motions
 
+SLOW = frozenset({"move_slow", "triangle_slow"})  # long runs, for friction at low speed
 
-def identified(bench: Bench, effects: PlantEffects, seed: int) -> tuple[list[Capture], DriveModel]:
+
+def identified(
+    bench: Bench, effects: PlantEffects, seed: int, without: frozenset[str] = frozenset()
+) -> tuple[list[Capture], DriveModel]:
     """Runs of a drive with effects that the base model does not hold, and that model of them."""
     plant = make_plant(bench, effects=effects, seed=seed)
-    runs = [closed_loop_capture(bench, plant, m.position_m) for m in calibration_motions(bench)]
+    motions = [m for m in calibration_motions(bench) if m.name not in without]
+    runs = [closed_loop_capture(bench, plant, m.position_m) for m in motions]
     model = identify(runs, bench).model
     assert model is not None
     return runs, model

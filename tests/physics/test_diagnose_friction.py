@@ -27,7 +27,7 @@ _FRICTION = (
 
 @pytest.fixture(scope="module")
 def captures():
-    """The paper's own drive on four motions, each with a rest behind it and a second pass."""
+    """The paper's own drive on four motions, those that are short with a rest and a second pass."""
     plant = plant_of(BENCH, "paper", 4)
     names = {"sine_low_end", "sine_small", "sine_long", "move_long"}
     runs = []
@@ -35,7 +35,7 @@ def captures():
         if motion.name in names:
             still = np.full(round(REST_s / BENCH.servo_period_s), motion.position_m[-1])
             command = np.concatenate([motion.position_m, still, motion.position_m])
-            runs.append(closed_loop_capture(BENCH, plant, command[: round(6 / 442e-6)]))
+            runs.append(closed_loop_capture(BENCH, plant, command[: round(4.5 / 442e-6)]))
     return runs
 
 

@@ -12,14 +12,14 @@ from pmac_comp.workflow import beyond_model
 from pmac_comp.workflow.campaigns import calibration_motions
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.late_scale import scale_age_s
-from tests.physics.identified import identified
+from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")
 
 
 @pytest.mark.parametrize("time_us", [5.0, pytest.param(-2.0, marks=pytest.mark.slow)])
 def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float) -> None:
-    runs, model = identified(BENCH, {"channel_skew": {"time_us": time_us}}, seed=7)
+    runs, model = identified(BENCH, {"channel_skew": {"time_us": time_us}}, seed=7, without=SLOW)
     found = measured_scale_age(runs, BENCH, model)
     assert found is not None
     assert found.time_s == pytest.approx(1e-6 * time_us, abs=0.6e-6)

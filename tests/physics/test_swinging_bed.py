@@ -7,7 +7,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
-from tests.physics.identified import identified
+from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")
 
@@ -29,7 +29,7 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
     frequency_Hz: float, ratio: float, beside: PlantEffects
 ) -> None:
     swings = {"frequency_Hz": frequency_Hz, "mass_ratio": ratio, "damping_ratio": 0.03}
-    runs, model = identified(BENCH, {"base_mode": swings, **beside}, seed=5)
+    runs, model = identified(BENCH, {"base_mode": swings, **beside}, seed=5, without=SLOW)
     found = measured_bed(runs, BENCH, model)
     assert found is not None
     assert found.frequency_Hz == pytest.approx(frequency_Hz, rel=0.02)

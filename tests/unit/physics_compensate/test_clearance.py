@@ -69,7 +69,7 @@ def winding(guide_N: float, stiffness: float) -> DriveModel:
     )
 
 
-@pytest.mark.parametrize("gap_m", [1e-6, 4e-6])
+@pytest.mark.parametrize("gap_m", [1e-6, pytest.param(4e-6, marks=pytest.mark.slow)])
 def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -> None:
     true = DriveModel.base(BENCH, TRUE).with_effect("backlash", {"gap_m": gap_m})
     found = measured_clearance(winding(110.0, 0.7), runs_of(true), None)
@@ -115,7 +115,9 @@ def test_load_of_the_motor_presses_no_nut() -> None:
     assert "bias_force.force_N" not in found.values
 
 
-@pytest.mark.parametrize(("half_m", "ratio"), [(2e-6, 0.4), (5e-6, 0.6)])
+@pytest.mark.parametrize(
+    ("half_m", "ratio"), [(2e-6, 0.4), pytest.param(5e-6, 0.6, marks=pytest.mark.slow)]
+)
 def test_nut_without_preload_is_told_from_play(half_m: float, ratio: float) -> None:
     zone = {"half_width_m": half_m, "stiffness_ratio": ratio}
     true = DriveModel.base(BENCH, TRUE).with_effect("preload_loss", zone)
@@ -129,7 +131,9 @@ def test_nut_without_preload_is_told_from_play(half_m: float, ratio: float) -> N
     assert "backlash" not in soft.effects
 
 
-@pytest.mark.parametrize(("guide_N", "stiffness"), [(45.0, 1.0), (70.0, 0.85)])
+@pytest.mark.parametrize(
+    ("guide_N", "stiffness"), [pytest.param(45.0, 1.0, marks=pytest.mark.slow), (70.0, 0.85)]
+)
 def test_wind_up_by_friction_is_no_gap(guide_N: float, stiffness: float) -> None:
     runs = runs_of(DriveModel.base(BENCH, TRUE))
     assert measured_clearance(winding(guide_N, stiffness), runs, None) is None
