@@ -1,8 +1,9 @@
 """The compensation as a file: law, lead map and provenance, one JSON for every route."""
 
+import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -22,6 +24,7 @@ from pmac_comp.workflow.rendering import RenderedTable, lead_table
 
 _VERSION = 1
 ROUTES = ("table", "law", "servo", "cam", "program")
+_DIGEST, _ROUTE = "compensation_digest", "compensation_route"  # attributes of runs with it
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,19 @@ class Compensation:
 
     def __post_init__(self) -> None:
         check_route(self.route)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that acts, as hex text; origin and promise do not act."""
+        document = _document(self)
+        law = {name: value for name, value in document["law"].items() if name != "provenance"}
+        acting = json.dumps({**document, "law": law}, sort_keys=True)
+        return hashlib.sha256(acting.encode()).hexdigest()
+
+    @property
+    def marks(self) -> dict[str, str]:
+        """Attributes by which a run with it tells later which compensation acted."""
+        return {_DIGEST: self.digest, _ROUTE: self.route}
 
     def table(self, bench: Bench) -> RenderedTable[CompTable] | None:
         """Compensation table of the static part, None without one."""
@@ -93,12 +109,16 @@ def check_route(route: str) -> str:
 
 def write_compensation(path: Path, compensation: Compensation) -> None:
     """Write a compensation file, whole or not at all."""
+    atomic_write_text(path, json.dumps(_document(compensation), indent=1) + "\n")
+
+
+def _document(compensation: Compensation) -> dict[str, Any]:
     arrays = {
         name: _numbers(getattr(compensation, name))
         for name in ("motion_time_s", "motion_position_m", "motion_correction_m")
     }
     lead = compensation.lead
-    document = {
+    return {
         "compensation_version": _VERSION,
         "route": compensation.route,
         "law": compensation.law.as_mapping(),
@@ -113,7 +133,6 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
         "backlash": compensation.backlash,
         **arrays,
     }
-    atomic_write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def named_compensation(path: Path | None) -> Compensation:
@@ -172,6 +191,51 @@ def check_bench(path: Path, bench: str) -> None:
             hint="Name its bench file with --bench, or run `pmac-comp compensate` again with this "
             "one. Nothing was changed.",
         )
+
+
+def check_acted(runs: Mapping[str, Capture], named: Path | None) -> tuple[str, ...]:
+    """Refuse stored runs with another compensation than the one that is named.
+
+    Parameters
+    ----------
+    runs : Mapping of str to Capture
+        The runs with it, by their names; those that `verify` made tell what acted.
+    named : Path or None
+        Its file, whose promise they are held against; None for none.
+
+    Returns
+    -------
+    tuple of str
+        What a person should know: runs that do not tell, or that had several without a file.
+
+    Raises
+    ------
+    ConfigError
+        A run tells of another compensation.
+    """
+    acted = {name: str(run.attributes.get(_DIGEST, "")) for name, run in runs.items()}
+    if named is None:
+        several = len(set(filter(None, acted.values())))
+        told = f"the runs with compensation were made with {several} different ones"
+        return (told,) * (several > 1)
+    expected = read_compensation(named)
+    other = [name for name, digest in acted.items() if digest not in {"", expected.digest}]
+    if other:
+        routes = sorted({str(runs[name].attributes.get(_ROUTE, "")) for name in other})
+        raise ConfigError(
+            f"{', '.join(other)}: made with another compensation (route {', '.join(routes)}) than "
+            f"that of {named} (route {expected.route}).",
+            code="PC-VER-007",
+            hint="Name with --compensation the file that stood on the controller, or leave it out: "
+            "the errors are compared then without its promise and lead.",
+        )
+    silent = [name for name, digest in acted.items() if not digest]
+    if not silent:
+        return ()
+    return (
+        f"{len(silent)} of {len(runs)} runs with it do not tell which compensation acted: that it "
+        f"was {named} is taken as said",
+    )
 
 
 def _from_mapping(data: dict[str, Any]) -> Compensation:

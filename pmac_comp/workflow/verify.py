@@ -5,7 +5,7 @@ statistics (``outcome``), plots (``report``).
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from pmac_comp.workflow.calibrate import require_new
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import (
     Compensation,
+    check_acted,
     named_compensation,
     read_compensation,
     write_compensation,
@@ -70,10 +71,12 @@ def verify_files(
     Raises
     ------
     ConfigError
-        Captures are of another axis, cannot be paired, or a pair is of two motions.
+        Captures are of another axis or had another compensation, cannot be paired, or a pair is of
+        two motions.
     """
     loaded = load_bench(bench)
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
+    remarks = check_acted({str(p): c for p, c in zip(after, sides[1], strict=True)}, law)
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     compensation = None if law is None else read_compensation(law)
@@ -105,6 +108,7 @@ def verify_files(
         simulated=any(_is_simulated(capture) for side in sides for capture in side),
         ringing=ringing,
         static=static,
+        remarks=remarks,
     )
 
 
@@ -355,7 +359,7 @@ def verify_axis(
     wanted = [(motion, repeats) for motion in runs.motions]
     wanted += [(rings, repeats)] if rings is not None else []
     wanted += [(static, static_runs)] if static is not None else []
-    pairs = list(alternating(runs, wanted, progress, keep))
+    pairs = list(alternating(runs, wanted, compensation.marks, progress, keep))
     found = truth() if truth is not None else None
     outcomes, groups = [], pairs[: len(runs.motions)]
     correction = compensation.table_correction(axis.bench)
@@ -389,10 +393,11 @@ def verify_axis(
 def alternating(
     runs: Runs,
     wanted: Sequence[tuple[Motion, int]],
+    marks: Mapping[str, str],
     progress: Progress | None,
     keep: Callable[[Capture], None] | None = None,
 ) -> Iterator[Pair]:
-    """Captures without and with compensation of each motion, pair by pair."""
+    """Captures without and with compensation of each motion, pair by pair; marks on the latter."""
     total_s = sum(2.0 * n * motion.duration_s for motion, n in wanted)
     done_s = 0.0
     for motion, repeats in wanted:
@@ -405,7 +410,8 @@ def alternating(
                         f"verifying {motion.name}, {'with' if on else 'without'}", done_s / total_s
                     )
                 capture = runs.run(motion, on=on)
-                capture = capture.with_attributes(compensation="on" if on else "off")
+                side = {"compensation": "on", **marks} if on else {"compensation": "off"}
+                capture = capture.with_attributes(**side)
                 if keep is not None:
                     keep(capture)
                 sides[on].append(capture)

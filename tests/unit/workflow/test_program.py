@@ -63,6 +63,8 @@ def test_verify_runs_what_was_uploaded_against_the_plain_motion(
     assert verification.ringing is None
     assert any("one known motion" in remark for remark in verification.remarks)
     (before,), (after,) = verification.before, verification.after
+    assert after.attributes.items() >= COMPENSATION.marks.items()
+    assert not before.attributes.keys() & COMPENSATION.marks.keys()
     assert np.max(np.abs(before.desired_m - before.commanded_position_m)) < 1e-9
     correction = after.desired_m - after.commanded_position_m
     assert float(np.max(correction)) == pytest.approx(12e-6, rel=0.01)

@@ -9,11 +9,14 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.commands import capture_paths
+from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.outcome import Spread, error_signals, outcome_of, sensor_floor_um
 from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
 from pmac_comp.workflow.verify import KeptRuns, verify_files
+from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
 PERIOD = BENCH.servo_period_s
@@ -176,6 +179,35 @@ def test_runs_of_an_interrupted_verification_are_kept_and_can_be_compared(tmp_pa
     (motion,) = verify_files("paper", *sides).motions
     assert motion.name == "a"
     assert motion.mechanical.value == pytest.approx(0.1, rel=0.02)
+
+
+def test_stored_runs_are_held_against_the_compensation_that_acted_only(tmp_path: Path) -> None:
+    """Runs of a cam were told as 'route program reached ... kept' with a program's file."""
+    acted = Compensation("table", CompensationLaw(), lead_map())
+    other = Compensation("table", CompensationLaw(), lead_map(40.0))
+    # What the file promises and where it comes from does not act.
+    renamed = replace(acted, law=CompensationLaw(provenance={"model": "m.json"}))
+    files = {"acted": acted, "other": other, "renamed": renamed}
+    for name, one in files.items():
+        write_compensation(tmp_path / f"{name}.json", one)
+    before, after, mixed = (tmp_path / f"{name}.h5" for name in ("before", "after", "mixed"))
+    write_capture(before, run(correction_um=0.0, e_um=3.0, control_um=10.0))
+    with_it = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
+    write_capture(after, with_it.with_attributes(**acted.marks))
+    write_capture(mixed, with_it.with_attributes(**other.marks))
+
+    def compared(*runs: Path, law: str = "") -> tuple[str, ...]:
+        named = tmp_path / f"{law}.json" if law else None
+        return verify_files("paper", [before], runs, law=named).remarks
+
+    with pytest.raises(ConfigError, match=r"after\.h5: made with another .* \(route table\)"):
+        compared(after, law="other")
+    for law in ("acted", "renamed", ""):
+        assert not any("compensation" in text for text in compared(after, law=law))
+    assert any("2 different ones" in text for text in compared(after, mixed))
+    # Captures of an earlier version, or of `capture` with the compensation on.
+    write_capture(after, with_it)
+    assert any("1 of 1 runs with it do not tell" in text for text in compared(after, law="other"))
 
 
 def test_an_interrupted_verification_that_kept_nothing_says_how_to_keep() -> None:
