@@ -295,7 +295,9 @@ def compensate_files(
     cuts = limits_report(loaded, compensation)
     if cuts and limit is Limit.REFUSE:
         raise too_large(route, aim, "; ".join(cuts))
-    tables_of(compensation, loaded)  # what cannot be rendered is refused before it is written
+    # What cannot be rendered or drawn is refused before it is written.
+    tables_of(compensation, loaded)
+    summary = describe(loaded, compensation)
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
@@ -305,7 +307,7 @@ def compensate_files(
     return {
         "route": route,
         "file": out,
-        "summary": describe(loaded, compensation),
+        "summary": summary,
         "remarks": [
             *cuts,
             *table_remarks(loaded, compensation),

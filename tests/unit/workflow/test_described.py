@@ -4,15 +4,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from pmac_comp.base.errors import AmplitudeExceeded
+from pmac_comp.base.errors import AmplitudeExceeded, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.workflow import computing
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compensate_files, describe
 from pmac_comp.workflow.difference import law_rows
+from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.scales import Scales
 from tests.compensations import friction_law, lead_map
@@ -43,6 +45,30 @@ def test_a_motion_cut_by_the_limit_offers_the_smaller_aim(
     with pytest.raises(AmplitudeExceeded, match=r"26\.0 %") as refused:
         compensate_files("paper", Path("m.json"), out, route=route, command=MOTION, aim=aim)
     assert ("--aim mechanical" in refused.value.hint) is offers_less
+    assert not out.exists()
+
+
+def test_a_motion_that_its_correction_makes_too_hard_is_refused_before_it_is_written(
+    monkeypatch, tmp_path
+) -> None:
+    """Drawing it refused only when the file lay there, to be uploaded."""
+    motion = parse_motion(MOTION, BENCH)
+    bends = np.zeros(motion.position_m.size)
+    bends[motion.position_m.size // 2] = 20e-6
+    bent = Compensation(
+        "program",
+        friction_law(),
+        motion_time_s=motion.trajectory.time_s,
+        motion_position_m=motion.position_m,
+        motion_correction_m=bends,
+    )
+    drive = SimpleNamespace(effects=())
+    monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
+    monkeypatch.setattr(computing, "check_amplitude", lambda *a: None)
+    monkeypatch.setattr(computing, "compute_compensation", lambda *a, **k: bent)
+    out = tmp_path / "c.json"
+    with pytest.raises(SafetyRefusal, match="acceleration"):
+        compensate_files("paper", Path("m.json"), out, route="program", command=MOTION)
     assert not out.exists()
 
 
