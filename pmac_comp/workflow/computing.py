@@ -56,9 +56,10 @@ from pmac_comp.workflow.law_cost import (
     fitting_cycles,
     share_frac,
 )
-from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.motions import Motion, is_allowed, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.promises import Promiser, worse_remarks
+from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
@@ -217,6 +218,7 @@ def _for_motion(
         limit_m=limit_m,
         aim=aim,
         lead_in_m=approach(bench, float(motion.position_m[0])),
+        may_run=lambda offset_m: is_allowed(with_offset(motion, offset_m), bench),
     )
     said = {"error_um": list(exact.history_um), "aim": aim.value, "motion": motion.name}
     return Compensation(

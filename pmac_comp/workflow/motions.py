@@ -91,6 +91,15 @@ def check_motion(motion: Motion, bench: Bench) -> None:
         )
 
 
+def is_allowed(motion: Motion, bench: Bench) -> bool:
+    """Whether a motion stays within travel and safety limits."""
+    try:
+        check_motion(motion, bench)
+    except SafetyRefusal:
+        return False
+    return True
+
+
 # Specifications -----------------------------------------------------------------------------------
 
 _Maker = Callable[[float, Mapping[str, float]], Trajectory]

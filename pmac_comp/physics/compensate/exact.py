@@ -10,8 +10,9 @@ where the loop's phase reaches 60 degrees; above that the filter stops the learn
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
@@ -237,11 +238,32 @@ def exact_correction(
     limit_m: float = math.inf,
     aim: Aim = Aim.TOTAL,
     lead_in_m: FloatArray | None = None,
+    may_run: Callable[[FloatArray], bool] | None = None,
 ) -> Learning:
     """Offset for one known motion by learning on the model; shape (n,) in m.
 
-    ``lead_in_m`` is the command before the motion, which carries no offset: friction and integrator
-    begin the motion as it leaves them. None: relaxed, on the spot.
+    A model has no noise: once the slow part is learned, learning goes on in the band of measured
+    runs. That is kept where the error falls by it. A still wider band gains nothing: with 80 Hz
+    the same was left on the simulated card.
+
+    Parameters
+    ----------
+    loop : callable
+        Closed loop of the model.
+    position_m : ndarray, shape (n,)
+        The motion in m.
+    period_s : float
+        Servo period.
+    limit_m : float
+        Amplitude that the offset never passes.
+    aim : Aim
+        Which error is to be small.
+    lead_in_m : ndarray or None
+        Command before the motion, which carries no offset: friction and integrator begin the motion
+        as it leaves them. None: relaxed, on the spot.
+    may_run : callable or None
+        Whether the machine may run the motion with an offset: cut off at ``limit_m``, one of the
+        wider band has sharper bends.
     """
     head = np.zeros(0) if lead_in_m is None else lead_in_m
     commanded = np.concatenate([head, position_m])
@@ -255,10 +277,20 @@ def exact_correction(
             error = signals.table_position_m - commanded
         return np.asarray(error[head.size :])
 
-    return learn(
+    learned = partial(
+        learn,
         run,
         position_m.size,
         period_s,
         limit_m=limit_m,
         rests=rests_of(position_m, period_s),
     )
+    found = learned()
+    if found.cutoff_Hz < LEARNING_CUTOFF_Hz:  # that band was too wide for this loop already
+        return found
+    wider = learned(start_m=found.correction_m, cutoff_Hz=MEASURED_CUTOFF_Hz)
+    if min(wider.history_um) > (1.0 - _LEAST_GAIN_FRAC) * min(found.history_um):
+        return found
+    if may_run is not None and not may_run(wider.correction_m):
+        return found
+    return replace(wider, history_um=found.history_um + wider.history_um[1:])
