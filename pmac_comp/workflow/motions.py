@@ -59,12 +59,13 @@ def check_motion(motion: Motion, bench: Bench) -> None:
     speed = float(np.max(np.abs(t.velocity_m_per_s)))
     acceleration = float(np.max(np.abs(t.acceleration_m_per_s2)))
     refusals: list[SafetyRefusal] = []
-    if t.position_m.min() < low - 1e-9 or t.position_m.max() > high + 1e-9:
+    beyond = max(low - float(t.position_m.min()), float(t.position_m.max()) - high)
+    if beyond > 1e-9:
         refusals.append(
             MotorNotSafe(
                 f"{motion.name} runs from {t.position_m.min() * 1e3:.1f} to "
-                f"{t.position_m.max() * 1e3:.1f} mm, the travel is {low * 1e3:g} to "
-                f"{high * 1e3:g} mm.",
+                f"{t.position_m.max() * 1e3:.1f} mm, {beyond * 1e3:.3g} mm beyond the travel of "
+                f"{low * 1e3:g} to {high * 1e3:g} mm.",
                 code="PC-MOV-001",
                 hint="Choose another centre or a shorter motion; the travel is [travel] of the "
                 "bench file.",

@@ -169,6 +169,15 @@ def test_campaigns_fit_every_bundled_bench() -> None:
             check_motion(motion, bench)
 
 
+def test_micrometres_beyond_the_travel_are_told_as_such() -> None:
+    """It was told that a motion to 300.0 mm leaves a travel to 300 mm: a correction did that."""
+    at_end = parse_motion("sine:amplitude_mm=50,frequency_Hz=0.5,centre_mm=250", BENCH)
+    shifted = Trajectory(at_end.trajectory.time_s, at_end.position_m + 4e-6)
+    with pytest.raises(SafetyRefusal) as refused:
+        check_motion(Motion("at the end", shifted), BENCH)
+    assert "to 300.0 mm, 0.004 mm beyond the travel of -300 to 300 mm" in str(refused.value)
+
+
 def test_motion_outside_travel_and_limits_is_refused_with_all_reasons() -> None:
     with pytest.raises(SafetyRefusal) as caught:
         parse_motion("sine:amplitude_mm=280,frequency_Hz=2,centre_mm=100", BENCH)
