@@ -263,7 +263,7 @@ def exact_correction(
         as it leaves them. None: relaxed, on the spot.
     may_run : callable or None
         Whether the machine may run the motion with an offset: cut off at ``limit_m``, one of the
-        wider band has sharper bends.
+        wider band has sharper bends. It is left where the machine may run that of the slow one.
     """
     head = np.zeros(0) if lead_in_m is None else lead_in_m
     commanded = np.concatenate([head, position_m])
@@ -291,6 +291,6 @@ def exact_correction(
     wider = learned(start_m=found.correction_m, cutoff_Hz=MEASURED_CUTOFF_Hz)
     if min(wider.history_um) > (1.0 - _LEAST_GAIN_FRAC) * min(found.history_um):
         return found
-    if may_run is not None and not may_run(wider.correction_m):
+    if may_run is not None and may_run(found.correction_m) and not may_run(wider.correction_m):
         return found
     return replace(wider, history_um=found.history_um + wider.history_um[1:])
