@@ -50,8 +50,8 @@ class Learning:
     cutoff_Hz : float
         Up to where the error was learned from at the end.
     learnable_um : tuple of float
-        Rms of the part below the cutoff, which is all that learning can take away: its fall from
-        pass to pass is the proof of convergence.
+        Rms of the part below that cutoff, which is all that learning can take away, in the errors
+        of ``history_um``: its fall up to the best of them is the proof of convergence.
     confirmed_um : tuple of float
         Rms of the total error of fresh runs with the best offset.
     scatter_um : float
@@ -71,8 +71,8 @@ class Learning:
 
     @property
     def contraction(self) -> float:
-        """Mean factor per pass by which the learnable error fell; below 1 it converges."""
-        kept = self.learnable_um[: 1 + int(np.argmin(self.learnable_um or (1.0,)))]
+        """Mean factor per pass, up to the best, by which the learnable error fell; 1 for none."""
+        kept = self.learnable_um[: 1 + int(np.argmin(self.history_um or (1.0,)))]
         if len(kept) < 2 or kept[0] <= 0.0:
             return 1.0
         return float((kept[-1] / kept[0]) ** (1.0 / (len(kept) - 1)))
@@ -125,7 +125,7 @@ def learn(
     offset = np.zeros(n) if start_m is None else finite_array("start_m", start_m).copy()
     best, best_error, best_um = offset, np.zeros(n), math.inf
     history: list[float] = []
-    learnable: list[float] = []
+    errors: list[FloatArray] = []
     retreats = 0
     converged, ended = False, f"the {passes} passes allowed were made"
     moving = moving_of(n, rests)
@@ -138,7 +138,7 @@ def learn(
         error = measured(offset)
         left_um = rms_um(error[moving])
         history.append(left_um)
-        learnable.append(rms_um(_step(error, period_s, cutoff_Hz, rests)))
+        errors.append(error)
         gained = best_um - left_um
         if gained > 0.0:
             best, best_error, best_um = offset.copy(), error, left_um
@@ -151,18 +151,20 @@ def learn(
             break
         if left_um > (1.0 + _GROWTH_FRAC) * best_um:
             retreats += 1
-            cutoff_Hz *= _RETREAT
             if retreats > _MOST_RETREATS:
                 ended = f"the error grew {retreats} times and was taken back"
                 break
+            cutoff_Hz *= _RETREAT
         step = _step(best_error, period_s, cutoff_Hz, rests)
         offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
     fresh = np.array([measured(best)[moving] for _ in range(confirm)])
     scatter_um = rms_um(fresh - np.mean(fresh, axis=0)) if confirm > 1 else 0.0
+    # In one band: after a retreat less of the same error lies below the cutoff.
+    learnable = [rms_um(_step(error, period_s, cutoff_Hz, rests)) for error in errors]
     return Learning(
         best,
         tuple(history),
-        converged or min(learnable) <= _NOISE_MARGIN * scatter_um,
+        converged or learnable[int(np.argmin(history))] <= _NOISE_MARGIN * scatter_um,
         cutoff_Hz,
         tuple(learnable),
         tuple(rms_um(run) for run in fresh),

@@ -1,6 +1,7 @@
 """Learning says why it ended: little was gained, the error grew, or the passes were used up."""
 
 import numpy as np
+import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.compensate.exact import learn, rests_of
@@ -30,6 +31,18 @@ def test_growth_ends_it() -> None:
     converged, reason = answering(-1.0)
     assert not converged
     assert "grew 3 times" in str(reason)
+
+
+def test_retreats_to_slower_bands_are_no_convergence() -> None:
+    """Less of one error lies below a lower cutoff: that was told as 'it converges'."""
+    swings_m = 3e-6 * np.sin(2.0 * np.pi * 18.0 * PERIOD_s * np.arange(N))
+    found = learn(lambda offset: swings_m - offset, N, PERIOD_s, passes=6, cutoff_Hz=40.0)
+    assert "grew 3 times" in found.ended
+    assert min(found.history_um) == found.history_um[0]
+    assert found.contraction == 1.0
+    assert found.cutoff_Hz == pytest.approx(40.0 * 0.6**2)  # the last that was tried
+    assert len(found.learnable_um) == len(found.history_um)
+    assert min(found.learnable_um) == found.learnable_um[0]  # all in one band
 
 
 def test_passes_end_it() -> None:
