@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pmac_comp.base.errors import ControllerState, VerifyMismatch
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller import law_state, motors, programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.table_set import read_table
@@ -16,7 +16,7 @@ from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import bank_in_use, switch, switch_tables
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.program import program_axis, run_drawn
+from pmac_comp.workflow.program import draw_motion, program_axis, run_drawn
 from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.tables import tables_of
 
@@ -101,7 +101,7 @@ def require_on_card(axis: Axis, context: Context, compensation: Compensation) ->
     Raises
     ------
     VerifyMismatch
-        Its tables or its law do not stand there: runs 'with' it would be runs with something else.
+        Its tables, law or program do not stand there: runs 'with' it would be with something else.
     """
     other = [
         f"its {table.kind.value} table"
@@ -113,6 +113,9 @@ def require_on_card(axis: Axis, context: Context, compensation: Compensation) ->
     ]
     if compensation.route in TORQUE_ROUTES and not _law_stands(axis, context, compensation):
         other.append("its law")
+    if compensation.route == "program":  # that of a cam is looked at before each run of either side
+        drawn = draw_motion(compensation, axis.bench).program
+        other += [] if programs.is_present(axis.link, drawn) else [f"its {drawn.name}"]
     if other:
         raise VerifyMismatch(
             f"The controller does not hold {' and '.join(other)}: nothing is to be verified.",

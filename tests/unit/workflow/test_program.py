@@ -20,7 +20,7 @@ from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.promises import Promiser
-from pmac_comp.workflow.runs import left_as_found, runs_of
+from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.verify import verify_axis
 from tests.compensations import friction_law
 
@@ -82,11 +82,15 @@ def test_verify_runs_what_was_uploaded_against_the_plain_motion(
 def test_another_program_on_the_card_is_not_run(axis: Axis, tmp_path: Path) -> None:
     context = context_of(axis, tmp_path)
     deploy(axis, COMPENSATION, context)
+    require_on_card(axis, context, COMPENSATION)
     other = Program(ProgramKind.PROG, COMPENSATED_PROGRAM, ("ABS", "LINEAR", "TM100", "X5"))
     programs.download(axis.link, other)
     runs = runs_of(axis, context, COMPENSATION, ())
     with pytest.raises(VerifyMismatch, match="differs"):
         runs.run(runs.motions[0], on=True)
+    # A verification does not begin with it: half of its motions would run for nothing.
+    with pytest.raises(VerifyMismatch, match="does not hold its PROG 704"):
+        require_on_card(axis, context, COMPENSATION)
 
 
 def test_a_comparison_leaves_motor_and_compensation_as_found(axis: Axis, tmp_path: Path) -> None:
