@@ -26,6 +26,7 @@ _OF_THE_AXIS = (
     "drive.torque_per_dac_Nm",
 )
 PERIOD_TOLERANCE = 1e-3
+_PERIOD = "controller.servo_period_us"
 _COARSEST = 200.0  # servo periods per sample: below 12 Hz nothing of a drive is seen
 _TRAVELS = 1.5  # a command may reach over a travel that is stated too tightly
 _FAR = 10.0  # times the farthest end: a zero that lies elsewhere, and no other unit
@@ -164,7 +165,14 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
     """
     if not stored.axis:
         return
-    differences = _differences(stored.axis, bench.axis_facts, "model", same=_equal)
+    given = bench.axis_facts
+    clock = stored.axis.get(_PERIOD)
+    # A bench file may round what another has from I10, as far as captures may.
+    if isinstance(clock, float) and math.isclose(
+        clock, float(given[_PERIOD]), rel_tol=PERIOD_TOLERANCE
+    ):
+        given |= {_PERIOD: clock}
+    differences = _differences(stored.axis, given, "model", same=_equal)
     if differences:
         raise ConfigError(
             f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "

@@ -1,5 +1,6 @@
 """Captures that do not belong to the bench, or not together, are refused before any computing."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +112,17 @@ def test_a_model_stays_valid_under_other_gains_limits_and_nominal_values():
     text = text.replace("table_mass_kg = 122.86", "table_mass_kg = 130.0")
     assert text != BENCH.text
     check_same_drive(stored, parse_bench(text), "m.json")
+
+
+def test_a_clock_that_a_bench_file_rounds_is_the_same_and_another_is_not():
+    stored = ModelFile(parameters={}, **written_for(BENCH))
+    assert stored.axis is not None
+    of_the_clock = float(stored.axis["controller.servo_period_us"])
+    for share, is_same in ((1e-5, True), (2e-3, False)):
+        axis = stored.axis | {"controller.servo_period_us": (1.0 + share) * of_the_clock}
+        other = stored.model_copy(update={"axis": axis})
+        with nullcontext() if is_same else pytest.raises(ConfigError, match="servo_period_us"):
+            check_same_drive(other, BENCH, "m.json")
 
 
 def test_a_model_that_does_not_say_where_it_is_from_passes():
