@@ -14,6 +14,7 @@ from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
+from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
@@ -51,10 +52,10 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         if journal is not None:
             context = replace(context, store=journal)
         state = table_status(axis.link, context)
-        head = law_state.read_law_head(
-            axis.link, LawBlock.from_p_block(axis.bench.controller.p_block)
-        )
+        block = LawBlock.from_p_block(axis.bench.controller.p_block)
+        head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)
+        law = _law_text(axis.link, block, form, head)
         elsewhere = recovery.open_elsewhere(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
     still_open = "; ".join(recovery.left_open(context))
@@ -66,7 +67,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
                             state.tables) or "none",
         "tables_act": state.i51,
         "verdict": state.decision.state.value,
-        "why": f"tables: {state.decision.reason}; law: {_law_text(form, head)}",
+        "why": f"tables: {state.decision.reason}; law: {law}",
         "left_open": advice,
         "last_change": recovery.last_change(context) or "none from this folder",
         "lease": lease,
@@ -92,10 +93,14 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     }
 
 
-def _law_text(form: LawForm, head: law_state.LawHead) -> str:
+def _law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:
     if form is LawForm.NONE:
         return "none runs"
-    return "armed" if head.is_armed else "loaded, not armed"
+    if head.is_armed:
+        return "armed"
+    # The open servo stays where the vendor's tool put it, with a law or without.
+    is_loaded = law_state.read_bank(link, block, head.bank) is not None
+    return "loaded, not armed" if is_loaded else "its program runs, and no law is loaded"
 
 
 def lease_text(lease: Lease, now: int) -> str:
