@@ -9,6 +9,7 @@ the screw up. Both look the same at constant speed. Under acceleration they part
 the direction of motion, the flank follows the force in the nut. So gap, friction of guide and nut
 and axial stiffness are fitted together to table minus motor alone, where torque, which shows no
 gap, cannot pull. What the guide loses stays at nut and motor: the sum is what the torque measured.
+The same goes for viscous friction, which a fit without the gap can have put at the nut altogether.
 
 A nut without preload is soft around zero force instead of free: its lost motion grows with the
 force up to the edge of the zone. Where that leaves clearly less than play does, it is taken.
@@ -42,7 +43,8 @@ _ZONE, _RATIO = "preload_loss.half_width_m", "preload_loss.stiffness_ratio"
 _MOTOR, _NUT = "coulomb.motor_Nm", "coulomb.nut_Nm"
 _STIFFNESS = "chain.axial_stiffness_N_per_m"
 _GUIDE_VISCOUS, _MOTOR_VISCOUS = "viscous.guide_Ns_per_m", "viscous.motor_Nms_per_rad"
-_FITTED = {_GUIDE, _NUT, _MOTOR, _STIFFNESS, _GUIDE_VISCOUS, _MOTOR_VISCOUS}
+_NUT_VISCOUS = "viscous.nut_Nms_per_rad"
+_FITTED = {_GUIDE, _NUT, _MOTOR, _STIFFNESS, _GUIDE_VISCOUS, _MOTOR_VISCOUS, _NUT_VISCOUS}
 _LEAST_GAP_um = 0.3
 _LEAST_GAIN_FRAC = 0.05  # of the rms that stays without: plants without gap gain at most 0.01
 _SOFT_GAIN_FRAC = 0.1  # of the rms that stays with play
@@ -52,11 +54,13 @@ _LEAST_ZONE_um, _WIDER = 1.5, 2.5  # where the fit of a soft zone begins at leas
 _SETTLED_m = 0.2e-3  # a run starts on either flank, nobody knows which
 _DECIMATION = 4
 _MOST_STEPS = 15
-# Factors of the guide's friction, of stiffness and of the guide's viscous friction, and the share
-# of the nut in the friction of what turns.
-_BOUNDS = (0.05, 3.0), (0.3, 3.0), (0.05, 4.0), (0.0, 1.0)
-_START = 1.0, 1.0, 1.0, 0.4
+# Factors of the guide's friction and of stiffness, shares of the guide in viscous friction and of
+# the nut in the friction of what turns.
+_BOUNDS = (0.05, 3.0), (0.3, 3.0), (0.0, 1.0), (0.0, 1.0)
+_SCALES = 1.0, 1.0, 0.2, 1.0
+_NUT_SHARE = 0.4
 _N = len(_BOUNDS)
+_TINY = 1e-12
 _GUIDE_FRAC = 0.3  # of the lost motion of a model without a gap, where the fit of a gap begins
 # What is fitted beside these: name, SI of a unit of it, bounds in that unit.
 _Extra = tuple[tuple[str, float, tuple[float, float]], ...]
@@ -138,7 +142,8 @@ def measured_clearance(
     runs = [run for run in runs if run.use.any()]
     if not runs or model.is_rigid or not _can_hide(model):
         return None
-    wound = _fit(model, runs, _START, _NOTHING)
+    start = 1.0, 1.0, _guide_share(model), _NUT_SHARE
+    wound = _fit(model, runs, start, _NOTHING)
     best = _gap_fit(model, runs, wound, _NOTHING)
     load_N = _load_N(model, captures)
     if load_N != 0.0:
@@ -162,7 +167,7 @@ def _gap_fit(model: "DriveModel", runs: Sequence["_Run"], wound: "_Fit", load: _
     own = model.parameters
     lost_m = 2.0 * guide * own[_GUIDE] / (stiffness * own[_STIFFNESS])
     gap_um = (1.0 - _GUIDE_FRAC) * lost_m * UM_PER_M
-    start = [_GUIDE_FRAC * guide, 1.2 * stiffness, viscous, _START[3], gap_um, *pressed]
+    start = [_GUIDE_FRAC * guide, 1.2 * stiffness, viscous, _NUT_SHARE, gap_um, *pressed]
     loose = _fit(model, runs, start, _PLAY + load)
     # A wide zone is hardly play: it is looked for where no play is found, too.
     narrow_um = max(_LEAST_ZONE_um, 1.5 * loose.point[_N])
@@ -228,6 +233,7 @@ def _fit(model: "DriveModel", runs: Sequence[_Run], start: Sequence[float], extr
         residual,
         np.clip(start, lower + 1e-3, upper - 1e-3),
         bounds=(lower, upper),
+        x_scale=[*_SCALES, *(1.0 for _ in extra)],
         diff_step=[1e-2],
         max_nfev=_MOST_STEPS,
         xtol=1e-3,
@@ -256,18 +262,31 @@ def _moved(model: "DriveModel", point: FloatArray, extra: _Extra) -> "DriveModel
 
 def _values(model: "DriveModel", point: FloatArray, extra: _Extra) -> dict[str, float]:
     own = model.parameters
-    guide_N = own[_GUIDE] * float(point[0])
+    guide, stiffness, viscous, nut = point[:_N].tolist()
+    guide_N = own[_GUIDE] * guide
     per_N = model.bench.lead_m_per_rad
-    viscous = own[_GUIDE_VISCOUS] * float(point[2])
     turning_Nm = max(0.0, own[_MOTOR] + own[_NUT] + (own[_GUIDE] - guide_N) * per_N)
+    viscous_Ns_per_m = _viscous_Ns_per_m(model)
+    left_Nms = (1.0 - viscous) * viscous_Ns_per_m * per_N * per_N
+    of_nut = own[_NUT_VISCOUS] / max(own[_NUT_VISCOUS] + own[_MOTOR_VISCOUS], _TINY)
     beside = zip(extra, point[_N:].tolist(), strict=True)
     return {
         _GUIDE: guide_N,
-        _NUT: turning_Nm * float(point[3]),
-        _MOTOR: turning_Nm * (1.0 - float(point[3])),
-        _STIFFNESS: own[_STIFFNESS] * float(point[1]),
-        _GUIDE_VISCOUS: viscous,
-        _MOTOR_VISCOUS: max(
-            0.0, own[_MOTOR_VISCOUS] + (own[_GUIDE_VISCOUS] - viscous) * per_N * per_N
-        ),
+        _NUT: turning_Nm * nut,
+        _MOTOR: turning_Nm * (1.0 - nut),
+        _STIFFNESS: own[_STIFFNESS] * stiffness,
+        _GUIDE_VISCOUS: viscous * viscous_Ns_per_m,
+        _NUT_VISCOUS: left_Nms * of_nut,
+        _MOTOR_VISCOUS: left_Nms * (1.0 - of_nut),
     } | {name: value * unit for (name, unit, _), value in beside}
+
+
+def _guide_share(model: "DriveModel") -> float:
+    """Share of the guide in what viscous friction takes at the table."""
+    return model.parameters[_GUIDE_VISCOUS] / max(_viscous_Ns_per_m(model), _TINY)
+
+
+def _viscous_Ns_per_m(model: "DriveModel") -> float:
+    """Viscous friction of guide, nut and motor together, at the table."""
+    own, per_N = model.parameters, model.bench.lead_m_per_rad
+    return own[_GUIDE_VISCOUS] + (own[_NUT_VISCOUS] + own[_MOTOR_VISCOUS]) / per_N**2

@@ -92,6 +92,28 @@ def test_gap_taken_for_friction_is_found_with_what_it_hid_behind(gap_m: float) -
     assert turning[1] == pytest.approx(turning[0] + lost_Nm)
 
 
+def test_viscous_friction_that_a_gap_put_at_the_nut_comes_back_to_the_guide() -> None:
+    # Beside a gap table minus motor grows less with speed than a model without one would have it.
+    viscous = {"viscous.guide_Ns_per_m": 200.0, "viscous.nut_Nms_per_rad": 1e-3}
+    true = DriveModel.base(BENCH, {**TRUE, **viscous})
+    moved_Nms = 185.0 * BENCH.lead_m_per_rad**2
+    at_nut = {"viscous.guide_Ns_per_m": 15.0, "viscous.nut_Nms_per_rad": 1e-3 + moved_Nms}
+    start = winding(90.0, 0.8).with_parameters(at_nut)
+    found = measured_clearance(start, runs_of(true.with_effect("backlash", {"gap_m": 2e-6})), None)
+    assert found is not None
+    assert found.values["viscous.guide_Ns_per_m"] == pytest.approx(200.0, rel=0.15)
+    assert found.values["coulomb.guide_N"] == pytest.approx(45.0, rel=0.1)
+    loose = with_clearance(start, found.values)  # the torque measured the sum
+    assert total_viscous_Nms(loose) == pytest.approx(total_viscous_Nms(start))
+
+
+def total_viscous_Nms(model: DriveModel) -> float:
+    """Viscous friction of the whole drive at the motor."""
+    own = model.parameters
+    turning = own["viscous.nut_Nms_per_rad"] + own["viscous.motor_Nms_per_rad"]
+    return turning + own["viscous.guide_Ns_per_m"] * BENCH.lead_m_per_rad**2
+
+
 @pytest.mark.parametrize("force_N", [pytest.param(150.0, marks=pytest.mark.slow), -60.0])
 def test_load_that_presses_the_nut_on_one_flank_is_found_with_the_gap(force_N: float) -> None:
     loaded = DriveModel.base(BENCH, TRUE).with_effect("bias_force", {"force_N": force_N})
