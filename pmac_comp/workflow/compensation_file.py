@@ -193,15 +193,19 @@ def check_bench(path: Path, bench: str) -> None:
         )
 
 
-def check_acted(runs: Mapping[str, Capture], named: Path | None) -> tuple[str, ...]:
+def check_acted(
+    runs: Mapping[str, Capture], expected: Compensation | None, file: str
+) -> tuple[str, ...]:
     """Refuse stored runs with another compensation than the one that is named.
 
     Parameters
     ----------
     runs : Mapping of str to Capture
         The runs with it, by their names; those that `verify` made tell what acted.
-    named : Path or None
-        Its file, whose promise they are held against; None for none.
+    expected : Compensation or None
+        Whose promise they are held against; None for none.
+    file : str
+        Where it was read from.
 
     Returns
     -------
@@ -214,17 +218,16 @@ def check_acted(runs: Mapping[str, Capture], named: Path | None) -> tuple[str, .
         A run tells of another compensation.
     """
     acted = {name: str(run.attributes.get(_DIGEST, "")) for name, run in runs.items()}
-    if named is None:
+    if expected is None:
         several = len(set(filter(None, acted.values())))
         told = f"the runs with compensation were made with {several} different ones"
         return (told,) * (several > 1)
-    expected = read_compensation(named)
     other = [name for name, digest in acted.items() if digest not in {"", expected.digest}]
     if other:
         routes = sorted({str(runs[name].attributes.get(_ROUTE, "")) for name in other})
         raise ConfigError(
             f"{', '.join(other)}: made with another compensation (route {', '.join(routes)}) than "
-            f"that of {named} (route {expected.route}).",
+            f"that of {file} (route {expected.route}).",
             code="PC-VER-007",
             hint="Name with --compensation the file that stood on the controller, or leave it out: "
             "the errors are compared then without its promise and lead.",
@@ -234,7 +237,7 @@ def check_acted(runs: Mapping[str, Capture], named: Path | None) -> tuple[str, .
         return ()
     return (
         f"{len(silent)} of {len(runs)} runs with it do not tell which compensation acted: that it "
-        f"was {named} is taken as said",
+        f"was {file} is taken as said",
     )
 
 

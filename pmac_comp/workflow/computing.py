@@ -138,8 +138,8 @@ def compute_compensation(
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
     lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-    backlash = _takes_up(model, law, route, captures, lead)
     if route in MOTION_ROUTES:
+        backlash = _takes_up(model, law, route, captures, lead)
         law = with_unmodelled(bench, law, model, captures, lead)
         known = require_motion(route, motion)
         return _for_motion(bench, model, route, law, lead, known, aim, backlash=backlash)
@@ -157,8 +157,8 @@ def compute_compensation(
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-        backlash = _takes_up(model, law, route, captures, lead)
         law = with_unmodelled(bench, law, model, captures, lead)
+    backlash = _takes_up(model, law, route, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
 
 

@@ -4,7 +4,6 @@ What lives here: refusals before any computing. What may not: anything that chan
 """
 
 import math
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -165,14 +164,7 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
     """
     if not stored.axis:
         return
-    given = bench.axis_facts
-    clock = stored.axis.get(_PERIOD)
-    # A bench file may round what another has from I10, as far as captures may.
-    if isinstance(clock, float) and math.isclose(
-        clock, float(given[_PERIOD]), rel_tol=PERIOD_TOLERANCE
-    ):
-        given |= {_PERIOD: clock}
-    differences = _differences(stored.axis, given, "model", same=_equal)
+    differences = _differences(stored.axis, bench.axis_facts, "model", same=_equal)
     if differences:
         raise ConfigError(
             f"{name} was identified on another axis ({stored.bench_name or 'without a name'}) than "
@@ -183,10 +175,14 @@ def check_same_drive(stored: ModelFile, bench: Bench, name: str) -> None:
         )
 
 
-def _equal(first: Any, second: Any) -> bool:
-    """Equal as far as a model file keeps digits."""
+def _equal(key: str, first: Any, second: Any) -> bool:
+    """Equal as far as a model file keeps digits; a bench file may round what another has of I10."""
     if isinstance(first, (int, float)) and isinstance(second, (int, float)):
-        return math.isclose(first, second, rel_tol=1e-6)
+        return math.isclose(first, second, rel_tol=PERIOD_TOLERANCE if key == _PERIOD else 1e-6)
+    return bool(first == second)
+
+
+def _identical(_: str, first: Any, second: Any) -> bool:
     return bool(first == second)
 
 
@@ -224,12 +220,12 @@ def _differences(
     given: Mapping[str, Any],
     owner: str,
     *,
-    same: Callable[[Any, Any], bool] = operator.eq,
+    same: Callable[[str, Any, Any], bool] = _identical,
 ) -> list[str]:
     return [
         f"{key} {_shown(own.get(key))} in the {owner}, {_shown(given.get(key))} in the bench file"
         for key in dict.fromkeys([*own, *given])
-        if not same(own.get(key), given.get(key))
+        if not same(key, own.get(key), given.get(key))
     ]
 
 

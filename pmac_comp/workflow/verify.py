@@ -76,10 +76,11 @@ def verify_files(
     """
     loaded = load_bench(bench)
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
-    remarks = check_acted({str(p): c for p, c in zip(after, sides[1], strict=True)}, law)
+    compensation = None if law is None else read_compensation(law)
+    runs = {str(path): capture for path, capture in zip(after, sides[1], strict=True)}
+    remarks = check_acted(runs, compensation, str(law))
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
-    compensation = None if law is None else read_compensation(law)
     if not first and not second and (static is not None or ringing is not None):
         groups: dict[str, Pair] = {}
     else:
