@@ -97,7 +97,7 @@ def status(
     journal: JournalOption = DEFAULT_JOURNAL,
     json_target: JsonOption = "",
 ) -> None:
-    """Show motors, compensation tables, law bank and what the last upload left."""
+    """Show motors, compensation tables, law bank, processor load and what the last upload left."""
     from pmac_comp.workflow.inspect import controller_status
 
     result = controller_status(url, bench, journal)
@@ -115,6 +115,7 @@ def status(
         items = result["compensation"].items()
         rows = [(said.get(name, name.replace("_", " ")), value) for name, value in items]
         output.table("compensation", ("item", "value"), rows)
+        output.echo(result["processor"]["summary"])
 
     output.finish(result, json_target, show)
 

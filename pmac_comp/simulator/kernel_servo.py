@@ -133,14 +133,17 @@ COMPENSATION_REGISTER_SIGN = -1.0
 MAX_EVENTS = 256
 BACKGROUND_CYCLES = 10
 # Modelled task times in half CPU cycles (the unit of the task-time registers): an interpreted
-# operation of about two instructions takes 3 us at 80 MHz, a compiled one 1 us (User Manual).
-PLC_INSTRUCTION_TIME = 60
+# operation of about two and a half instructions (fetches and jumps counted) takes 3 us at 80 MHz, a
+# compiled one 1 us (User Manual).
+PLC_INSTRUCTION_TIME = 48
 SERVO_INSTRUCTION_TIME = 20
 _INTERRUPT_TIME = 300
 _MOTOR_TIME = 500
 PLC_BUDGET = 20000
 SERVO_BUDGET = 5000
-_RTI_TIME = 0x00000B  # X last, Y longest real-time interrupt task time
+_BACKGROUND_TIME = 36000  # of a background cycle that nothing interrupts: 0.9 ms at 80 MHz
+_LONGEST_WATCHDOG = 4095  # servo cycles, where I40 is 0 (p. 57)
+_LEAST_LEFT = 0.01  # share of the time that background tasks get of an overloaded card
 _WORD = 0xFFFFFF
 # A part of the servo task that allocates nothing: inlined, and without counts of references to its
 # arrays, which are atomic. What happens now and then is not inlined, which compiles sooner; it has
@@ -1099,17 +1102,47 @@ def _interrupt_is_due(x: Space, y: Space) -> bool:
 def _real_time_interrupt(words: Words, variables: IVariables, plc: Program, task: Task) -> None:
     """PLC 0, where it is there and enabled, and the time that it took."""
     x, y = words.x, words.y
+    spent = _INTERRUPT_TIME
     enabled = task.head[H_PLC] != 0 and not y[reg.PLC_TABLE] & 0xC00000
     if enabled and int(vm.read_i(x, y, variables.imap, variables.iscale, 5)) & 1:
         result = _run_program(words, variables, plc)
-        spent = _INTERRUPT_TIME + PLC_INSTRUCTION_TIME * plc.state[vm.S_STEPS]
-        x[_RTI_TIME] = min(spent, _WORD)
-        y[_RTI_TIME] = max(int(y[_RTI_TIME]), int(x[_RTI_TIME]))
+        spent += PLC_INSTRUCTION_TIME * plc.state[vm.S_STEPS]
         if result == vm.FAULT:
             x[reg.PLC_TABLE] |= 0x800000
             y[reg.PLC_TABLE] |= 0x400000
         if plc.state[vm.S_EVENTS] > 0 or result == vm.FAULT:
             _event(task, EV_PLC, 0, result)
+    _note_interrupt_time(x, y, spent)
+
+
+@_aside
+def _note_interrupt_time(x: Space, y: Space, spent: int) -> None:
+    """Times of the real-time interrupt and of the background, and the watchdog's count.
+
+    Their timers run on in what interrupts them; how often it comes: User Manual p. 239-240. A PLC 0
+    that takes longer than its period keeps its pace all the same: only these times tell.
+    """
+    phase, servo = int(x[reg.TASK_TIME]), int(y[reg.TASK_TIME])
+    interval = max(1, int(x[reg.PHASE_INTERVAL]))
+    cycle = interval * (int(x[reg.INTERNAL_SERVO_IC + 2]) + 1)
+    elapsed = spent
+    for _ in range(8):
+        until = phase + servo + elapsed
+        longer = spent + (until // interval) * phase + (until // cycle) * servo
+        if longer == elapsed:
+            break
+        elapsed = longer
+    x[reg.RTI_TIME] = min(elapsed, _WORD)
+    y[reg.RTI_TIME] = max(int(y[reg.RTI_TIME]), int(x[reg.RTI_TIME]))
+    busy = phase / interval + (servo + spent / (1.0 + y[reg.RTI_PERIOD])) / cycle
+    background = int(_BACKGROUND_TIME / max(_LEAST_LEFT, 1.0 - busy))
+    x[reg.BACKGROUND_TIME] = min(background, _WORD)
+    y[reg.BACKGROUND_TIME] = max(int(y[reg.BACKGROUND_TIME]), int(x[reg.BACKGROUND_TIME]))
+    # The count is reloaded as a background cycle ends: this is where it stands just before.
+    reload = int(x[reg.INTERNAL_GLOBAL + 40])
+    count = max(0, (reload if reload else _LONGEST_WATCHDOG) - background // cycle)
+    y[reg.WATCHDOG_COUNT] = count
+    x[reg.WATCHDOG_COUNT] = min(int(x[reg.WATCHDOG_COUNT]), count)
 
 
 @njit(_nrt=True, forceinline=False)

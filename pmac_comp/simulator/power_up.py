@@ -37,11 +37,11 @@ def fixed_registers(card: Card) -> None:
     m.y[r.DPRAM_END_REGISTER] = _DPRAM_ENDS[card.dpram]
     m.x[r.GLOBAL_STATUS] |= r.G1_THIS_CARD
     m.y[r.GLOBAL_STATUS] |= r.G2_UMAC
-    # Task times in half CPU cycles: what load monitors read; the phase interval is never zero.
-    m.x[0x7FF8C] = 4420
-    m.x[r.TASK_TIME], m.y[r.TASK_TIME] = 180, 1500
-    m.x[r.BACKGROUND_TIME], m.y[r.BACKGROUND_TIME] = 40000, 60000
-    m.x[0x0B], m.y[0x0B] = 400, 800
+    # Task times in half CPU cycles, what load monitors read; those of servo and real-time interrupt
+    # and of the background follow from what runs.
+    m.x[r.TASK_TIME] = 180
+    m.y[r.RTI_TIME] = m.y[r.BACKGROUND_TIME] = 0
+    m.x[r.WATCHDOG_COUNT] = 0xFFFFFF
 
 
 def restore(card: Card) -> bool:
@@ -77,6 +77,7 @@ def _apply_bench(card: Card) -> None:
         is_encoder = motor == bench.encoder.motor_number
         if not is_encoder or bench.encoder.extension == "none":
             card.variables.write_i(entry, float(0xC00000 | r.channel_base(motor)))
+    card.variables.write_i(52, max(0.0, round(bench.controller.cpu_clock_MHz / 10.0) - 1.0))
     # A bench file that states no I10 still has a servo period; the clock must agree with it.
     card.variables.write_i(10, float(round(bench.servo_period_s * 1e3 * 8388608.0)))
     for tail, value in pmac_gains(bench).items():
@@ -108,6 +109,7 @@ def _apply_image(card: Card, image: Image) -> None:
 
 
 def _start(card: Card) -> None:
+    _set_phase_interval(card)
     card.programs.update_memory()
     card.servo.boot()
     _power_up_motors(card)
@@ -118,6 +120,13 @@ def _start(card: Card) -> None:
         card.plcs.reload(number)
     card.plcs.enable_all()
     card.memory.touch()
+
+
+def _set_phase_interval(card: Card) -> None:
+    """Time between phase interrupts in half CPU cycles (I52, p. 62); never zero."""
+    half_cycles_per_s = 0.5e7 * (card.variables.int_i(52) + 1)
+    interval = card.bench.servo_period_s * half_cycles_per_s / (card.variables.int_i(7002) + 1)
+    card.memory.x[r.PHASE_INTERVAL] = max(1, round(interval))
 
 
 def _power_up_motors(card: Card) -> None:

@@ -33,6 +33,7 @@ from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Ta
 from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.journal import require_folder
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
@@ -53,7 +54,7 @@ from pmac_comp.workflow.cam import (
 from pmac_comp.workflow.compensation_file import (
     Compensation,
 )
-from pmac_comp.workflow.law_cost import cost_refusals
+from pmac_comp.workflow.law_cost import cost_refusals, require_time_left
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -151,6 +152,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         clamp = _clamp_ct(axis, context, compensation)
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
+            notes.append(require_time_left(axis.link, axis.bench))
             context.progress("arming the law", *UNKNOWN)
             law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")
@@ -177,7 +179,8 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     if route == "law":
         every = compensation.law.every_cycles
         refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)
-        refusals += cost_refusals(axis.bench, compensation.law)
+        load = read_load(link, axis.bench.servo_period_s)
+        refusals += cost_refusals(axis.bench, compensation.law, load)
     if route == "servo":
         refusals += law_install.servo_refusals(link, context, axis.motor)
     if route in TORQUE_ROUTES:

@@ -101,6 +101,7 @@ def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding
         yield _flash(axis, backup)
         yield from _variables(axis, bench)
         yield from _law(axis, bench)
+        yield from _processor(axis, bench)
         yield from _motors(axis)
         yield from _reference(axis, bench)
         yield from _compensation(axis)
@@ -160,6 +161,26 @@ def _law(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
     for refusal in law_refusals(axis.link, bench):
         yield Finding("bad", "law and units", f"{refusal.message} {refusal.advice}")
+
+
+def _processor(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    """How busy the card is, and whether its clock is the one that a law's cost is counted with."""
+    from pmac_comp.machine.controller.processor_load import read_load
+    from pmac_comp.machine.controller.variables import read_one
+    from pmac_comp.workflow.law_cost import BUSIEST_FRAC, load_text
+
+    clock_MHz = 10.0 * (read_one(axis.link, "I52") + 1.0)
+    if clock_MHz != bench.controller.cpu_clock_MHz:
+        yield Finding(
+            "note",
+            "processor",
+            f"runs at {clock_MHz:g} MHz (I52); the bench file counts with cpu_clock_MHz = "
+            f"{bench.controller.cpu_clock_MHz:g}",
+        )
+    load = read_load(axis.link, bench.servo_period_s)
+    known = load is not None
+    busy = load is not None and load.foreground_frac > BUSIEST_FRAC
+    yield Finding("bad" if busy else "ok" if known else "note", "processor", load_text(load))
 
 
 def _motors(axis: "Axis") -> Iterator[Finding]:

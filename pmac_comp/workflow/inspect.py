@@ -16,10 +16,12 @@ from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.law_cost import load_text
 from pmac_comp.workflow.session import open_axis, open_link
 
 _BENCH_FOR_LOOKING = "paper"  # sim:// needs some bench; a real controller does not
@@ -45,7 +47,10 @@ def controller_info(url: str) -> dict[str, Any]:
 
 
 def controller_status(url: str, bench: str, journal: Path | None = None) -> dict[str, Any]:
-    """Motors and compensation of a controller, and what ``journal`` knows; nothing is changed."""
+    """Motors, compensation and processor of a controller, and what ``journal`` knows.
+
+    Nothing is changed.
+    """
     with open_axis(url, bench) as axis:
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_of(axis)
@@ -58,6 +63,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         law = _law_text(axis.link, block, form, head)
         elsewhere = recovery.open_elsewhere(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
+        load = read_load(axis.link, axis.bench.servo_period_s)
     still_open = "; ".join(recovery.left_open(context))
     advice = f"{still_open}: run `pmac-comp recover`" if still_open else "nothing"
     if elsewhere:
@@ -90,6 +96,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
             for reading in readings.values()
         ],
         "compensation": compensation,
+        "processor": {"summary": load_text(load)} | ({} if load is None else load.as_dict()),
     }
 
 

@@ -1,7 +1,8 @@
 """What the law costs on the card's processor, and what a cheaper one would lose.
 
-What lives here: the share of a servo period and the words for people. What may not: the count of
-operations (``machine.controller``), the fit (``physics.compensate``).
+What lives here: the share of a servo period, counted beforehand and measured on the card, and the
+words for people. What may not: the count of operations and the card's task times
+(``machine.controller``), the fit (``physics.compensate``).
 """
 
 import math
@@ -14,7 +15,9 @@ import numpy as np
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.law_cost import law_cost_us
+from pmac_comp.machine.controller.law_cost import law_cost_cycles
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.processor_load import ProcessorLoad, read_load
 from pmac_comp.physics.compensate.design import design_motions, model_loop, slower_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.promise import promise
@@ -25,6 +28,10 @@ if TYPE_CHECKING:
 
 ASKED = "every_asked"  # of a law that would not fit into the rhythm that was asked for
 CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws are offered
+# Of the processor's time: a law that takes more would leave too little beside phase and servo tasks
+# (a tenth with two motors at 80 MHz) for the background, where limits are checked.
+MOST_FRAC = 0.8
+BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
 _SLOWEST_CYCLES = 4
 
 
@@ -53,15 +60,20 @@ def share_frac(bench: Bench, law: CompensationLaw) -> float:
     return _cost_us(bench, law) / (bench.servo_period_s * US_PER_S) / law.every_cycles
 
 
-def _cost_us(bench: Bench, law: CompensationLaw) -> float:
-    """Time of a pass in us."""
+def _cost_cycles(law: CompensationLaw) -> float:
+    """CPU cycles of a pass."""
     has = {
         "per_turn": law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
         "gap": law.gap_half_m > 0.0,
         "bed": law.bed_share > 0.0,
         "stribeck": law.has_stribeck,
     }
-    return law_cost_us(bench.controller.cpu_clock_MHz, [part for part in has if not has[part]])
+    return law_cost_cycles([part for part in has if not has[part]])
+
+
+def _cost_us(bench: Bench, law: CompensationLaw) -> float:
+    """Time of a pass in us."""
+    return _cost_cycles(law) / bench.controller.cpu_clock_MHz
 
 
 def cost_text(bench: Bench, law: CompensationLaw) -> str:
@@ -77,25 +89,75 @@ def cost_text(bench: Bench, law: CompensationLaw) -> str:
     )
 
 
-def cost_refusals(bench: Bench, law: CompensationLaw) -> list[SafetyRefusal]:
-    """Refusal of a law whose passes of PLC 0 leave the processor no time for anything else."""
-    if share_frac(bench, law) <= 1.0:
+def cost_refusals(
+    bench: Bench, law: CompensationLaw, load: ProcessorLoad | None = None
+) -> list[SafetyRefusal]:
+    """Refusal of a law whose passes of PLC 0 leave the processor too little time for the rest.
+
+    By the task times of the card where they are known, else by the clock of the bench file.
+    """
+    if _over_room(bench, law, load) <= 1.0:
         return []
+    beside = "" if load is None else f" beside {_tasks_text(load)} by the card's own task times"
     return [
         SafetyRefusal(
-            f"{cost_text(bench, law)}: nothing would be left for the background "
-            "tasks, and the watchdog would stop the card.",
+            f"{cost_text(bench, law)}{beside}: too little would be left for the background tasks, "
+            "which check limits and serve the watchdog.",
             code="PC-LAW-043",
-            hint=f"Compute it for fewer passes (`--every {fitting_cycles(bench, law)}` of "
+            hint=f"Compute it for fewer passes (`--every {fitting_cycles(bench, law, load)}` of "
             "`pmac-comp compensate`), or for the open servo (--route servo).",
         )
     ]
 
 
-def fitting_cycles(bench: Bench, law: CompensationLaw) -> int:
+def fitting_cycles(bench: Bench, law: CompensationLaw, load: ProcessorLoad | None = None) -> int:
     """Servo cycles between two passes of a law that leave the processor time: its own, or more."""
-    least = math.ceil(law.every_cycles * share_frac(bench, law))
-    return min(_SLOWEST_CYCLES, max(law.every_cycles, least))
+    over = min(_over_room(bench, law, load), float(_SLOWEST_CYCLES))
+    return min(_SLOWEST_CYCLES, max(law.every_cycles, math.ceil(law.every_cycles * over)))
+
+
+def _over_room(bench: Bench, law: CompensationLaw, load: ProcessorLoad | None) -> float:
+    """What a law takes over what it may take; above 1 it does not fit."""
+    if load is None:
+        return share_frac(bench, law) / MOST_FRAC
+    room_frac = BUSIEST_FRAC - load.phase_frac - load.servo_frac
+    taken_frac = load.share_frac(_cost_cycles(law), law.every_cycles)
+    return taken_frac / room_frac if room_frac > 0.0 else math.inf
+
+
+def _tasks_text(load: ProcessorLoad) -> str:
+    return f"phase tasks {100 * load.phase_frac:.0f} %, servo tasks {100 * load.servo_frac:.0f} %"
+
+
+def load_text(load: ProcessorLoad | None) -> str:
+    """How busy the card is, for people."""
+    if load is None:
+        return "the card's task times make no sense: how busy its processor is was not measured"
+    return (
+        f"the processor is busy {100 * load.foreground_frac:.0f} % of the time by the card's own "
+        f"task times ({_tasks_text(load)}, real-time interrupt {100 * load.rti_frac:.0f} %); a "
+        f"background cycle takes {1e3 * load.background_s:.1f} ms"
+    )
+
+
+def require_time_left(link: Link, bench: Bench) -> str:
+    """What is left to the background with the law running, measured before it is armed.
+
+    Raises
+    ------
+    SafetyRefusal
+        Too little: limits would be checked late.
+    """
+    load = read_load(link, bench.servo_period_s)
+    if load is not None and load.foreground_frac > BUSIEST_FRAC:
+        raise SafetyRefusal(
+            f"With the law {load_text(load)}: too little is left for the tasks that check limits "
+            "and serve the watchdog.",
+            code="PC-LAW-044",
+            hint="Compute the law for fewer passes (`--every 2` or `--every 4` of `pmac-comp "
+            "compensate`), or for the open servo (--route servo).",
+        )
+    return f"with the law {load_text(load)}"
 
 
 def cheaper_laws(
@@ -153,8 +215,8 @@ def cost_remarks(
     elif not ways and every_cycles < _SLOWEST_CYCLES:
         ways = f"`--every {_SLOWEST_CYCLES}` of `pmac-comp compensate`"
     ways = ways or "no slower rhythm is left"
-    fits = share_frac(bench, law) <= 1.0
-    much = "more than a quarter" if fits else "more than there is, `upload` refuses it"
+    fits = share_frac(bench, law) <= MOST_FRAC
+    much = "more than a quarter" if fits else "more than it may, `upload` refuses it"
     return [
         f"{text}: {much}. Cheaper: {ways}; or --route servo, whose compiled form "
         "costs about a tenth"

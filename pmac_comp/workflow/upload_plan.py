@@ -13,6 +13,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import guard_install, motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.upload import TableUpload
@@ -29,7 +30,7 @@ from pmac_comp.workflow.deploy import (
     stale_tables,
 )
 from pmac_comp.workflow.difference import Difference, difference_on
-from pmac_comp.workflow.law_cost import cost_remarks
+from pmac_comp.workflow.law_cost import cost_remarks, load_text
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import TORQUE_ROUTES
@@ -123,6 +124,8 @@ def preview(
         lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
     cost = cost_remarks(axis.bench, compensation.route, compensation.law)
     text += [f"  {line}" for line in cost]
+    if compensation.route in TORQUE_ROUTES:
+        text.append(f"  now {load_text(read_load(axis.link, axis.bench.servo_period_s))}")
     text += [f"  {remark}" for remark in place_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
     refusals = list({refusal.message: refusal for refusal in refusals}.values())

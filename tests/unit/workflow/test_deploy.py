@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError, ControllerState, VerifyMismatch
+from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.workflow.axis import Axis
@@ -138,3 +139,33 @@ def test_cost_is_stated_and_a_cheaper_way_offered() -> None:
 
 def test_motion_is_a_value() -> None:
     assert Motion("a", MOTION.trajectory).duration_s == MOTION.duration_s
+
+
+@pytest.mark.parametrize(
+    ("more_motors", "code", "step"),
+    [(3, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
+    ids=["measured with the law", "foreseen"],
+)
+def test_a_card_too_busy_for_the_law_is_left_as_it_was(
+    axis: Axis, tmp_path: Path, more_motors: int, code: str, step: str
+) -> None:
+    """Whether it shows beforehand, or only by the task times with the law running."""
+    for motor in range(3, 3 + more_motors):
+        axis.link.command(f"I{motor}00=1")
+    told: list[str] = []
+    context = context_of(axis, tmp_path, lambda text, _: told.append(text))
+    asked = "I106 I8 I129 RX$10F8"
+    before = axis.link.query(asked)
+    with pytest.raises(SafetyRefusal, match="too little") as refused:
+        deploy(axis, Compensation("law", LAW), context)
+    assert refused.value.code == code
+    assert refused.value.left is ControllerState.OLD
+    assert refused.value.context["confirmed"]
+    assert "--every 2" in refused.value.hint
+    assert any(text.startswith(step) for text in told) == bool(step)
+    assert "arming the law" not in told
+    assert axis.link.query(asked) == before
+    assert not plc_runs(axis.link, 0)
+    # Every second cycle leaves time enough.
+    deployment = deploy(axis, Compensation("law", replace(LAW, every_cycles=2)), context)
+    assert any("background cycle" in note for note in deployment.notes)

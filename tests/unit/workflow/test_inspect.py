@@ -60,7 +60,16 @@ def test_the_lease_in_words(lease: Lease, said: str) -> None:
 def test_status_has_stable_names_without_blanks(tmp_path: Path) -> None:
     """Scripts read them: names change with a note in the README only."""
     found = inspect.controller_status("sim://", "paper", tmp_path)
-    assert list(found) == ["motors", "compensation"]
+    assert list(found) == ["motors", "compensation", "processor"]
+    assert list(found["processor"]) == [
+        "summary",
+        "foreground_frac",
+        "phase_frac",
+        "servo_frac",
+        "rti_frac",
+        "background_cycle_ms",
+        "watchdog_lowest_frac",
+    ]
     assert set(found["motors"][0]) == {
         "number",
         "position_ct",

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
@@ -54,11 +55,32 @@ def test_a_law_that_leaves_the_card_no_time_is_refused() -> None:
     assert cost_refusals(bench, replace(plain, every_cycles=2)) == []
     (text,) = cost_remarks(bench, "law", plain)
     assert "`upload` refuses it" in text
-    # A gap on a bed that swings: each of them fits, both do not.
-    both = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7, bed_share=0.1)
-    assert cost_refusals(BENCH, replace(both, bed_share=0.0)) == []
-    assert cost_refusals(BENCH, replace(both, gap_half_m=0.0)) == []
-    assert "--every 2" in cost_refusals(BENCH, both)[0].hint
+    # A gap takes 93 % of the time: it would fit, and leave nothing for what else the card does.
+    gap = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7)
+    assert "--every 2" in cost_refusals(BENCH, gap)[0].hint
+    assert cost_refusals(BENCH, replace(gap, bed_share=0.1, every_cycles=2)) == []
+
+
+def load_of(*, phase: float = 0.04, servo: float = 0.07, clock_MHz: float = 80.0) -> ProcessorLoad:
+    half_cycles = 0.5e6 * clock_MHz * BENCH.servo_period_s
+    return ProcessorLoad(half_cycles, phase, servo, 0.02, 1e-3, 1.0)
+
+
+def test_the_card_s_own_task_times_decide_where_they_are_known() -> None:
+    plain = CompensationLaw(inertia_s2=2e-6)  # 71 % of the time at 80 MHz
+    assert cost_refusals(BENCH, plain, load_of()) == []
+    # Eight motors, or a card of half the frequency that the bench file states.
+    for found in (load_of(servo=0.25), load_of(clock_MHz=40.0)):
+        (refusal,) = cost_refusals(BENCH, plain, found)
+        assert "servo tasks" in refusal.message
+        assert "--every 2" in refusal.hint
+        assert cost_refusals(BENCH, replace(plain, every_cycles=2), found) == []
+    # A faster one takes what the bench file's clock would not.
+    gap = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7)
+    assert cost_refusals(BENCH, gap, load_of(clock_MHz=160.0)) == []
+    # Servo tasks alone that leave no room: the slowest rhythm is named.
+    (refusal,) = cost_refusals(BENCH, plain, load_of(servo=0.95))
+    assert "--every 4" in refusal.hint
 
 
 def test_what_a_law_lacks_is_said() -> None:
