@@ -7,8 +7,10 @@ Source: User Manual p. 237-240 (task times and what interrupts them), Software R
 p. 57 (I40), p. 62 (I52), p. 495-497 (registers).
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Final
+
+import numpy as np
 
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
@@ -67,7 +69,7 @@ class ProcessorLoad:
 
 
 def read_load(link: Link, servo_period_s: float) -> ProcessorLoad | None:
-    """Busiest of some looks; None where the card's task times make no sense.
+    """Mean of some looks, which differ from cycle to cycle; None where task times make no sense.
 
     Parameters
     ----------
@@ -82,7 +84,9 @@ def read_load(link: Link, servo_period_s: float) -> ProcessorLoad | None:
         load = load_of(values, servo_period_s)
         if load is not None:
             found.append(load)
-    return max(found, key=lambda load: load.foreground_frac, default=None)
+    if not found:
+        return None
+    return ProcessorLoad(*np.mean([astuple(load) for load in found], axis=0).tolist())
 
 
 def load_of(values: list[int], servo_period_s: float) -> ProcessorLoad | None:
