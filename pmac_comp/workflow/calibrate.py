@@ -11,11 +11,13 @@ from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.workflow.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis, HALT_s, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
-from pmac_comp.workflow.commissioning import place_remarks, require_as_described
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import (
     Motion,
@@ -86,6 +88,7 @@ def capture_to_folder(
     require_new(paths, out)
     with open_axis(url, bench) as axis, at_work(axis, url):
         remarks = (*place_remarks(axis.link, axis.bench), *acting_remarks(axis))
+        remarks += offset_remarks(axis)
         if tell is not None:
             for remark in remarks:
                 tell(remark)
@@ -107,6 +110,19 @@ def acting_remarks(axis: Axis) -> tuple[str, ...]:
     return (
         f"{' and '.join(told)} of a compensation acted in these runs; a new one is computed from "
         "runs without: `pmac-comp rollback` or `pmac-comp remove` before the next capture",
+    )
+
+
+def offset_remarks(axis: Axis) -> tuple[str, ...]:
+    """That the output has an offset, which the route ``law`` would write over."""
+    name = f"I{axis.motor}29"
+    law, _ = acting(axis, context_of(axis))
+    offset = 0.0 if law else read_one(axis.link, name)
+    if offset == 0.0:
+        return ()
+    return (
+        f"{name} = {plain(offset)} offsets the output; the route law writes {name} itself: for it, "
+        "make the runs with 0 there",
     )
 
 

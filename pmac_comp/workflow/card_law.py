@@ -18,10 +18,10 @@ from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 
 # What the model takes where a bench file of kind pmac is silent: factory values (Software Reference
-# Manual p. 96-127). Ixx29 and Ixx68 belong to compensation.
+# Manual p. 96-127). Ixx29 belongs to compensation.
 _ASSUMED: Final[Mapping[int, float]] = {
     8: 96.0, 9: 96.0, 30: 2000.0, 31: 1280.0, 32: 1280.0, 33: 1280.0, 34: 0.0, 35: 0.0,
-    36: 0.0, 37: 0.0, 38: 0.0, 39: 0.0, 60: 0.0, 63: 4194304.0, 69: 20480.0,
+    36: 0.0, 37: 0.0, 38: 0.0, 39: 0.0, 60: 0.0, 63: 4194304.0, 68: 0.0, 69: 20480.0,
 }  # fmt: skip
 _PID: Final = (8, 9, 30, 31, 32, 33, 35)
 _USER_SERVO: Final = 1  # bit of Ixx59

@@ -44,6 +44,7 @@ from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_checks import not_at_rest
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
+from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables
 from pmac_comp.workflow.cam import (
@@ -173,9 +174,13 @@ def _clamp_ct(axis: Axis, context: Context, compensation: Compensation) -> float
 
 
 def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> list[SafetyRefusal]:
-    """What forbids a route beside its tables, all of it before anything is changed."""
+    """What forbids a route beside its tables, all of it before anything is changed.
+
+    A card that is not as the bench file says forbids them all.
+    """
     link, route = axis.link, compensation.route
-    refusals = double_corrections(axis, context, compensation)
+    refusals = description_refusals(axis)
+    refusals += double_corrections(axis, context, compensation)
     if route == "law":
         every = compensation.law.every_cycles
         refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)

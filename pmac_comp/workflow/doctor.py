@@ -145,7 +145,7 @@ def _flash(axis: "Axis", backup: Path | None) -> Finding:
 
 
 def _variables(axis: "Axis", bench: Bench) -> Iterator[Finding]:
-    from pmac_comp.workflow.commissioning import differing_variables, variables_text
+    from pmac_comp.workflow.as_described import differing_variables, variables_text
 
     differing = differing_variables(axis.link, bench)
     agreed = f"{len(bench.controller.ivariables)} agree with the bench file"
@@ -197,7 +197,7 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
 
 
 def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
-    from pmac_comp.workflow.commissioning import place_remarks
+    from pmac_comp.workflow.as_described import place_remarks
 
     for remark in place_remarks(axis.link, bench):
         yield Finding("note", "zero and limits", remark)

@@ -19,9 +19,9 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
 from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
-from pmac_comp.workflow.commissioning import place_remarks
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,

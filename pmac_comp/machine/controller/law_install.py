@@ -134,7 +134,8 @@ def install_law(
 
 def _standing(link: Link, motor: int) -> Settings:
     """What stands in the places of law and guard."""
-    asked = Settings({**_following(motor), "I8": ""}, definitions(motor), {LAW: (), GUARD: ()})
+    variables = {**_following(motor), "I8": "", f"I{motor}29": ""}
+    asked = Settings(variables, definitions(motor), {LAW: (), GUARD: ()})
     return read_settings(link, asked)
 
 
@@ -244,12 +245,25 @@ def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
 def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal]:
     """What belongs to somebody else where the law would go: a machine's logic must not vanish."""
     out: list[SafetyRefusal] = []
-    if is_foreign(found, LAW, law_program(context.block, motor)):
+    law = law_program(context.block, motor)
+    if is_foreign(found, LAW, law):
         out.append(
             SafetyRefusal(
                 "PLC 0 holds a program that is not ours; the law would replace it.",
                 code="PC-LAW-037",
                 hint="Move it to another PLC, or use --route servo, table or program.",
+            )
+        )
+    offset = found.variables[f"I{motor}29"]
+    if float(offset) != 0.0 and programs.canonical(found.programs[LAW]) != law.tokens:
+        out.append(
+            SafetyRefusal(
+                f"I{motor}29 = {offset}: the output of motor #{motor} has an offset, and the law "
+                "would write its torque over it.",
+                code="PC-LAW-045",
+                hint=f"Set I{motor}29 = 0 with the motor killed, capture and compute again (the "
+                "law sends what is constant); or use --route servo, cam, program or table, which "
+                "leave it.",
             )
         )
     # Definitions that an earlier law of any motor left behind are ours.

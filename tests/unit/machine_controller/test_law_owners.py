@@ -19,6 +19,7 @@ OTHER_PLC_1 = ["CLOSE", "OPEN PLC 1 CLEAR", "P2=P2+1", "CLOSE"]
         (OTHER_PLC_0, "PLC 0 holds a program that is not ours"),
         (["M7003->Y:$78003,8,16,S"], "M7003 is Y:\\$78003"),
         (["I105=$78C01", "I106=1"], "follows the master at \\$78C01"),
+        (["I129=-40"], "I129 = -40: the output of motor #1 has an offset"),
     ],
 )
 def test_a_law_is_refused_where_something_stands(
@@ -26,7 +27,7 @@ def test_a_law_is_refused_where_something_stands(
 ) -> None:
     bench = CardBench(tmp_path)
     bench.link.write_buffer(standing)
-    asked = ["M7003->I105I106I107I8", "P7000..7009"]
+    asked = ["M7003->I105I106I107I8I129", "P7000..7009"]
     before = [bench.link.query(line) for line in asked]
     with pytest.raises(SafetyRefusal, match=said):
         law_install.install_law(bench.link, bench.context, 1)

@@ -13,14 +13,11 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
+from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_remarks import remarks
-from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.commissioning import (
-    place_remarks,
-    set_up_axis,
-    settable_variables,
-)
+from pmac_comp.workflow.calibrate import offset_remarks, prepare
+from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.simulated import embedded, make_card
@@ -179,3 +176,11 @@ def test_encoder_and_scale_swapped_in_the_bench_file_enable_nothing() -> None:
         with pytest.raises(SafetyRefusal, match="motor #2 would be enabled"):
             prepare(axis)
         assert motors.read_motor(axis.link, 2).status.is_killed
+
+
+def test_an_offset_of_the_output_is_told_before_runs_for_a_law(axis: Axis) -> None:
+    assert offset_remarks(axis) == ()
+    axis.link.command("I129=25")
+    (said,) = offset_remarks(axis)
+    assert "I129 = 25" in said
+    assert "route law" in said

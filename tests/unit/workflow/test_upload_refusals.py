@@ -4,6 +4,7 @@ import shlex
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
@@ -64,6 +65,36 @@ def test_an_armed_law_forbids_another_clamp_and_the_open_servo(axis: Axis, tmp_p
     assert refused(axis, tmp_path, Compensation("law", lower, LEAD)) == {"PC-LAW-025"}
     found = refused(axis, tmp_path, Compensation("servo", LAW, LEAD))
     assert found == {"PC-LAW-021", "PC-LAW-024"}
+
+
+@pytest.mark.parametrize(
+    ("lines", "codes"),
+    [
+        (["I130=I130/2"], {"PC-COM-001"}),
+        (["I168=300"], {"PC-COM-008"}),
+        (["I100=0", "I133=0"], {"PC-COM-001", "PC-COM-002"}),
+    ],
+    ids=["another gain", "friction feedforward", "not activated"],
+)
+@pytest.mark.parametrize("route", ["law", "table", "program"])
+def test_a_card_that_the_law_was_not_computed_for_is_refused(
+    axis: Axis, tmp_path: Path, route: str, lines: list[str], codes: set[str]
+) -> None:
+    """Gains, units and motors that somebody changed between the runs and the upload."""
+    axis.kill()
+    axis.link.write_buffer(lines)
+    motion_s = None if route != "program" else np.arange(4000) * BENCH.servo_period_s
+    place_m = None if motion_s is None else 1e-3 * np.sin(2.0 * motion_s) ** 3
+    extra = None if place_m is None else 1e-4 * place_m
+    compensation = Compensation(
+        route,
+        LAW if route == "law" else CompensationLaw(),
+        LEAD,
+        motion_time_s=motion_s,
+        motion_position_m=place_m,
+        motion_correction_m=extra,
+    )
+    assert codes <= refused(axis, tmp_path, compensation)
 
 
 @pytest.mark.parametrize("acts", [True, False])
