@@ -39,6 +39,7 @@ from pmac_comp.workflow.outcome import (
     outcome_of,
     sensor_floor_um,
 )
+from pmac_comp.workflow.own_ringing import own_ringing_remarks
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import Promiser, true_errors
 from pmac_comp.workflow.repeated import Refinement, refine_motion
@@ -451,17 +452,18 @@ def summed_up(
     lead = None if compensation is None else compensation.lead
     table = None if compensation is None else compensation.table_correction(bench)
     age_s = _age_s(compensation)
-    before = [error_signals(c, lead, None, age_s) for pair in groups for c in pair[0]]
-    after = [error_signals(c, lead, table, age_s) for pair in groups for c in pair[1]]
+    first = [[error_signals(c, lead, None, age_s) for c in pair[0]] for pair in groups]
+    second = [[error_signals(c, lead, table, age_s) for c in pair[1]] for pair in groups]
     late = [] if compensation is None else scale_remarks(compensation.law)
 
     def together(which: str) -> Ratio | None:
-        if not before or not after:
+        if not first or not second:
             return None
-        sides = [[getattr(s, which) for s in signals] for signals in (before, after)]
+        sides = [[getattr(s, which) for run in runs for s in run] for runs in (first, second)]
         return Ratio.of(sides[0], sides[1], bench.servo_period_s)
 
     floor = sensor_floor_um(bench)
+    own = own_ringing_remarks(outcomes, first, second, floor, bench.servo_period_s)
     return Verification(
         tuple(outcomes),
         floor,
@@ -471,7 +473,7 @@ def summed_up(
         lead,
         table,
         age_s,
-        (*verdict_remarks(outcomes, floor), *late, *static_remarks(static), *remarks),
+        (*verdict_remarks(outcomes, floor), *own, *late, *static_remarks(static), *remarks),
         "" if compensation is None else compensation.route,
         together("mechanical_m"),
         together("total_m"),
