@@ -230,7 +230,7 @@ def carries_table(request: Exchange) -> bool:
 
 
 def measure(server: Server | Served) -> dict[str, object]:
-    limits = Limits(1e5, 1e3, 5.0, -3e5, 3e5, 1.0)
+    limits = Limits(1e5, 1e3, 5.0, -3e5, 3e5, 1.0, 5e5)
     synced = [0.0]
     fsync = os.fsync
 

@@ -106,6 +106,8 @@ class Index(IntEnum):
     CHANGE = 83  # number of the last change: positive under way, negative ended, 0 none
     RESTS = 84
     WORK_PLC = 100
+    STEP_SERVO = 114  # largest step of the command that is a motion, counts/SC; where the
+    STEP_PLC = 152  # other form works, as no place is left that neither uses
     BED_SERVO = 127
     WORK_SERVO = 130
     BED_PLC = 131

@@ -26,9 +26,10 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
 
 _SKIPPED = (
-    "IF(M7003=1 OR M7004=0)",
+    "IF(M7003=1)",
     "IF(P7112>16)",
     "IF(P7120!=P7001)",
+    "IF(ABS(P7115)>P7152*P7112)",
     "IF(P7115=0)",
     "IF(P7127>0)",
     "IF(ABS(P7118)>P7174)",

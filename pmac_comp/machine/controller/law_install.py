@@ -52,6 +52,7 @@ from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_one, same_value
 
 DEFAULT_RAMP_s: Final = 0.5
+FASTER: Final = 2.0  # than the axis ever is: such a step of the command is no motion
 LAW: Final = (ProgramKind.PLC, 0)
 
 
@@ -71,7 +72,6 @@ def definitions(motor: int) -> dict[int, str]:
         7001: f"D:${base + 0x08:X}",
         7002: f"X:${MASTER_WORD_ADDRESS:X},0,24,S",
         7003: f"X:${base + 0x30:X},18",
-        7004: f"X:${base + 0x30:X},19",
         GUARD_DEFINITION: CLOCK,
         7013: f"X:${base + 0x3F:X},8,16,S",
     }
@@ -163,7 +163,7 @@ def _missing(
         GUARD: None if guarded or foreign_guard else guard.lines,
     }
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
-    variables = {} if whole else _head_values(link, context, motor, ramp_s)
+    variables = {} if whole else _head_values(link, context, motor, ramp_s, Index.STEP_PLC)
     goal = Settings(
         {**variables, **({} if paced else pace), **({} if follows else following)},
         {} if whole else definitions(motor),
@@ -303,10 +303,13 @@ def _require_life(link: Link, context: Context) -> None:
         )
 
 
-def _head_values(link: Link, context: Context, motor: int, ramp_s: float) -> dict[str, str]:
+def _head_values(
+    link: Link, context: Context, motor: int, ramp_s: float, step: Index
+) -> dict[str, str]:
     """Head of the block for a motor, disarmed, with empty banks."""
     block = context.block
     i08 = read_one(link, f"I{motor}08")
+    fastest_ct_per_s = context.limits.fastest_ct_per_s
     return texts(
         {
             f"P{block.p(Index.TARGET)}": 0,
@@ -316,6 +319,7 @@ def _head_values(link: Link, context: Context, motor: int, ramp_s: float) -> dic
             f"P{block.p(Index.CLAMP)}": context.limits.max_correction_ct,
             f"P{block.p(Index.HEARTBEAT)}": -1,
             f"P{block.p(Index.SLEW)}": context.servo_period_s / ramp_s,
+            f"P{block.p(step)}": FASTER * fastest_ct_per_s * context.servo_period_s,
             f"P{block.p(Index.MOTOR)}": motor,
             f"P{block.p(Index.OUT_SCALE)}": 32.0 * i08 / MASTER_SCALE_IXX07,
             f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
@@ -356,7 +360,7 @@ def require_open_servo(
     with untouched():
         head = read_law_head(link, context.block)
     if head.motor != motor or head.slew == 0.0 or head.form is LawForm.PLC:
-        values = _head_values(link, context, motor, ramp_s)
+        values = _head_values(link, context, motor, ramp_s, Index.STEP_SERVO)
         law = Settings(values, programs={LAW: ()})
         with SettingsUpload(
             link, context, law, route="servo", refusals=_armed(head), motors=[motor]

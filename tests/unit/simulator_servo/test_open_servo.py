@@ -168,7 +168,7 @@ def load_bank(servo, values, *, bank=0, sealed=True):
     for offset in range(BANK_SIZE):
         servo.variables.write("P", 7010 + 30 * bank + offset, values.get(offset, 0.0))
     servo.variables.write("P", 7010 + 30 * bank + BankIndex.SEALED, SEAL if sealed else 0.0)
-    head = {1: bank, 2: 1.0, 4: 60.0, 5: -1.0, 6: 0.002, 7: 1.0}
+    head = {1: bank, 2: 1.0, 4: 60.0, 5: -1.0, 6: 0.002, 7: 1.0, 114: 442.0}
     for offset, value in head.items():
         servo.variables.write("P", 7000 + offset, value)
 
