@@ -134,7 +134,7 @@ def install_law(
 
 def _standing(link: Link, motor: int) -> Settings:
     """What stands in the places of law and guard."""
-    variables = {**_following(motor), "I8": "", f"I{motor}29": ""}
+    variables = {**_following(motor), "I8": "", f"I{motor}01": "", f"I{motor}29": ""}
     asked = Settings(variables, definitions(motor), {LAW: (), GUARD: ()})
     return read_settings(link, asked)
 
@@ -254,18 +254,7 @@ def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal
                 hint="Move it to another PLC, or use --route servo, table or program.",
             )
         )
-    offset = found.variables[f"I{motor}29"]
-    if float(offset) != 0.0 and programs.canonical(found.programs[LAW]) != law.tokens:
-        out.append(
-            SafetyRefusal(
-                f"I{motor}29 = {offset}: the output of motor #{motor} has an offset, and the law "
-                "would write its torque over it.",
-                code="PC-LAW-045",
-                hint=f"Set I{motor}29 = 0 with the motor killed, capture and compute again (the "
-                "law sends what is constant); or use --route servo, cam, program or table, which "
-                "leave it.",
-            )
-        )
+    out += _output_refusals(motor, found, law)
     # Definitions that an earlier law of any motor left behind are ours.
     ours = [definitions(number) for number in range(1, MOTORS + 1)]
     defined = {n: text for n, text in found.definitions.items() if text.strip() not in {"", "*"}}
@@ -289,6 +278,34 @@ def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal
                 f"Motor #{motor} follows the master at ${master:X} already (I{motor}06 odd).",
                 code="PC-LAW-039",
                 hint=f"Switch that following off (I{motor}06=0), or use --route servo or program.",
+            )
+        )
+    return out
+
+
+def _output_refusals(motor: int, found: Settings, law: Program) -> list[SafetyRefusal]:
+    """Where Ixx29, in which PLC 0 sends its torque, is something else (p. 110)."""
+    out: list[SafetyRefusal] = []
+    if parse_integer(found.variables[f"I{motor}01"]) & 1:
+        out.append(
+            SafetyRefusal(
+                f"Motor #{motor} is commutated by the card (I{motor}01 odd): I{motor}29 offsets "
+                "its first phase then, and carries no torque.",
+                code="PC-LAW-046",
+                hint="Use --route servo, which sends the torque inside the servo; or cam, "
+                "program, table.",
+            )
+        )
+    offset = found.variables[f"I{motor}29"]
+    if float(offset) != 0.0 and programs.canonical(found.programs[LAW]) != law.tokens:
+        out.append(
+            SafetyRefusal(
+                f"I{motor}29 = {offset}: the output of motor #{motor} has an offset, and the law "
+                "would write its torque over it.",
+                code="PC-LAW-045",
+                hint=f"Set I{motor}29 = 0 with the motor killed, capture and compute again (the "
+                "law sends what is constant); or use --route servo, cam, program or table, which "
+                "leave it.",
             )
         )
     return out

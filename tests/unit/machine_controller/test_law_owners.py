@@ -6,7 +6,9 @@ import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller import law_install, law_state
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.settings import Settings
 from tests.unit.machine_controller.card_bench import CardBench
 
 OTHER_PLC_0 = ["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE"]
@@ -54,3 +56,14 @@ def test_a_law_moves_to_another_motor_over_what_it_left_behind(tmp_path: Path) -
     law_install.remove_law(bench.link, bench.context)
     law_install.install_law(bench.link, bench.context, 2)
     assert bench.link.query("M7001->") == ["D:$108"]
+
+
+def test_a_motor_that_the_card_commutates_has_no_torque_in_its_offset() -> None:
+    # The simulated card commutates none, so what stands there is written down.
+    law = law_install.law_program(LawBlock(), 1)
+    found = Settings({"I101": "1", "I129": "0"}, programs={law_install.LAW: ()})
+    (refusal,) = law_install._output_refusals(1, found, law)
+    assert "commutated by the card" in refusal.message
+    assert "--route servo" in refusal.hint
+    own = Settings({"I101": "0", "I129": "0"}, programs={law_install.LAW: ()})
+    assert law_install._output_refusals(1, own, law) == []
