@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from pmac_comp.base.errors import CommandRefused
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 
@@ -69,7 +70,9 @@ class ProcessorLoad:
 
 
 def read_load(link: Link, servo_period_s: float) -> ProcessorLoad | None:
-    """Mean of some looks, which differ from cycle to cycle; None where task times make no sense.
+    """Mean of some looks, which differ from cycle to cycle; None where they make no sense.
+
+    A card that refuses to show one of the registers is such a one.
 
     Parameters
     ----------
@@ -80,7 +83,10 @@ def read_load(link: Link, servo_period_s: float) -> ProcessorLoad | None:
     for k in range(_LOOKS):
         if k:
             link.clock.sleep_s(_LOOK_SPACING_s)
-        values = [parse_integer(line) for line in link.query(_QUESTION)]
+        try:
+            values = [parse_integer(line) for line in link.query(_QUESTION)]
+        except CommandRefused:
+            return None
         load = load_of(values, servo_period_s)
         if load is not None:
             found.append(load)

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller import processor_load
 from pmac_comp.machine.controller.processor_load import ProcessorLoad, load_of, read_load
 from tests.unit.machine_controller.card_bench import CardBench
 
@@ -50,6 +51,14 @@ def test_a_pass_of_known_length_is_a_share_of_this_card() -> None:
 @pytest.mark.parametrize("interval", [0, 3000, 100_000])
 def test_a_phase_interval_that_fits_no_clock_tells_nothing(interval: int) -> None:
     assert load_of([interval, 200, 1500, 400, 36000, 4000, I52, I8, I40], PERIOD_s) is None
+
+
+def test_a_card_that_does_not_show_its_registers_tells_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = CardBench(tmp_path)
+    monkeypatch.setattr(processor_load, "_QUESTION", "RX$FFFF8C NONSENSE")
+    assert read_load(bench.link, bench.bench.servo_period_s) is None
 
 
 def test_the_simulated_card_tells_what_plc_0_takes(tmp_path: Path) -> None:
