@@ -29,6 +29,7 @@ from pmac_comp.machine.controller import (
     motors,
     programs,
 )
+from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.journal import require_folder
@@ -180,6 +181,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     """
     link, route = axis.link, compensation.route
     refusals = description_refusals(axis)
+    refusals += block_refusals(link, context.block, axis.motor)
     refusals += double_corrections(axis, context, compensation)
     if route == "law":
         every = compensation.law.every_cycles

@@ -108,6 +108,7 @@ class Index(IntEnum):
     WORK_PLC = 100
     STEP_SERVO = 114  # largest step of the command that is a motion, counts/SC; where the
     STEP_PLC = 152  # other form works, as no place is left that neither uses
+    MOTIONS = 190  # homing and other motion programs
     BED_SERVO = 127
     WORK_SERVO = 130
     BED_PLC = 131

@@ -97,6 +97,19 @@ def test_a_card_that_the_law_was_not_computed_for_is_refused(
     assert codes <= refused(axis, tmp_path, compensation)
 
 
+@pytest.mark.parametrize("route", ["law", "table"])
+def test_variables_that_the_machine_uses_are_not_written(
+    axis: Axis, tmp_path: Path, route: str
+) -> None:
+    compensation = Compensation(route, LAW if route == "law" else CompensationLaw(), LEAD)
+    axis.link.write_buffer(["P7190=2", "P7199=1", "P7012=3.5", "P7090=-1"])  # two are homing's
+    assert refused(axis, tmp_path, compensation) == {"PC-COM-010"}
+    assert axis.link.query("P7012 P7090") == ["3.5", "-1"]
+    # What a change of ours leaves behind marks the block as ours.
+    axis.link.command("P7083=-1234567")
+    assert deploy(axis, compensation, context_of(axis, tmp_path)).verdict is ControllerState.NEW
+
+
 @pytest.mark.parametrize("acts", [True, False])
 def test_what_to_do_next_can_be_run_as_it_stands(*, tmp_path: Path, acts: bool) -> None:
     folder = tmp_path / "two words"

@@ -1,0 +1,56 @@
+"""Whether the P-variables that we may use are free, or ours.
+
+A bench file allows a block of them (``p_block``). Where a program of the machine uses one that
+nobody thought of, writing it would change what the machine does.
+"""
+
+from typing import Final
+
+from pmac_comp.base.errors import SafetyRefusal
+from pmac_comp.machine.controller.law_bank import (
+    SIGNATURE_PLC,
+    SIGNATURE_SERVO,
+    Index,
+    LawBlock,
+)
+from pmac_comp.machine.controller.lease import parse_number
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import MAGIC
+from pmac_comp.machine.controller.numbers import plain
+from pmac_comp.machine.controller.variables import read_one
+
+_SHOWN: Final = 5
+
+
+def block_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusal]:
+    """Refusal where the block holds values, and none of the marks that our changes leave.
+
+    Marks are the signature of a law, the manifest of tables and the number of the last change,
+    which every capture leaves too. What motion programs use at the end of the block is left out,
+    and what an open servo of a motor scribbles before it is set up.
+    """
+    texts = link.query(f"P{block.first}..{block.p(Index.MOTIONS) - 1}")
+    values = [float(text) for text in texts]
+    marked = (
+        int(values[Index.SIGNATURE]) in {SIGNATURE_PLC, SIGNATURE_SERVO}
+        or values[Index.MANIFEST] == MAGIC
+        or parse_number(texts[Index.CHANGE]) != 0
+    )
+    servo = range(Index.WORK_SERVO, Index.COPY) if int(read_one(link, f"I{motor}59")) & 1 else ()
+    used = {
+        block.first + k: value for k, value in enumerate(values) if value != 0.0 and k not in servo
+    }
+    if marked or not used:
+        return []
+    told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
+    more = f" and {len(used) - _SHOWN} more" if len(used) > _SHOWN else ""
+    last = block.p(Index.MOTIONS) - 1
+    return [
+        SafetyRefusal(
+            f"P-variables of the block that we may use (p_block) hold values that are not ours: "
+            f"{told}{more}. A program of the machine may use them.",
+            code="PC-COM-010",
+            hint="Choose another block with [controller] p_block = [first, last]; or, if they are "
+            f"left from something old, `pmac-comp terminal URL -c 'P{block.first}..{last}=0'`.",
+        )
+    ]
