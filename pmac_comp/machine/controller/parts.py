@@ -12,11 +12,16 @@ from typing import Final
 from pmac_comp.base.errors import ControllerState, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
-from pmac_comp.machine.controller.law_bank import BLOCK_SIZE, LawParameters
+from pmac_comp.machine.controller.law_bank import (
+    BLOCK_SIZE,
+    MASTER_WORD_ADDRESS,
+    LawParameters,
+)
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
@@ -38,6 +43,7 @@ from pmac_comp.machine.controller.transaction import (
 )
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
+_FOLLOWING: Final = re.compile(r"I\d+06")
 _OF_MOTOR: Final = re.compile(r"I([1-9]|[12]\d|3[0-2])\d\d")  # Ixx00 to Ixx99
 
 
@@ -203,6 +209,7 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
     else:
         old = read_settings_backup(_backup(context, part))
         state = put_back(link, old, skip_refused=tolerant)
+        _clear_master_word(link, old)
         reason = "the old settings are back"
         if state is ControllerState.DISABLED:
             raise VerifyMismatch(
@@ -216,6 +223,16 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
     return UploadResult(
         state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)
     )
+
+
+def _clear_master_word(link: Link, old: Settings) -> None:
+    """Zero the master word that a sign test left, once no motor of the change follows it.
+
+    The next upload would be refused by it: following it would make the motor jump.
+    """
+    modes = [text for name, text in old.variables.items() if _FOLLOWING.fullmatch(name)]
+    if modes and not any(parse_integer(text) & 1 for text in modes):
+        link.command(f"WX${MASTER_WORD_ADDRESS:X},0")
 
 
 def take_back(link: Link, context: Context, part: Part) -> str:

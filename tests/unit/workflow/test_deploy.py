@@ -8,7 +8,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller import recovery, sign_check
 from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
@@ -169,3 +169,31 @@ def test_a_card_too_busy_for_the_law_is_left_as_it_was(
     # Every second cycle leaves time enough.
     deployment = deploy(axis, Compensation("law", replace(LAW, every_cycles=2)), context)
     assert any("background cycle" in note for note in deployment.notes)
+
+
+class Killed(BaseException):
+    """This program ended where it was: nothing is put back."""
+
+
+def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(axis, tmp_path)
+    looks = iter(range(10))
+
+    def killed_at_the_second_look(*_: object) -> tuple[float, float]:
+        if next(looks) == 0:
+            return 0.0, 0.0
+        for name in ("command", "query", "write_buffer"):
+            meanwhile.setattr(axis.link, name, killed_at_the_second_look)
+        raise Killed
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(sign_check, "_positions", killed_at_the_second_look)
+        with pytest.raises(Killed):
+            deploy(axis, Compensation("law", LAW), context)
+    assert axis.link.query("RX$10F8") != ["0"]  # the offset that the motor follows
+    assert recovery.recover(axis.link, context).verdict is ControllerState.OLD
+    assert axis.link.query("I106 RX$10F8") == ["0", "0"]
+    axis.link.clock.sleep_s(0.5)
+    assert deploy(axis, Compensation("law", LAW), context).verdict is ControllerState.NEW
