@@ -25,9 +25,9 @@ _SHOWN: Final = 5
 def block_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusal]:
     """Refusal where the block holds values, and none of the marks that our changes leave.
 
-    Marks are the signature of a law, the manifest of tables and the number of the last change,
-    which every capture leaves too. What motion programs use at the end of the block is left out,
-    and what an open servo of a motor scribbles before it is set up.
+    Marks are the signature of a law, the manifest of tables and the number of the last change.
+    Left out is what may stand without them: the lease that a capture took, what motion programs use
+    at the end of the block, and what an open servo of a motor scribbles before it is set up.
     """
     texts = link.query(f"P{block.first}..{block.p(Index.MOTIONS) - 1}")
     values = [float(text) for text in texts]
@@ -36,9 +36,13 @@ def block_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusa
         or values[Index.MANIFEST] == MAGIC
         or parse_number(texts[Index.CHANGE]) != 0
     )
-    servo = range(Index.WORK_SERVO, Index.COPY) if int(read_one(link, f"I{motor}59")) & 1 else ()
+    left_out = set(range(Index.LEASE, Index.CHANGE))
+    if int(read_one(link, f"I{motor}59")) & 1:
+        left_out |= set(range(Index.WORK_SERVO, Index.COPY))
     used = {
-        block.first + k: value for k, value in enumerate(values) if value != 0.0 and k not in servo
+        block.first + k: value
+        for k, value in enumerate(values)
+        if value != 0.0 and k not in left_out
     }
     if marked or not used:
         return []

@@ -32,6 +32,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 
     v = dr                                                (differences over dn cycles)
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
+    k = j, 0 where |dv - a| > 2 JL                        a step of it: the torque answers no jerk
     d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
     h = |v| dn S_INV                                      way of the command
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
@@ -48,7 +49,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK j + TI (j' - j") + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
+    q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
         + TP r + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
@@ -82,6 +83,7 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
+STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
 _LAYOUT: Final = 6  # of a bank: the checksum begins with it, so that another layout's does not fit
 _STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS")  # nothing without a jerk limit
@@ -126,7 +128,7 @@ class WorkIndex(IntEnum):
     TORQUE_STATE = 5  # t
     SPARE6 = 6
     FLANK = 7  # g
-    SPARE8 = 8
+    ANSWERS_JERK = 8  # open servo: whether the torque answers the jerk
     CORRECTION = 9  # what was sent, counts
     TORQUE = 10  # what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
@@ -407,7 +409,7 @@ def evaluate(
     r = finite_array("position_ct", position_ct)
     v = np.diff(r, prepend=r[0])
     raw = np.diff(v, prepend=0.0)
-    a, j = _jerk_limited(raw, p.JL)
+    a, j, answered = _jerk_limited(raw, p.JL)
     start = dict(start_state or {})
     ahead = r + p.L1 * (v + 0.5 * (p.L1 + 1.0) * raw)
     way = np.diff(ahead, prepend=ahead[0])
@@ -421,7 +423,7 @@ def evaluate(
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
-    q = p.TJ * a + p.TK * j + kick + p.TB * v + level * t + p.T0 + p.TP * r + cogging
+    q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t + p.T0 + p.TP * r + cogging
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
@@ -465,15 +467,18 @@ def _felt_of_bed(
     return felt
 
 
-def _jerk_limited(acceleration: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
-    """Acceleration that follows no faster than a limit per cycle, and its jerk."""
-    followed, jerk = np.empty_like(acceleration), np.empty_like(acceleration)
+def _jerk_limited(
+    acceleration: FloatArray, limit: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Acceleration that follows no faster than a limit per cycle, its jerk, the motion's own."""
+    followed, jerk, own = (np.empty_like(acceleration) for _ in range(3))
     value = 0.0
     for k, wanted in enumerate(acceleration.tolist()):
         jerk[k] = min(max(wanted - value, -limit), limit)
+        own[k] = jerk[k] if abs(wanted - value) <= STEP * limit else 0.0
         value += jerk[k]
         followed[k] = value
-    return followed, jerk
+    return followed, jerk, own
 
 
 def _fading_state(

@@ -10,6 +10,7 @@ the distance from the law's origin::
     p  = r + L v + L (L + T)/2 v'                       place expected L seconds later
     s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
+    k  = j, 0 where |v' - a| > 2 J T                     a step of it: no jerk of the motion's
     y" = -M a - D y' - O y                              acceleration of the bed that swings
     b' = |v| (y" - b) / break-away distance             what the table feels of it
     w  = 1 / (1 + q + q^2/2),  q = (p' / VS)^2           what speed leaves of Stribeck friction
@@ -19,7 +20,7 @@ the distance from the law's origin::
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK j + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
+    torque = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
              + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
@@ -32,7 +33,9 @@ the axis on time, and a lead by derivatives makes a spike of a step that rings t
 instead. The extrapolation is Newton's by backward differences, exact for constant jerk: a move that
 ends is not taken for one that turns, and at rest the place expected is the place, so what was
 foreseen and did not come is taken back. Steps of the acceleration the law follows no faster than J,
-which motions with limited jerk never meet.
+which motions with limited jerk never meet, and answers that jerk with no torque: torque for it made
+the first mode ring 1.1 to 1.3 times as much as without compensation, without it 0.7 to 1.05 times
+(model, steps of 1 to 5 m/s2, seven drives).
 
 A step of the jerk, which no command foretells, meets the drive late by L and rings its first mode.
 An impulse of torque one pass after it takes a part of that away: j1 and j2 are the jerk one and two
@@ -95,6 +98,7 @@ REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
+_STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
 _STILL_m = 1e-12  # of a cycle: a card's register of the commanded position has coarser steps
 _Speed = TypeVar("_Speed", float, FloatArray)
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
@@ -471,6 +475,13 @@ def _friction_states(way: FloatArray, start: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def _jerks(wanted: float, limit: float) -> tuple[float, float]:
+    """The jerk with which the acceleration follows, and what of it the torque answers."""
+    followed = min(max(wanted, -limit), limit)
+    return followed, followed if abs(wanted) <= _STEP * limit else 0.0
+
+
+@njit(cache=True, nogil=True)
 def _evaluate(
     p: FloatArray, r: FloatArray, output: FloatArray, period: float, limit: float, every: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -491,7 +502,7 @@ def _evaluate(
         place = r[k] + lookahead * (v + 0.5 * (lookahead + period) * (v - v1) / period)
         step, ahead = place - ahead, place
         j2, j1 = j1, j
-        j = min(max(((v - v1) / period - a) / period, -limit), limit)
+        j, answered = _jerks(((v - v1) / period - a) / period, limit)
         a += j * period
         if abs(v) * period < _STILL_m:
             rest += every
@@ -508,7 +519,9 @@ def _evaluate(
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
         wave, cogging = _by_turn(p[17:24], r[k] + lookahead * v)
-        sent = torque_inertia * a + torque_jerk * j + impulse * (j1 - j2) + torque_viscous * v
+        sent = (
+            torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2) + torque_viscous * v
+        )
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging

@@ -407,6 +407,20 @@ def test_steps_of_the_acceleration_are_followed_at_the_jerk_limit() -> None:
     assert np.max(np.abs(np.diff(free.correction_m))) / PERIOD > 10.0 * steepest
 
 
+def test_torque_answers_the_jerk_of_a_motion_and_not_that_of_a_step() -> None:
+    law = CompensationLaw(
+        torque_jerk_Nm_s3_per_m=1e-3, jerk_limit_m_per_s3=400.0, torque_limit_Nm=17.0
+    )
+    common = {"distance_m": 0.1, "speed_m_per_s": 0.3, "acceleration_m_per_s2": 3.0}
+    step = trapezoid(period_s=PERIOD, **common, dwell_s=0.05)
+    soft = trapezoid(period_s=PERIOD, **common, s_curve_s=0.015, dwell_s=0.05)
+    # The last passes on the way to a step's end are those of less than twice the limit.
+    answered = np.count_nonzero(np.abs(evaluate_law(law, step.position_m, PERIOD).torque_Nm) > 1e-6)
+    assert answered < 0.2 * 8 * 3.0 / 400.0 / PERIOD  # eight corners there and back
+    own = np.max(np.abs(evaluate_law(law, soft.position_m, PERIOD).torque_Nm))
+    assert own == pytest.approx(1e-3 * 3.0 / 0.015, rel=0.05)
+
+
 def test_motions_with_limited_jerk_never_meet_the_limit() -> None:
     move = trapezoid(
         period_s=PERIOD,

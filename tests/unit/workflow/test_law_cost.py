@@ -49,7 +49,7 @@ def test_a_law_that_leaves_the_card_no_time_is_refused() -> None:
     slow = BENCH.controller.model_copy(update={"cpu_clock_MHz": 40.0})
     bench = BENCH.model_copy(update={"controller": slow})
     (refusal,) = cost_refusals(bench, plain)
-    assert "144 %" in refusal.message
+    assert "145 %" in refusal.message
     assert "--every 2" in refusal.hint
     assert "servo" in refusal.hint
     assert cost_refusals(bench, replace(plain, every_cycles=2)) == []

@@ -102,7 +102,9 @@ def test_variables_that_the_machine_uses_are_not_written(
     axis: Axis, tmp_path: Path, route: str
 ) -> None:
     compensation = Compensation(route, LAW if route == "law" else CompensationLaw(), LEAD)
-    axis.link.write_buffer(["P7190=2", "P7199=1", "P7012=3.5", "P7090=-1"])  # two are homing's
+    # Homing's, and the end of a capture's lease.
+    axis.link.write_buffer(["P7190=2", "P7199=1", "P7079=122997"])
+    axis.link.write_buffer(["P7012=3.5", "P7090=-1"])
     assert refused(axis, tmp_path, compensation) == {"PC-COM-010"}
     assert axis.link.query("P7012 P7090") == ["3.5", "-1"]
     # What a change of ours leaves behind marks the block as ours.
