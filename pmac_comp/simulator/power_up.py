@@ -123,7 +123,7 @@ def _start(card: Card) -> None:
 
 
 def _set_phase_interval(card: Card) -> None:
-    """Time between phase interrupts in half CPU cycles (I52, p. 62); never zero."""
+    """Time between phase interrupts in half CPU cycles (I52); never zero."""
     half_cycles_per_s = 0.5e7 * (card.variables.int_i(52) + 1)
     interval = card.bench.servo_period_s * half_cycles_per_s / (card.variables.int_i(7002) + 1)
     card.memory.x[r.PHASE_INTERVAL] = max(1, round(interval))

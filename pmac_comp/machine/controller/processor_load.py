@@ -4,7 +4,7 @@ PLC 0 takes its time from the background tasks: limit checks, PLCs 1-31, answers
 (Software Reference Manual p. 42). What is left to them is measured, not only counted beforehand.
 
 Source: User Manual p. 237-240 (task times and what interrupts them), Software Reference Manual
-p. 57 (I40), p. 62 (I52), p. 495-497 (registers).
+p. 57 (I40), I52, p. 495-497 (registers).
 """
 
 from dataclasses import astuple, dataclass
