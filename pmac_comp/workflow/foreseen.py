@@ -103,7 +103,7 @@ def check_slow_runs(
             hint="Give the runs of `capture --campaign lead` with --slow, or use another route.",
         )
     if slow:
-        lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench))
+        lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench), turn_m=bench.pitch_m)
         if whole_travel:
             require_covered(bench, lead)
 

@@ -47,7 +47,13 @@ def static_map(
     """
     none = dict.fromkeys(("coulomb_m", "stribeck_m", "gap_half_m"), 0.0)
     removed = law.with_values(**none) if route == "table" else law
-    lead = lead_map(slow, removed, spacing_m=lead_spacing_m(bench), per_turn_m=per_turn_m)
+    lead = lead_map(
+        slow,
+        removed,
+        spacing_m=lead_spacing_m(bench),
+        turn_m=bench.pitch_m,
+        per_turn_m=per_turn_m,
+    )
     if covered_m(bench, lead) is None:
         return lead
     if limit is Limit.REFUSE:

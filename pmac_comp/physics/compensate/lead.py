@@ -8,6 +8,7 @@ friction is not swallowed by the table (ballscrew facts 2.5). The dynamic law, e
 motion, is subtracted before, because even a slow run carries its Coulomb term.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,8 +22,11 @@ from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 
 _REVERSAL_CLEARANCE_m = 0.2e-3  # samples closer than this to a reversal carry the friction step
 _LEAST_SPEED_m_per_s = 1e-3
-_KERNEL = np.array([-1.0, 4.0, 10.0, 4.0, -1.0]) / 16.0  # passes cubics, stops alternation
-_KNOTS_PER_TURN = 20  # as the tables of a ball screw have them
+_HIGHEST_ORDER = 3.5  # per turn that is taken for the screw's: beyond, it is noise and rounding
+_MOST_PASSED = 0.7  # of what the knots resolve, where they are few to the turn
+_KERNEL_TURNS = 3
+_WOBBLE_m = 0.25e-6  # beyond that order: what is smaller may be cogging's at the run's speed
+_STANDS_OUT = 6.0  # times its neighbours
 _COVERED = 0.9  # share of the knots that both directions must have seen
 
 
@@ -72,6 +76,7 @@ def lead_map(
     law: CompensationLaw | None,
     *,
     spacing_m: float = 0.5e-3,
+    turn_m: float = 10e-3,
     per_turn_m: Sequence[FloatArray] = (),
 ) -> LeadMap:
     """Lead-error map of slow bidirectional runs.
@@ -85,6 +90,8 @@ def lead_map(
     spacing_m : float
         Distance between knots: a twentieth of the screw pitch follows its wobble; with a tenth the
         kinks of a 3 um wobble ring the first mode where they pass at its frequency.
+    turn_m : float
+        Pitch of the screw.
     per_turn_m : sequence of ndarray, optional
         What cogging and friction per turn make of table minus motor in each run, in m. It is of
         the run's speed: 40 nm of it left in the table become 400 nm where they pass the first mode.
@@ -111,32 +118,61 @@ def lead_map(
         raise _uncovered(f"both directions cover only {100 * np.mean(seen):.0f} % of the range")
     up = np.interp(knots, knots[seen], up[seen])
     down = np.interp(knots, knots[seen], down[seen])
-    mean = _smooth(0.5 * (up + down))
+    knots_per_turn = turn_m / spacing_m
+    mean = _smooth(0.5 * (up + down), knots_per_turn)
     zero = 0.0 if knots[0] <= 0.0 <= knots[-1] else float(np.median(knots))
     mean -= np.interp(zero, knots, mean)
-    return LeadMap(knots, mean, _over_a_turn(up - down), noise)
+    return LeadMap(knots, mean, _over_a_turn(up - down, knots_per_turn), noise)
 
 
-def _smooth(values: FloatArray) -> FloatArray:
-    """Without what alternates from knot to knot: cogging's ripple at the speed of the run.
+def _smooth(values: FloatArray, knots_per_turn: float) -> FloatArray:
+    """What of a map is the screw's: all that is slower than its wobble, and wobbles that stand out.
 
-    Of a wobble with twenty knots per turn it leaves 99.9 %, of its second order 99 %.
+    The rest is the encoder's rounding and what rings at the speed of the run. Where it passes the
+    first mode at another speed, 10 nm of it ring the table by 0.2 um.
     """
-    if values.size < _KERNEL.size:
+    from scipy.signal import firwin
+
+    size = 2 * round(0.5 * _KERNEL_TURNS * knots_per_turn) + 1
+    if values.size <= size:
         return values
-    side = _KERNEL.size // 2
-    padded = np.pad(values, side, mode="reflect", reflect_type="odd")
-    return np.asarray(np.convolve(padded, _KERNEL, mode="valid"))
+    angle = 2.0 * np.pi * np.arange(values.size) / knots_per_turn
+    most = 0.5 * knots_per_turn
+    low = [order for order in range(1, math.ceil(_HIGHEST_ORDER)) if order < most]
+    rest = values - _waves(values, angle, low)
+    high = range(math.ceil(_HIGHEST_ORDER), math.ceil(most))
+    waves = _waves(values, angle, [*low, *(n for n in high if _stands_out(rest, angle, n))])
+    # What is left hardly knows where the map ends: so it is padded by its mirror image.
+    padded = np.pad(values - waves, size // 2, mode="reflect", reflect_type="odd")
+    cutoff = min(_HIGHEST_ORDER / most, _MOST_PASSED)
+    return np.asarray(waves + np.convolve(padded, firwin(size, cutoff), mode="valid"))
 
 
-def _over_a_turn(values: FloatArray) -> FloatArray:
+def _waves(values: FloatArray, angle: FloatArray, orders: Sequence[int]) -> FloatArray:
+    """Straight line and harmonics of the turn that a map has over all its length."""
+    phases = np.outer(angle, orders)
+    shapes = np.column_stack([np.ones_like(angle), angle, np.cos(phases), np.sin(phases)])
+    found, *_ = np.linalg.lstsq(shapes, values, rcond=None)
+    return np.asarray(shapes @ found)
+
+
+def _stands_out(rest: FloatArray, angle: FloatArray, order: int) -> bool:
+    """Whether a harmonic of the turn is larger than what lies beside it, and than cogging leaves."""
+    near = order + np.arange(-0.4, 0.41, 0.1)
+    size = np.abs(np.exp(-1j * np.outer(near, angle)) @ rest) * (2.0 / rest.size)
+    middle = near.size // 2
+    beside = float(np.median(np.delete(size, middle)))
+    return bool(size[middle] > max(_WOBBLE_m, _STANDS_OUT * beside))
+
+
+def _over_a_turn(values: FloatArray, knots_per_turn: float) -> FloatArray:
     """Mean over the knots of a turn: lost motion changes along the travel, not from knot to knot.
 
     What does change there is rounding, of a scale of 1 um up to 0.8 um of difference.
     """
     from scipy.ndimage import uniform_filter1d
 
-    size = min(_KNOTS_PER_TURN, values.size)
+    size = min(max(1, round(knots_per_turn)), values.size)
     return np.asarray(uniform_filter1d(values, size, mode="nearest"))
 
 
