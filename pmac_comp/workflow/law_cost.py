@@ -30,7 +30,7 @@ ASKED = "every_asked"  # of a law that would not fit into the rhythm that was as
 CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws are offered
 # Of the processor's time: a law that takes more would leave too little beside phase and servo tasks
 # (a tenth with two motors at 80 MHz) for the background, where limits are checked.
-MOST_FRAC = 0.8
+MOST_FRAC = 0.81
 BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
 _SLOWEST_CYCLES = 4
 
@@ -63,7 +63,9 @@ def share_frac(bench: Bench, law: CompensationLaw) -> float:
 def _cost_cycles(law: CompensationLaw) -> float:
     """CPU cycles of a pass."""
     has = {
-        "per_turn": law.ripple_Nm != 0.0 or law.turn_friction_Nm != 0.0,
+        "friction_per_turn": law.turn_friction_Nm != 0.0,
+        "cogging": law.ripple_Nm != 0.0,
+        "place": law.torque_place_Nm_per_m != 0.0,
         "gap": law.gap_half_m > 0.0,
         "bed": law.bed_share > 0.0,
         "stribeck": law.has_stribeck,

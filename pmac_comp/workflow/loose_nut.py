@@ -30,7 +30,11 @@ def found_clearance(
     """Gap that slow and fast runs together show beyond the model; None without fast runs."""
     if not captures:
         return None
-    lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench), turn_m=bench.pitch_m) if slow else None
+    lead = (
+        lead_map(slow, None, spacing_m=lead_spacing_m(bench), turn_m=bench.pitch_m)
+        if slow
+        else None
+    )
     return measured_clearance(without_turn(model), (*captures, *slow), lead)
 
 

@@ -6,7 +6,7 @@ against this one. What may not: physics (SI), sockets, files. Imports ``base`` o
 
 Block (first variable ``P7000`` unless the bench says otherwise), offsets from the first variable::
 
-    0  signature   written by the running algorithm every pass: 20261 PLC 0, 20262 open servo
+    0  signature   written by the running algorithm at rest: 20261 PLC 0, 20262 open servo
     1  bank        index of the bank in use (0 or 1), written by the host only
     2  target      gain the algorithm ramps to (0 off .. 1 on), host
     3  gain        present gain, algorithm
@@ -30,10 +30,11 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
 
-    v = dr                                                (differences over dn cycles)
+    v = dr                                                (differences over dn cycles; steps of
+                                                          1.5/3072 and less are a rest)
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
     k = j, 0 where |dv - a| > 2 JL                        a step of it: the torque answers no jerk
-    d = (v + L1 (a + L1 j / 2)) dn                        way of a cycle L1 cycles later
+    d = (v + L1 (a + (L1 + dn) j / 2)) dn                 way of a cycle L1 cycles later
     h = |v| dn S_INV                                      way of the command
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
@@ -43,7 +44,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
         between -y - B0 (1 + s) and -y + B0 (1 - s)     B0 = S0 + SX
     z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction
     e = A0 a + V0 v + (S0 + SX w) s + b
-    f = GB + e + L1 (A0 j + V0 a)                         with a constant load, L1 cycles later
+    f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
@@ -85,7 +86,9 @@ REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
 _LAYOUT: Final = 6  # of a bank: the checksum begins with it, so that another layout's does not fit
-_STILL_ct: Final = 1e-6  # the register of the commanded position has steps of 1/3072
+# Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
+# single ones of which it creeps after a move.
+_STILL_ct: Final = 1.5 / 3072
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS")  # nothing without a jerk limit
 
 
@@ -408,12 +411,11 @@ def evaluate(
     p = parameters
     r = finite_array("position_ct", position_ct)
     v = np.diff(r, prepend=r[0])
-    raw = np.diff(v, prepend=0.0)
-    a, j, answered = _jerk_limited(raw, p.JL)
+    rests = np.abs(v) <= _STILL_ct
+    v[rests] = 0.0
+    a, j, answered = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
     start = dict(start_state or {})
-    ahead = r + p.L1 * (v + 0.5 * (p.L1 + 1.0) * raw)
-    way = np.diff(ahead, prepend=ahead[0])
-    rests = np.abs(v) < _STILL_ct
+    way = v + p.L1 * (a + 0.5 * (p.L1 + 1.0) * j)
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
     t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), p.RF)
     angle = r + p.L1 * v
@@ -431,7 +433,7 @@ def evaluate(
     elastic = p.A0 * a + p.V0 * v + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:
-        foreseen = p.GB + elastic + p.L1 * (p.A0 * j + p.V0 * a)
+        foreseen = p.GB + elastic + p.L1 * p.A0 * j
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank
         first = start.get("g", held)

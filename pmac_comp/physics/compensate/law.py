@@ -4,18 +4,18 @@ What lives here: the law as data in SI with its validity and provenance, and its
 may not: counts and registers (``workflow`` renders the law for a controller), the fit of the
 coefficients (``design``). Imports ``base`` only.
 
-With ``r`` the commanded position, ``v a j`` its backward differences at the servo period and ``x``
-the distance from the law's origin::
+With ``r`` the commanded position, ``v a j`` its backward differences at the servo period (a step of
+less than half a nanometre is a rest) and ``x`` the distance from the law's origin::
 
-    p  = r + L v + L (L + T)/2 v'                       place expected L seconds later
-    s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     j  = limit((v' - a) / T, J)      a' = j              acceleration with its jerk limited
+    p' = v + L a + L (L + T)/2 j                        speed of the place expected L seconds later
+    s' = (|p'| (sgn p' - s)) / break-away distance      friction state, follows that place's way
     k  = j, 0 where |v' - a| > 2 J T                     a step of it: no jerk of the motion's
     y" = -M a - D y' - O y                              acceleration of the bed that swings
     b' = |v| (y" - b) / break-away distance             what the table feels of it
     w  = 1 / (1 + q + q^2/2),  q = (p' / VS)^2           what speed leaves of Stribeck friction
     e  = A0 (a + b) + V0 v + (S0 + SS w) s              elastic, as the force in the nut
-    f  = B + e + L (A0 j + V0 a)                        with a constant load, L seconds later
+    f  = B + e + L A0 j                                 with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
@@ -99,7 +99,9 @@ UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
-_STILL_m = 1e-12  # of a cycle: a card's register of the commanded position has coarser steps
+# Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
+# with counts of 1 um), and their differences would take the friction states away.
+_STILL_m = 0.5e-9
 _Speed = TypeVar("_Speed", float, FloatArray)
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 
@@ -475,6 +477,12 @@ def _friction_states(way: FloatArray, start: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def _speed(step_m: float, period: float) -> float:
+    """Speed of the command by its step in a pass, none where it rests."""
+    return step_m / period if abs(step_m) >= _STILL_m else 0.0
+
+
+@njit(cache=True, nogil=True)
 def _jerks(wanted: float, limit: float) -> tuple[float, float]:
     """The jerk with which the acceleration follows, and what of it the torque answers."""
     followed = min(max(wanted, -limit), limit)
@@ -496,15 +504,13 @@ def _evaluate(
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     most, breaks = coulomb + stribeck, torque_coulomb + torque_stribeck
     most = most / inertia if inertia > 0.0 else math.inf
-    ahead = r[0]
     for k in range(n):
-        v1, v = v, (r[k] - r[k - 1]) / period if k > 0 else 0.0
-        place = r[k] + lookahead * (v + 0.5 * (lookahead + period) * (v - v1) / period)
-        step, ahead = place - ahead, place
+        v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
         j2, j1 = j1, j
         j, answered = _jerks(((v - v1) / period - a) / period, limit)
         a += j * period
-        if abs(v) * period < _STILL_m:
+        step = (v + lookahead * (a + 0.5 * (lookahead + period) * j)) * period
+        if v == 0.0:
             rest += every
             if seen and k > 0:
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
@@ -533,7 +539,7 @@ def _evaluate(
         e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
-            f = gap_load + e + lookahead * (inertia * j + viscous * a)
+            f = gap_load + e + lookahead * inertia * j
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             sent += gap_torque * behind

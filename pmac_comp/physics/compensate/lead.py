@@ -136,7 +136,7 @@ def _smooth(values: FloatArray, knots_per_turn: float) -> FloatArray:
     size = 2 * round(0.5 * _KERNEL_TURNS * knots_per_turn) + 1
     if values.size <= size:
         return values
-    angle = 2.0 * np.pi * np.arange(values.size) / knots_per_turn
+    angle = (2.0 * np.pi / knots_per_turn) * np.arange(values.size, dtype=np.float64)
     most = 0.5 * knots_per_turn
     low = [order for order in range(1, math.ceil(_HIGHEST_ORDER)) if order < most]
     rest = values - _waves(values, angle, low)
@@ -157,7 +157,7 @@ def _waves(values: FloatArray, angle: FloatArray, orders: Sequence[int]) -> Floa
 
 
 def _stands_out(rest: FloatArray, angle: FloatArray, order: int) -> bool:
-    """Whether a harmonic of the turn is larger than what lies beside it, and than cogging leaves."""
+    """Whether a harmonic of the turn is larger than those beside it, and than cogging leaves."""
     near = order + np.arange(-0.4, 0.41, 0.1)
     size = np.abs(np.exp(-1j * np.outer(near, angle)) @ rest) * (2.0 / rest.size)
     middle = near.size // 2
