@@ -49,9 +49,21 @@ def standing_on(axis: Axis) -> Standing:
     """Tables of the bench's motors and the law of its motor; nothing is changed."""
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
-    head = law_state.read_law_head(axis.link, context_of(axis).block)
-    form = law_state.running_form(axis.link, head)
-    return Standing(tables, form if head.motor == axis.motor else LawForm.NONE)
+    return Standing(tables, _form_of_law(axis))
+
+
+def _form_of_law(axis: Axis) -> LawForm:
+    """Form of the law for the axis' motor; a PLC 0 that was stopped has left its outputs standing.
+
+    What is left of one, too: a motor that follows the master word.
+    """
+    link, context = axis.link, context_of(axis)
+    head = law_state.read_law_head(link, context.block)
+    if head.motor != axis.motor:
+        return LawForm.NONE
+    if law_install.law_stands(link, context) or law_install.follows(link, axis.motor):
+        return LawForm.PLC
+    return law_state.running_form(link, head)
 
 
 def plan_removal(url: str, bench: str) -> dict[str, Any]:

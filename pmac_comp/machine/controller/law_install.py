@@ -8,6 +8,7 @@ the gain (``law_arming``).
 from typing import Final
 
 from pmac_comp.base.errors import (
+    CommandRefused,
     ControllerState,
     MotorNotSafe,
     SafetyRefusal,
@@ -49,7 +50,7 @@ from pmac_comp.machine.controller.settings import MOTORS, Settings, differences,
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
-from pmac_comp.machine.controller.variables import read_one, same_value
+from pmac_comp.machine.controller.variables import read_many, read_one, same_value, verify_many
 
 DEFAULT_RAMP_s: Final = 0.5
 FASTER: Final = 2.0  # than the axis ever is: such a step of the command is no motion
@@ -189,6 +190,12 @@ def _following(motor: int) -> dict[str, str]:
     }
 
 
+def follows(link: Link, motor: int) -> bool:
+    """Whether a motor follows the master word of the law."""
+    found = read_many(link, [f"I{motor}05", f"I{motor}06"])
+    return found[f"I{motor}05"] == MASTER_WORD_ADDRESS and bool(int(found[f"I{motor}06"]) & 1)
+
+
 def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
     found = degree_refusals(link) + _in_open_servo(link, motor)
     if head.form is not LawForm.NONE and abs(head.gain) > GAIN_TOLERANCE:
@@ -281,6 +288,27 @@ def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal
             )
         )
     return out
+
+
+def _holds_law(context: Context, found: Settings) -> bool:
+    """Whether PLC 0 holds the law of this block, of any version and motor, running or not."""
+    return bool(found.programs[LAW]) and not is_foreign(found, LAW, law_program(context.block, 1))
+
+
+def law_stands(link: Link, context: Context) -> bool:
+    """Whether PLC 0 holds the law of this block, of any version and motor, running or not."""
+    return _holds_law(context, _plc_0(link))
+
+
+def _plc_0(link: Link) -> Settings:
+    """PLC 0 as it stands; nothing where a password hides it, as a law of ours has none."""
+    asked = Settings(programs={LAW: ()})
+    try:
+        return read_settings(link, asked)
+    except CommandRefused as error:
+        if programs.explain_protection(error):
+            return asked
+        raise
 
 
 def _output_refusals(motor: int, found: Settings, law: Program) -> list[SafetyRefusal]:
@@ -419,10 +447,13 @@ def remove_law(link: Link, context: Context) -> UploadResult:
     with untouched():
         head = read_law_head(link, context.block)
     variables = {f"P{context.block.p(Index.TARGET)}": "0"}
+    # The torque (Ixx29) is an output: written back as it was read it would push the axis.
+    torque = {f"I{head.motor}29": 0.0} if head.motor else {}
     if head.motor:
-        variables |= {f"I{head.motor}29": "0", f"I{head.motor}06": "0"}
+        variables |= {f"I{head.motor}06": "0"}
     goal = Settings(variables, programs={LAW: ()})
     motors = [head.motor] if head.motor else []
     with SettingsUpload(link, context, goal, route="law", motors=motors) as upload:
         upload.write(first=lambda: disarm(link, context))
+        upload.check(lambda: verify_many(link, torque))
         return upload.finish()

@@ -1,5 +1,6 @@
 """`remove` takes off what compensates an axis, with no journal of the upload, and can be undone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,34 @@ def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Pa
     rollback_last(axis.link, context)
     assert read_tables(axis.link) == before
     assert standing_on(axis).law is LawForm.PLC
+
+
+def test_a_law_that_pushes_at_rest_comes_back(axis: Axis, tmp_path: Path) -> None:
+    """Its torque is an output: read back under a running law it is never the same."""
+    pushing = replace(LAW, torque_constant_Nm=0.3)
+    deploy(axis, Compensation("law", pushing, LEAD), context_of(axis, tmp_path / "upload"))
+    axis.move_to(1000.0)
+    axis.move_to(0.0)
+    torque = float(axis.link.query("I129")[0])
+    assert torque != 0.0
+    context = context_of(axis, tmp_path / "elsewhere")
+    remove_from(axis, context, standing_on(axis))
+    assert axis.link.query("I106I129") == ["0", "0"]
+    rollback_last(axis.link, context)
+    assert standing_on(axis).law is LawForm.PLC
+    axis.link.clock.sleep_s(1.0)
+    assert axis.link.query("P7002P7003I106") == ["1", "1", "3"]
+    assert float(axis.link.query("I129")[0]) != 0.0
+
+
+def test_what_a_stopped_plc_0_left_standing_goes(axis: Axis, tmp_path: Path) -> None:
+    pushing = replace(LAW, torque_constant_Nm=0.3)
+    context = context_of(axis, tmp_path)
+    deploy(axis, Compensation("law", pushing), context)
+    axis.move_to(20_000.0)
+    axis.link.command("DISABLE PLC 0")
+    axis.link.clock.sleep_s(0.5)
+    assert "0" not in axis.link.query("I129RX$10F8")
+    remove_from(axis, context, standing_on(axis))
+    assert axis.link.query("I106I129RX$10F8") == ["0", "0", "0"]
+    assert standing_on(axis).is_empty
