@@ -164,7 +164,7 @@ def _missing(
         GUARD: None if guarded or foreign_guard else guard.lines,
     }
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
-    variables = {} if whole else _head_values(link, context, motor, ramp_s, Index.STEP_PLC)
+    variables = {} if whole else _head_values(link, context, head, motor, ramp_s, Index.STEP_PLC)
     goal = Settings(
         {**variables, **({} if paced else pace), **({} if follows else following)},
         {} if whole else definitions(motor),
@@ -348,26 +348,37 @@ def _require_life(link: Link, context: Context) -> None:
         )
 
 
-def _head_values(
-    link: Link, context: Context, motor: int, ramp_s: float, step: Index
-) -> dict[str, str]:
-    """Head of the block for a motor, disarmed, with empty banks."""
+def _scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, float]:
+    """What the law makes of registers, and how far a step of the command is a motion."""
     block = context.block
     i08 = read_one(link, f"I{motor}08")
-    fastest_ct_per_s = context.limits.fastest_ct_per_s
+    return {
+        f"P{block.p(step)}": FASTER * context.limits.fastest_ct_per_s * context.servo_period_s,
+        f"P{block.p(Index.OUT_SCALE)}": 32.0 * i08 / MASTER_SCALE_IXX07,
+        f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
+    }
+
+
+def _head_values(
+    link: Link, context: Context, head: LawHead, motor: int, ramp_s: float, step: Index
+) -> dict[str, str]:
+    """Head of the block for a motor, disarmed, with unsealed banks.
+
+    The bank in use stays the one in use: the new law goes into the other one, so that a rollback
+    finds the values of the old one.
+    """
+    block = context.block
     return texts(
         {
             f"P{block.p(Index.TARGET)}": 0,
             f"P{block.bank(0, BankIndex.SEALED)}": 0,
             f"P{block.bank(1, BankIndex.SEALED)}": 0,
-            f"P{block.p(Index.BANK)}": 0,
+            f"P{block.p(Index.BANK)}": int(head.bank == 1),
             f"P{block.p(Index.CLAMP)}": context.limits.max_correction_ct,
             f"P{block.p(Index.HEARTBEAT)}": -1,
             f"P{block.p(Index.SLEW)}": context.servo_period_s / ramp_s,
-            f"P{block.p(step)}": FASTER * fastest_ct_per_s * context.servo_period_s,
             f"P{block.p(Index.MOTOR)}": motor,
-            f"P{block.p(Index.OUT_SCALE)}": 32.0 * i08 / MASTER_SCALE_IXX07,
-            f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
+            **_scales(link, context, motor, step),
         }
     )
 
@@ -405,7 +416,7 @@ def require_open_servo(
     with untouched():
         head = read_law_head(link, context.block)
     if head.motor != motor or head.slew == 0.0 or head.form is LawForm.PLC:
-        values = _head_values(link, context, motor, ramp_s, Index.STEP_SERVO)
+        values = _head_values(link, context, head, motor, ramp_s, Index.STEP_SERVO)
         law = Settings(values, programs={LAW: ()})
         with SettingsUpload(
             link, context, law, route="servo", refusals=_armed(head), motors=[motor]

@@ -8,7 +8,9 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import recovery, sign_check
+from pmac_comp.machine.controller import law_install, law_state, recovery, sign_check
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
@@ -198,3 +200,33 @@ def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
     assert axis.link.query("I106 RX$10F8") == ["0", "0"]
     axis.link.clock.sleep_s(0.5)
     assert deploy(axis, Compensation("law", LAW), context).verdict is ControllerState.NEW
+
+
+def bank_on(axis: Axis, folder: Path) -> LawParameters | None:
+    block = context_of(axis, folder).block
+    return law_state.read_bank(axis.link, block, law_state.read_law_head(axis.link, block).bank)
+
+
+@pytest.mark.parametrize("uploads", [1, 2])
+def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uploads: int
+) -> None:
+    """Its PLC 0 takes any sealed bank: one that holds other values must not be left to it."""
+    context = context_of(axis, tmp_path)
+    whole = law_install.law_program
+
+    def earlier(block: LawBlock, motor: int) -> Program:
+        ours = whole(block, motor)
+        return replace(ours, lines=(ours.lines[0], "P7119=0", *ours.lines[1:]))
+
+    with monkeypatch.context() as before:
+        before.setattr(law_install, "law_program", earlier)
+        for k in range(uploads):
+            law = replace(LAW, coulomb_m=(1.0 + k) * LAW.coulomb_m)
+            deploy(axis, Compensation("law", law), context)
+    axis.kill()
+    stood = bank_on(axis, tmp_path)
+    deploy(axis, Compensation("law", friction_law()), context)
+    recovery.rollback_last(axis.link, context)
+    assert stood is not None
+    assert bank_on(axis, tmp_path) == stood
