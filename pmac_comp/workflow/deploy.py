@@ -160,6 +160,8 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             notes.append("the law is armed; its gain ramped up")
         else:
             acts = False
+            if law_state.read_law_head(axis.link, context.block).is_armed:
+                law_arming.disarm(axis.link, context)  # it would act as soon as the loop is closed
             notes.append("the law is loaded and not armed: the motor's loop is open")
     if compensation.route == "program":
         parts.append(deploy_motion(axis, compensation, context))

@@ -17,7 +17,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motor, require_stationary
 from pmac_comp.machine.controller.numbers import parse_integer, plain
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.variables import write_many
+from pmac_comp.machine.controller.variables import read_one, write_many
 
 
 def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 10.0) -> LawHead:
@@ -65,6 +65,7 @@ def disarm(link: Link, context: Context, *, timeout_s: float = 10.0) -> LawHead:
     """Ramp the gain to zero and wait; the correction fades, nothing jumps.
 
     With no algorithm running the outputs are what it left: they are taken to zero in small steps.
+    The open servo leaves none: it does not run while its motor is killed.
     """
     head = read_law_head(link, context.block)
     if is_running(link, context.block, context.servo_period_s) is LawForm.NONE:
@@ -91,6 +92,8 @@ def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHea
 
 def _fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
     link.write_buffer([f"P{context.block.p(k)}=0" for k in (Index.TARGET, Index.GAIN)])
+    if head.motor and int(read_one(link, f"I{head.motor}59")) & 1:
+        return read_law_head(link, context.block)
     word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
     step = max(1, abs(word) // 50)
     while word:

@@ -37,6 +37,7 @@ from pmac_comp.machine.controller.law_state import (
     read_law_head,
 )
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motor
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.safety import check_law, raise_all
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
@@ -374,7 +375,16 @@ def restore_law(link: Link, context: Context, old: LawBackup) -> None:
     if old.target == 0.0 and read_law_head(link, block).is_armed:
         disarm(link, context)
     if old.target != 0.0 and old.law is not None and head.form is not LawForm.NONE:
-        arm(link, context, gain=old.target)
+        _arm_again(link, context, old.target)
+
+
+def _arm_again(link: Link, context: Context, gain: float) -> None:
+    """Armed as it was: in an open loop the gain waits at zero and ramps when the loop is closed."""
+    motor = read_law_head(link, context.block).motor
+    if motor and not read_motor(link, motor).status.is_closed_loop:
+        write_many(link, {f"P{context.block.p(Index.TARGET)}": gain})
+    else:
+        arm(link, context, gain=gain)
 
 
 def write_law_backup(path: Path, old: LawBackup) -> None:

@@ -230,3 +230,28 @@ def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
     recovery.rollback_last(axis.link, context)
     assert stood is not None
     assert bank_on(axis, tmp_path) == stood
+
+
+def test_a_killed_motor_does_not_keep_a_law_from_coming_back(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, Compensation("law", LAW, LEAD), context)
+    stood = bank_on(axis, tmp_path)
+    deploy(axis, Compensation("law", friction_law(), LEAD), context)
+    axis.kill()
+    recovery.rollback_last(axis.link, context)
+    assert bank_on(axis, tmp_path) == stood
+    assert axis.link.query("P7002P7003") == ["1", "0"]
+    axis.enable()
+    axis.link.clock.sleep_s(1.0)
+    assert axis.link.query("P7003") == ["1"]  # armed, as it was
+
+
+def test_a_law_that_is_loaded_in_place_of_an_armed_one_waits(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, Compensation("law", LAW), context)
+    axis.kill()
+    deployment = deploy(axis, Compensation("law", friction_law()), context)
+    assert not deployment.acts
+    axis.enable()
+    axis.link.clock.sleep_s(1.0)
+    assert axis.link.query("P7002P7003RX$10F8") == ["0", "0", "0"]
