@@ -5,6 +5,8 @@ that leaves everything as it was if it does not end. What may not: coefficients 
 the gain (``law_arming``).
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 from pmac_comp.base.errors import (
@@ -46,7 +48,13 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, read_settings
+from pmac_comp.machine.controller.settings import (
+    MOTORS,
+    Settings,
+    differences,
+    plc_runs,
+    read_settings,
+)
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload_checks import motion_refusals
@@ -55,6 +63,8 @@ from pmac_comp.machine.controller.variables import read_many, read_one, same_val
 DEFAULT_RAMP_s: Final = 0.5
 FASTER: Final = 2.0  # than the axis ever is: such a step of the command is no motion
 LAW: Final = (ProgramKind.PLC, 0)
+_ARMED: Final = "PC-LAW-021"
+_RESCALED: Final = "scales and largest step of the law were set anew"
 
 
 def law_program(context_block: LawBlock, motor: int) -> Program:
@@ -126,6 +136,9 @@ def install_law(
         ):
             return done
         refusals = _refusals(link, motor, head, goal) + _owners(context, motor, found)
+        refusals += _of_another_axis(
+            link, context.block, head, motor, stands=_holds_law(context, found)
+        )
     with SettingsUpload(link, context, goal, route="law", refusals=refusals) as upload:
         upload.write()
         upload.check(lambda: _require_life(link, context))
@@ -164,7 +177,10 @@ def _missing(
         GUARD: None if guarded or foreign_guard else guard.lines,
     }
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
-    variables = {} if whole else _head_values(link, context, head, motor, ramp_s, Index.STEP_PLC)
+    scales = _stale_scales(link, context, motor, Index.STEP_PLC)
+    variables = (
+        scales if whole else _head_values(link, context, head, motor, ramp_s, Index.STEP_PLC)
+    )
     goal = Settings(
         {**variables, **({} if paced else pace), **({} if follows else following)},
         {} if whole else definitions(motor),
@@ -175,6 +191,7 @@ def _missing(
         "PLC 0 is on the card already" if whole else "PLC 0 was written and listed back",
         "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
         "" if paced else f"PLC 0 runs every {every_cycles} servo cycles (I8 = {every_cycles - 1})",
+        _RESCALED if whole and scales else "",
         FOREIGN_GUARD if foreign_guard else "",
         "" if guarded or foreign_guard else "the guard (PLC 1) was written and listed back",
     )
@@ -202,7 +219,7 @@ def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[Saf
         found.append(
             MotorNotSafe(
                 "A law is armed, and its program or settings would be replaced under it.",
-                code="PC-LAW-021",
+                code=_ARMED,
                 hint="Take that law off first: `pmac-comp remove`, or `pmac-comp rollback` where "
                 "the last upload put it on.",
             )
@@ -240,7 +257,11 @@ def law_refusals(
         goal, _ = _missing(link, context, motor, head, found, DEFAULT_RAMP_s, every_cycles)
         if goal.is_empty:  # law and guard stand already: they stay
             return degree_refusals(link) + _in_open_servo(link, motor)
-        return _refusals(link, motor, head, goal) + _owners(context, motor, found)
+        return [
+            *_refusals(link, motor, head, goal),
+            *_owners(context, motor, found),
+            *_of_another_axis(link, context.block, head, motor, stands=_holds_law(context, found)),
+        ]
 
 
 def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefusal]:
@@ -311,6 +332,27 @@ def _plc_0(link: Link) -> Settings:
         raise
 
 
+def _of_another_axis(
+    link: Link, block: LawBlock, head: LawHead, motor: int, *, stands: bool
+) -> list[SafetyRefusal]:
+    """A block holds one law: that of another motor would be lost, and two follow one word."""
+    other = head.motor
+    if other in {0, motor} or not 1 <= other <= MOTORS:
+        return []
+    if not stands and not int(read_one(link, f"I{other}59")) & 1:
+        return []
+    return [
+        SafetyRefusal(
+            f"The block at P{block.first} holds the law of motor #{other}; one for motor "
+            f"#{motor} would take its place, and both motors would follow it.",
+            code="PC-LAW-049",
+            hint=f"Take that law off first: `pmac-comp remove` with the bench file of motor "
+            f"#{other} (a motor that keeps I{other}59 = 1: P{block.p(Index.MOTOR)}=0). For "
+            "both at once use --route servo, table, cam or program here, and another p_block.",
+        )
+    ]
+
+
 def _output_refusals(motor: int, found: Settings, law: Program) -> list[SafetyRefusal]:
     """Where Ixx29, in which PLC 0 sends its torque, is something else (p. 110)."""
     out: list[SafetyRefusal] = []
@@ -359,6 +401,16 @@ def _scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, 
     }
 
 
+def _stale_scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, str]:
+    """Those that stand otherwise: another bench file, an earlier version, the other form's work.
+
+    With a largest step that is too small, a law takes no motion for one and corrects nothing.
+    """
+    wanted = _scales(link, context, motor, step)
+    found = read_many(link, list(wanted))
+    return texts({k: v for k, v in wanted.items() if not same_value(found[k], v)})
+
+
 def _head_values(
     link: Link, context: Context, head: LawHead, motor: int, ramp_s: float, step: Index
 ) -> dict[str, str]:
@@ -391,36 +443,75 @@ def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
     """
     with untouched():
         mode, head = int(read_one(link, f"I{motor}59")), read_law_head(link, context.block)
-        found = degree_refusals(link) + (_armed(head) if head.form is LawForm.PLC else [])
+        goal = _servo_missing(link, context, motor, head)
+        found = degree_refusals(link) + _beside_plc_0(link, context, motor, head)
+        found += [] if goal.is_empty else _armed(head, found)
         silent = head.motor == motor and head.form is LawForm.NONE
         if not mode & 1 or silent:
             found.append(_no_servo(context, motor, mode))
         return found
 
 
-def require_open_servo(
-    link: Link, context: Context, motor: int, *, ramp_s: float = DEFAULT_RAMP_s
-) -> None:
+def _beside_plc_0(link: Link, context: Context, motor: int, head: LawHead) -> list[SafetyRefusal]:
+    """Both forms must not run on one block: each writes what the other works with."""
+    standing = _plc_0(link)
+    ours = _holds_law(context, standing)
+    refusals = _of_another_axis(link, context.block, head, motor, stands=ours)
+    if ours and 0 in standing.running:
+        refusals += _armed(head, ()) or [
+            MotorNotSafe(
+                "PLC 0 evaluates the law; the open servo beside it would use the same variables.",
+                code="PC-LAW-047",
+                hint=f"Set I{motor}59 = 0 with the motor killed, take that law off (`pmac-comp "
+                f"remove`), then set I{motor}59 = 1 and upload again.",
+            )
+        ]
+    return refusals
+
+
+def beside_open_servo(link: Link, context: Context, old: Settings) -> list[SafetyRefusal]:
+    """Refusal to bring PLC 0 with the law back where an open servo was switched on since."""
+    law_came = _holds_law(context, replace(old, programs={LAW: old.programs.get(LAW, ())}))
+    motor = read_law_head(link, context.block).motor if law_came else 0
+    if not 1 <= motor <= MOTORS or not int(read_one(link, f"I{motor}59")) & 1:
+        return []
+    if 0 not in old.running or plc_runs(link, 0):
+        return []
+    return [
+        MotorNotSafe(
+            f"I{motor}59 = 1: PLC 0 would come back beside the open servo, and both write the same "
+            "variables.",
+            code="PC-LAW-048",
+            hint=f"Set I{motor}59 = 0 with the motor killed and run the command again.",
+        )
+    ]
+
+
+def _servo_missing(link: Link, context: Context, motor: int, head: LawHead) -> Settings:
+    """What is to be set up for an open servo: its head; a law that PLC 0 holds idle goes."""
+    idle = {LAW: ()} if law_stands(link, context) else {}
+    if head.motor == motor and head.slew != 0.0 and head.form is not LawForm.PLC:
+        return Settings(_stale_scales(link, context, motor, Index.STEP_SERVO), programs=idle)
+    values = _head_values(link, context, head, motor, DEFAULT_RAMP_s, Index.STEP_SERVO)
+    return Settings(values, programs=idle)
+
+
+def require_open_servo(link: Link, context: Context, motor: int) -> None:
     """Refuse the route ``servo`` unless the expected open servo proves to run for a motor.
 
-    PLC 0 is taken off first (two algorithms must not correct at once), and the head of the block
-    is set up if it is not yet this motor's.
+    The head of the block is set up if it is not yet this motor's.
 
     Raises
     ------
     SafetyRefusal
-        No open servo: says what to do. Or a law is armed in PLC 0, or the block must be set up
-        while the motor moves.
+        No open servo: says what to do. Or PLC 0 evaluates the law, or the block must be set up
+        while a law is armed or the motor moves.
     """
     raise_all(servo_refusals(link, context, motor), "The route servo")
     with untouched():
-        head = read_law_head(link, context.block)
-    if head.motor != motor or head.slew == 0.0 or head.form is LawForm.PLC:
-        values = _head_values(link, context, head, motor, ramp_s, Index.STEP_SERVO)
-        law = Settings(values, programs={LAW: ()})
-        with SettingsUpload(
-            link, context, law, route="servo", refusals=_armed(head), motors=[motor]
-        ) as upload:
+        goal = _servo_missing(link, context, motor, read_law_head(link, context.block))
+    if not goal.is_empty:
+        with SettingsUpload(link, context, goal, route="servo", motors=[motor]) as upload:
             upload.write()
             upload.finish()
     with untouched():
@@ -428,13 +519,17 @@ def require_open_servo(
             raise _no_servo(context, motor, int(read_one(link, f"I{motor}59")))
 
 
-def _armed(head: LawHead) -> list[SafetyRefusal]:
-    if head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE:
+def _armed(head: LawHead, told: Sequence[SafetyRefusal]) -> list[SafetyRefusal]:
+    """Refusal to set the block up under an armed law, unless it is told already."""
+    idle = head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE
+    if idle or any(refusal.code == _ARMED for refusal in told):
         return []
+    where = "PLC 0" if head.form is LawForm.PLC else "the open servo"
     return [
         MotorNotSafe(
-            "A law is armed in PLC 0; the open servo would correct a second time.",
-            code="PC-LAW-021",
+            f"A law is armed in {where}: its block cannot be set up under it, nor may a second "
+            "algorithm correct beside it.",
+            code=_ARMED,
             hint="Take that law off first: `pmac-comp remove`, or `pmac-comp rollback` where the "
             "last upload put it on.",
         )

@@ -17,6 +17,7 @@ from pmac_comp.machine.controller.law_bank import (
     MASTER_WORD_ADDRESS,
     LawParameters,
 )
+from pmac_comp.machine.controller.law_install import beside_open_servo
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import host_lock
@@ -208,6 +209,7 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
         finish_settings(link, new)
     else:
         old = read_settings_backup(_backup(context, part))
+        raise_all(beside_open_servo(link, context, old), "Writing back what stood before")
         state = put_back(link, old, skip_refused=tolerant)
         _clear_master_word(link, old)
         reason = "the old settings are back"

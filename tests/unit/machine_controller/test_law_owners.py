@@ -1,15 +1,19 @@
 """What belongs to somebody else where the law would go stays: a machine's logic must not vanish."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller import law_install, law_state
-from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.settings import Settings
-from tests.unit.machine_controller.card_bench import CardBench
+from pmac_comp.simulator.card import Card
+from tests.unit.machine_controller.card_bench import LIMITS, CardBench
 
 OTHER_PLC_0 = ["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE"]
 OTHER_PLC_1 = ["CLOSE", "OPEN PLC 1 CLEAR", "P2=P2+1", "CLOSE"]
@@ -67,3 +71,66 @@ def test_a_motor_that_the_card_commutates_has_no_torque_in_its_offset() -> None:
     assert "--route servo" in refusal.hint
     own = Settings({"I101": "0", "I129": "0"}, programs={law_install.LAW: ()})
     assert law_install._output_refusals(1, own, law) == []
+
+
+def servo_bench(folder: Path) -> CardBench:
+    """A bench whose motor 1 is in closed loop by the open servo."""
+    source = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(folder, card=Card(load_bench("paper"), servo_source=source))
+    bench.link.write_buffer(["I159=1", "#1J/"])
+    bench.clock.sleep_s(0.1)
+    return bench
+
+
+def test_the_open_servo_leaves_a_plc_0_of_somebody_else(tmp_path: Path) -> None:
+    bench = servo_bench(tmp_path)
+    bench.link.write_buffer([*OTHER_PLC_0, "ENABLE PLC 0"])
+    law_install.require_open_servo(bench.link, bench.context, 1)
+    assert bench.link.query("LIST PLC 0") == ["P1=P1+1", "RET"]
+
+
+def test_both_forms_on_one_block_are_refused(tmp_path: Path) -> None:
+    """Each writes what the other works with: what one leaves, the other sends as torque."""
+    bench = servo_bench(tmp_path)
+    bench.link.write_buffer(["#1K", "I159=0"])
+    law_install.install_law(bench.link, bench.context, 1)
+    bench.link.write_buffer(["I159=1", "#1J/"])
+    bench.clock.sleep_s(0.1)
+    with pytest.raises(MotorNotSafe, match="PLC 0 evaluates the law"):
+        law_install.require_open_servo(bench.link, bench.context, 1)
+    bench.link.write_buffer(["#1K", "I159=0"])
+    with recovery.grouped(bench.link, bench.context, "remove") as inner:
+        law_install.remove_law(bench.link, inner)
+    bench.link.write_buffer(["I159=1", "#1J/"])
+    bench.clock.sleep_s(0.1)
+    with pytest.raises(MotorNotSafe, match="come back beside the open servo"):
+        recovery.rollback_last(bench.link, bench.context)
+    law_install.require_open_servo(bench.link, bench.context, 1)
+
+
+def test_a_law_of_another_motor_is_not_replaced(tmp_path: Path) -> None:
+    """Both motors would follow one master word: what one needs would move the other."""
+    bench = CardBench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    (refusal,) = law_install.law_refusals(bench.link, bench.context, 2)
+    assert "holds the law of motor #1" in refusal.message
+    with pytest.raises(SafetyRefusal, match="holds the law of motor #1"):
+        law_install.install_law(bench.link, bench.context, 2)
+    assert bench.link.query("P7007I206") == ["1", "0"]
+
+
+@pytest.mark.parametrize(("servo", "step"), [(False, 7152), (True, 7114)], ids=["PLC 0", "servo"])
+def test_the_largest_step_of_a_bench_file_that_changed_is_written_anew(
+    tmp_path: Path, *, servo: bool, step: int
+) -> None:
+    """With one that is too small no motion is one, and the law corrects nothing."""
+    bench = servo_bench(tmp_path) if servo else CardBench(tmp_path)
+    put = law_install.require_open_servo if servo else law_install.install_law
+    slow = replace(LIMITS, fastest_ct_per_s=0.1 * LIMITS.fastest_ct_per_s)
+    put(bench.link, replace(bench.context, limits=slow), 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(V0=0.1))
+    before = bench.p(step)
+    put(bench.link, bench.context, 1)
+    assert bench.p(step) == pytest.approx(10.0 * before)
+    head = law_state.read_law_head(bench.link, LawBlock())
+    assert law_state.read_bank(bench.link, LawBlock(), head.bank) == LawParameters(V0=0.1)
