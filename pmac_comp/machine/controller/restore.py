@@ -142,7 +142,7 @@ def _refuse_other_card(identity: Identity, backup: Backup) -> None:
 
 def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
     """Everything that differs and may be set; I5 last, so that PLCs find the rest in place."""
-    ours = range(context.block.p(Index.MANIFEST), context.block.p(Index.WORK_PLC))
+    ours = range(context.block.p(Index.MANIFEST), context.block.p(Index.RESTS))
     variables = {
         f"I{n}": v
         for n, v in backup.ivariables.items()

@@ -11,6 +11,8 @@ from pmac_comp.machine.controller import (
     gather,
     law_arming,
     law_install,
+    law_state,
+    law_upload,
     motors,
     program_upload,
     programs,
@@ -24,6 +26,7 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, TorqueTable
 from pmac_comp.machine.controller.gather_plan import GatherMode, GatherPlan, bench_sources
+from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from tests.unit.machine_controller.card_bench import CardBench, CycleClock, make_plc_bench
 
@@ -169,6 +172,21 @@ def test_backup_compare_restore(tmp_path: Path) -> None:
     assert result.verdict is ControllerState.NEW
     assert remaining == ()
     assert bench.p(7150) == 1.25
+
+
+def test_restore_brings_a_law_back_whole(tmp_path: Path) -> None:
+    """Also what of its bank stands apart, behind manifest and lease."""
+    bench = CardBench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    law = LawParameters(V0=0.1, TC=100.0, TP=0.001, SX=0.5, SS=0.1)
+    law_upload.upload_law(bench.link, bench.context, law)
+    found = backup.read_backup(bench.link)
+    for other in (LawParameters(V0=0.2), LawParameters(V0=0.3)):
+        law_upload.upload_law(bench.link, bench.context, other)
+    restore.restore(bench.link, bench.context, found)
+    block = bench.context.block
+    bank = law_state.read_law_head(bench.link, block).bank
+    assert law_state.read_bank(bench.link, block, bank) == law
 
 
 def test_restore_refuses_an_enabled_motor(tmp_path: Path) -> None:
