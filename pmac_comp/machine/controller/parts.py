@@ -33,7 +33,9 @@ from pmac_comp.machine.controller.settings_upload import (
     running_refusals,
     settings_state,
 )
+from pmac_comp.machine.controller.table_files import table_from_json
 from pmac_comp.machine.controller.table_recovery import rollback_tables, tables_state
+from pmac_comp.machine.controller.table_set import TableSet
 from pmac_comp.machine.controller.transaction import (
     DONE,
     ROLLED_BACK,
@@ -237,11 +239,19 @@ def _clear_master_word(link: Link, old: Settings) -> None:
         link.command(f"WX${MASTER_WORD_ADDRESS:X},0")
 
 
+def uploaded_tables(part: Part) -> TableSet | None:
+    """Tables that an upload left behind, all of them whole; None if it did not get that far."""
+    if part.closing != DONE:
+        return None
+    new = part.intent.data["new"]
+    return TableSet(tuple(table_from_json(t) for t in new))  # type: ignore[attr-defined]
+
+
 def take_back(link: Link, context: Context, part: Part) -> str:
     """Bring back what stood before a part of any kind; what was done, in words."""
     backup = _backup(context, part)
     if part.kind is ChangeKind.TABLES:
-        rollback_tables(link, context, backup)
+        rollback_tables(link, context, backup, uploaded_tables(part))
         return "the old tables are back"
     if part.kind is ChangeKind.LAW:
         with host_lock(context):

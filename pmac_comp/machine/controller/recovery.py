@@ -52,12 +52,14 @@ from pmac_comp.machine.controller.transaction import (
     ROLLED_BACK,
     ChangeKind,
     UploadResult,
+    is_of_block,
     is_temporary,
     is_torn,
     journals,
     mark_left,
     open_group,
     own_numbers,
+    require_own_block,
     torn_refusals,
     untouched,
 )
@@ -254,6 +256,7 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
         raise _changed_elsewhere(since)
     if elsewhere := open_elsewhere(link, context):
         raise begun_elsewhere(elsewhere)
+    require_own_block(context, waiting(context))
     # What a measurement borrowed is given back if nobody else has written it since.
     notes = list(take_off(link, context, whatever_stands=not since))
     torn = _torn_groups(context)
@@ -338,7 +341,7 @@ def _recover_changes(link: Link, context: Context, *, resume: bool) -> UploadRes
     """Settle what is open of every kind; with nothing open say how the last change stands."""
     parts = [p for p in unsettled(context) if p.kind is not ChangeKind.TABLES]
     settled = [settle(link, context, part, resume=resume) for part in parts]
-    known = parts_of(context)
+    known = [part for part in parts_of(context) if is_of_block(context, part.journal)]
     last = next(iter(reversed(known)), None)
     together = [p for p in known if last is not None and p.journal.group == last.journal.group]
     alone = last is None or not last.journal.group or len(together) == 1
@@ -418,6 +421,7 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
             code="PC-REC-001",
             hint="Name the folder of the upload with --journal.",
         )
+    require_own_block(context, groups[-1:])
     return groups[-1], _standing_parts(context, groups[-1])
 
 

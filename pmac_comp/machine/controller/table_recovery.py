@@ -273,9 +273,24 @@ def _finish(
     )
 
 
-def rollback_tables(link: Link, context: Context, backup: Path) -> UploadResult:
-    """Write the tables of a backup back, with the switch as it was then."""
+def rollback_tables(
+    link: Link, context: Context, backup: Path, uploaded: TableSet | None = None
+) -> UploadResult:
+    """Write the tables of a backup back, with the switch as it was then.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and limits.
+    backup : Path
+        What stood before an upload.
+    uploaded : TableSet, optional
+        What stood after it, whole. Then tables that it did not touch stay as they are now: the
+        compensation of another axis may have changed since.
+    """
     tables, enabled = read_table_backup(backup)
+    if uploaded is not None:
+        tables, enabled = _with_others_as_now(link, context, tables, uploaded, enabled=enabled)
     with TableUpload(
         link,
         context,
@@ -296,3 +311,23 @@ def rollback_tables(link: Link, context: Context, backup: Path) -> UploadResult:
         result.journal,
         (f"tables of {backup.name} are back",),
     )
+
+
+def _with_others_as_now(
+    link: Link, context: Context, old: TableSet, uploaded: TableSet, *, enabled: bool
+) -> tuple[TableSet, bool]:
+    """The old set where an upload changed it, and what stands now of all other tables."""
+    last = last_upload(context)
+    status = table_status(link, context)
+    # Begun and cut, when not all of the others stand; or done, and cut before it was noted.
+    undone = last is not None and (last.journal.is_open or status.tables.crc == last.new.crc)
+    if last is not None and last.is_rollback and undone:
+        return last.new, last.enable_after
+    brought = [t for t in uploaded if old.get(t.kind, t.motor) != t]
+    if any(status.tables.get(t.kind, t.motor) != t for t in brought):
+        return old, enabled  # a reset took them, and may have taken others
+    replaced = [t for t in old if uploaded.get(t.kind, t.motor) != t]
+    touched = [(t.kind, t.motor) for t in (*brought, *replaced)]
+    others = status.tables.with_tables((), without=touched)
+    strangers = any(old.get(t.kind, t.motor) is None for t in others)
+    return others.with_tables(replaced), enabled or (strangers and bool(status.i51))

@@ -10,7 +10,7 @@ sense together are a group: ``recover`` takes a torn group back whole.
 import os
 import re
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -20,6 +20,7 @@ from typing import Final, Self
 
 from pmac_comp.base.errors import (
     ChangeInterrupted,
+    ConfigError,
     ControllerState,
     ForeignChange,
     LinkError,
@@ -45,6 +46,7 @@ DONE: Final = "done"
 ROLLED_BACK: Final = "rolled back"
 KEPT: Final = "kept"  # closed without writing: somebody else has changed the controller since
 TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
+FIRST_P: Final = "first P-variable"  # in a beginning: of the block that the change is made with
 FOUND: Final = "number found"  # in an intent: of the last change before it
 RENEW_SHARE: Final = 0.25
 
@@ -201,7 +203,11 @@ class Change:
         for refusal in self._earlier:
             raise refusal
         if self._is_new:
-            head = {"kind": self.kind.value, "group": self.context.group}
+            head = {
+                "kind": self.kind.value,
+                "group": self.context.group,
+                FIRST_P: self.context.block.first,
+            }
             self.journal.write("begin", {**head, **(data or {})}, when=Sync.LATER)
         self._lease, self._found = take_lease(
             self.link, self.context, self._number, lambda n: n in own_numbers(self.context)
@@ -331,7 +337,8 @@ def open_group(context: Context, name: str) -> tuple[Journal, Context]:
         require_settled(context)
         number = new_transaction_id()
         journal = Journal(_next_path(context, number))
-        journal.write("begin", {"kind": ChangeKind.GROUP.value, "group": number, "name": name})
+        data = {"kind": ChangeKind.GROUP.value, "group": number, "name": name}
+        journal.write("begin", {**data, FIRST_P: context.block.first})
     return journal, replace(context, group=number)
 
 
@@ -361,6 +368,35 @@ def is_torn(journal: Journal) -> bool:
     entries = journal.entries()
     begun = entries[0].data.get("kind") == ChangeKind.GROUP.value
     return begun or any(entry.step == "intent" for entry in entries)
+
+
+def is_of_block(context: Context, journal: Journal) -> bool:
+    """Whether a change was made with the block of this bench file, as far as its journal tells."""
+    begin = journal.first()
+    return begin is None or begin.data.get(FIRST_P, context.block.first) == context.block.first
+
+
+def require_own_block(context: Context, changes: Sequence[Journal]) -> None:
+    """Refuse to settle what was changed with another block: law and manifest would be sought here.
+
+    Raises
+    ------
+    ConfigError
+        One of the changes was made with the bench file of another axis.
+    """
+    other = next((j for j in changes if not is_of_block(context, j)), None)
+    begin = None if other is None else other.first()
+    if other is None or begin is None:
+        return
+    raise ConfigError(
+        f"The change was made with a bench file whose p_block begins at P{begin.data[FIRST_P]}; "
+        f"this one's begins at P{context.block.first}.",
+        code="PC-TXN-012",
+        hint="Name the bench file of that upload with --bench; each axis is best given a folder of "
+        "its own with --journal.",
+        context={"journal": str(other.path)},
+        left=ControllerState.OLD,
+    )
 
 
 def require_settled(context: Context) -> None:

@@ -1,0 +1,120 @@
+"""Two axes of one card, each with a bench file and a block of its own: none undoes the other's."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
+from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery
+from pmac_comp.machine.controller.comp_table import CompTable, TableKind
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.upload import remove_tables, upload_tables
+from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
+from tests.unit.machine_controller.card_bench import CardBench
+
+ENTRIES = (16, 32, 16, 0)
+
+
+def table_of(motor: int, factor: int = 1) -> CompTable:
+    return CompTable(motor, tuple(factor * k for k in ENTRIES), 640000, by_desired=True)
+
+
+def axis_of(bench: CardBench, folder: str, first_p: int) -> Context:
+    (bench.folder / folder).mkdir(exist_ok=True)
+    return replace(bench.context, block=LawBlock(first_p), store=bench.folder / folder)
+
+
+def put_table(bench: CardBench, context: Context, motor: int, factor: int = 1) -> None:
+    with recovery.grouped(bench.link, context, "table") as parts:
+        upload_tables(bench.link, parts, [table_of(motor, factor)])
+
+
+def standing(bench: CardBench) -> tuple[int, list[int] | None, list[int] | None]:
+    return bench.i51, bench.values("COMP", 1), bench.values("COMP", 2)
+
+
+@pytest.mark.parametrize("before", [0, 2], ids=["none before", "another before"])
+def test_rollback_leaves_the_tables_of_another_axis(tmp_path: Path, before: int) -> None:
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    if before:
+        put_table(bench, first, 1, before)
+    put_table(bench, first, 1)
+    put_table(bench, second, 2)
+    recovery.rollback_last(bench.link, first)
+    old = [before * k for k in ENTRIES] if before else None
+    assert standing(bench) == (1, old, list(ENTRIES))
+
+
+def test_a_removal_that_is_taken_back_leaves_them_too(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    put_table(bench, first, 1)
+    with recovery.grouped(bench.link, first, "remove") as parts:
+        remove_tables(bench.link, parts, [(TableKind.COMP, 1)])
+    put_table(bench, second, 2)
+    recovery.rollback_last(bench.link, first)
+    assert standing(bench) == (1, list(ENTRIES), list(ENTRIES))
+
+
+def afresh(bench: CardBench, *faults: Fault) -> None:
+    """A new conversation, whose bytes are counted from here."""
+    bench.reconnect()
+    bench.link.flush()
+    bench.tap.sent = bench.tap.received = 0
+    bench.tap.schedule(list(faults))
+
+
+def test_a_rollback_that_is_cut_anywhere_leaves_them_too(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    second = axis_of(bench, "second", 7200)
+    cut, ended = 0, False
+    while not ended:
+        first = axis_of(bench, f"first{cut}", 7000)
+        put_table(bench, first, 1)
+        put_table(bench, second, 2, 1 + cut % 3)
+        afresh(bench, Fault(FaultKind.CUT, Way.SEND, cut))
+        try:
+            recovery.rollback_last(bench.link, first)
+            ended = True
+        except LinkLost:
+            afresh(bench)
+            try:
+                recovery.recover(bench.link, first)
+            except ForeignChange:  # before it began; nothing of this folder is open
+                recovery.rollback_last(bench.link, first)
+        assert standing(bench)[1:] == (None, [(1 + cut % 3) * k for k in ENTRIES]), cut
+        cut += 40
+    assert cut > 600
+
+
+def test_an_upload_is_not_taken_back_with_the_bench_file_of_another_axis(tmp_path: Path) -> None:
+    """Its law would be sought, and the old one written, in the other axis' block."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "both", 7000), axis_of(bench, "both", 7200)
+    law_install.install_law(bench.link, first, 1)
+    for factor in (1.0, 2.0):
+        with recovery.grouped(bench.link, first, "law") as parts:
+            law_upload.upload_law(bench.link, parts, LawParameters(V0=factor))
+    with pytest.raises(ConfigError, match="p_block begins at P7000") as refused:
+        recovery.rollback_last(bench.link, second)
+    assert refused.value.left is ControllerState.OLD
+    assert all(bench.p(n) == 0.0 for n in range(7200, 7270))
+    recovery.rollback_last(bench.link, first)
+    bank = law_state.read_law_head(bench.link, first.block).bank
+    assert law_state.read_bank(bench.link, first.block, bank) == LawParameters(V0=1.0)
+
+
+def test_a_torn_upload_is_settled_with_its_own_bench_file(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "both", 7000), axis_of(bench, "both", 7200)
+    afresh(bench, Fault(FaultKind.CUT, Way.SEND, 700))
+    with pytest.raises(LinkLost):
+        put_table(bench, first, 1)
+    afresh(bench)
+    with pytest.raises(ConfigError, match="p_block begins at P7000"):
+        recovery.recover(bench.link, second)
+    assert recovery.recover(bench.link, first).verdict is ControllerState.OLD
+    assert standing(bench) == (0, None, None)
