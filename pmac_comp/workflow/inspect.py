@@ -101,6 +101,10 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
 
 
 def _law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:
+    if form is LawForm.NONE and head.form is not LawForm.NONE and head.correction_ct:
+        return (
+            "its program was stopped; its last correction stands: `pmac-comp remove` takes it off"
+        )
     if form is LawForm.NONE:
         return "none runs"
     if head.is_armed:

@@ -17,6 +17,7 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_state import read_law_head
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import require_new
@@ -31,6 +32,7 @@ from pmac_comp.workflow.compensation_file import (
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.identification import load_model
 from pmac_comp.workflow.late_scale import scale_age_s, scale_remarks
+from pmac_comp.workflow.law_cost import require_time_left
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import (
     MotionOutcome,
@@ -247,7 +249,7 @@ def verify_on_controller(
             _told_what_is_left(kept, axis.motor),
             left_as_found(axis, context, compensation),
         ):
-            measured = measured_sign(axis, context, compensation)
+            measured = measured_before_arming(axis, context, compensation)
             verification = verify_axis(
                 axis,
                 context,
@@ -312,13 +314,15 @@ def _told_what_is_left(kept: KeptRuns, motor: int) -> Iterator[None]:
         raise
 
 
-def measured_sign(axis: Axis, context: Context, compensation: Compensation) -> list[str]:
-    """Sign of a law that was loaded with the loop open, before it is armed for the first time."""
+def measured_before_arming(axis: Axis, context: Context, compensation: Compensation) -> list[str]:
+    """Sign and load of a law that was loaded with the loop open, before it is armed."""
     if compensation.route != "law":
         return []
     if motors.read_motor(axis.link, axis.motor).status.is_killed:
         axis.enable()
-    return check_law_sign(axis, context)
+    if read_law_head(axis.link, context.block).is_armed:
+        return []
+    return [*check_law_sign(axis, context), require_time_left(axis.link, axis.bench)]
 
 
 def verify_axis(

@@ -18,6 +18,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
+from pmac_comp.machine.controller.law_state import read_law_head
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -34,7 +35,7 @@ from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
-from pmac_comp.workflow.verify import measured_sign
+from pmac_comp.workflow.verify import measured_before_arming
 from tests.compensations import TRAVEL_m, friction_law, lead_map
 
 BENCH = load_bench("paper")
@@ -140,15 +141,23 @@ def test_ctrl_c_on_the_way_to_a_sign_test_stops_the_axis_and_takes_all_back(
     assert read_many(axis.link, ["I51"]) == before
 
 
-def test_a_law_loaded_with_the_loop_open_waits_for_its_sign(axis: Axis, tmp_path: Path) -> None:
+def test_a_law_loaded_with_the_loop_open_waits_for_its_sign_and_load(
+    axis: Axis, tmp_path: Path
+) -> None:
     context = context_of(axis, tmp_path)
     law = friction_law()
     axis.kill()
     notes = deploy(axis, Compensation("law", law), context).notes
     assert not any("sign measured" in note for note in notes)
     assert any("loaded and not armed" in note for note in notes)
-    (said,) = measured_sign(axis, context, Compensation("law", law))
-    assert "sign measured" in said
+    sign, load = measured_before_arming(axis, context, Compensation("law", law))
+    assert "sign measured" in sign
+    assert "with the law the processor is busy" in load
+    for motor in range(3, 8):
+        axis.link.command(f"I{motor}00=1")
+    with pytest.raises(SafetyRefusal, match="too little is left"):
+        measured_before_arming(axis, context, Compensation("law", law))
+    assert not read_law_head(axis.link, context.block).is_armed
 
 
 def test_a_law_that_acts_forbids_what_would_correct_friction_twice(

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.recovery import rollback_last
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
@@ -71,6 +72,9 @@ def test_what_a_stopped_plc_0_left_standing_goes(axis: Axis, tmp_path: Path) -> 
     axis.link.command("DISABLE PLC 0")
     axis.link.clock.sleep_s(0.5)
     assert "0" not in axis.link.query("I129RX$10F8")
+    head = law_state.read_law_head(axis.link, context.block)
+    form = law_state.running_form(axis.link, head)
+    assert "its last correction stands" in inspect._law_text(axis.link, context.block, form, head)
     remove_from(axis, context, standing_on(axis))
     assert axis.link.query("I106I129RX$10F8") == ["0", "0", "0"]
     assert standing_on(axis).is_empty
