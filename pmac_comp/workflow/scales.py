@@ -78,5 +78,5 @@ class Scales:
             min_position_ct=self.counts(bench.travel.min_mm / MM_PER_M),
             max_position_ct=self.counts(bench.travel.max_mm / MM_PER_M),
             um_per_ct=um_per_ct,
-            fastest_ct_per_s=self.counts(safety.max_speed_mm_per_s / MM_PER_M),
+            hardest_ct_per_s2=self.counts(safety.max_acceleration_m_per_s2),
         )

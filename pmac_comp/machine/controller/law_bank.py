@@ -22,7 +22,7 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..149 (jerk, look-ahead, copy of the bank's rest), the open servo 115..129 (115
+              134..154 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 (115
               and 116 jerk, 127..129 bed)
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law
@@ -111,8 +111,8 @@ class Index(IntEnum):
     CHANGE = 83  # number of the last change: positive under way, negative ended, 0 none
     RESTS = 84
     WORK_PLC = 100
-    STEP_SERVO = 114  # largest step of the command that is a motion, counts/SC; where the
-    STEP_PLC = 152  # other form works, as no place is left that neither uses
+    STEP_SERVO = 114  # largest acceleration of the command that is a motion, counts/SC^2; where
+    STEP_PLC = 152  # the other form works, as no place is left that neither uses
     MOTIONS = 190  # homing and other motion programs
     BED_SERVO = 127
     WORK_SERVO = 130

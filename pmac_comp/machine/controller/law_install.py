@@ -61,10 +61,10 @@ from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value, verify_many
 
 DEFAULT_RAMP_s: Final = 0.5
-FASTER: Final = 2.0  # than the axis ever is: such a step of the command is no motion
+HARDER: Final = 1.5  # than the axis ever accelerates: such a step of the command is no motion
 LAW: Final = (ProgramKind.PLC, 0)
 _ARMED: Final = "PC-LAW-021"
-_RESCALED: Final = "scales and largest step of the law were set anew"
+_RESCALED: Final = "scales and largest acceleration of the law were set anew"
 
 
 def law_program(context_block: LawBlock, motor: int) -> Program:
@@ -391,11 +391,11 @@ def _require_life(link: Link, context: Context) -> None:
 
 
 def _scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, float]:
-    """What the law makes of registers, and how far a step of the command is a motion."""
-    block = context.block
+    """What the law makes of registers, and up to which acceleration the command is a motion."""
+    block, period_s = context.block, context.servo_period_s
     i08 = read_one(link, f"I{motor}08")
     return {
-        f"P{block.p(step)}": FASTER * context.limits.fastest_ct_per_s * context.servo_period_s,
+        f"P{block.p(step)}": HARDER * context.limits.hardest_ct_per_s2 * period_s**2,
         f"P{block.p(Index.OUT_SCALE)}": 32.0 * i08 / MASTER_SCALE_IXX07,
         f"P{block.p(Index.IN_SCALE)}": 1.0 / (32.0 * i08),
     }
@@ -404,7 +404,7 @@ def _scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, 
 def _stale_scales(link: Link, context: Context, motor: int, step: Index) -> dict[str, str]:
     """Those that stand otherwise: another bench file, an earlier version, the other form's work.
 
-    With a largest step that is too small, a law takes no motion for one and corrects nothing.
+    With a largest acceleration that is too small, a law takes motions up late.
     """
     wanted = _scales(link, context, motor, step)
     found = read_many(link, list(wanted))

@@ -31,8 +31,8 @@ class Limits:
         Travel in counts of the source motor.
     um_per_ct : float
         For the texts.
-    fastest_ct_per_s : float
-        Largest speed of the axis.
+    hardest_ct_per_s2 : float
+        Largest acceleration of the axis.
     """
 
     max_correction_ct: float
@@ -41,7 +41,7 @@ class Limits:
     min_position_ct: float
     max_position_ct: float
     um_per_ct: float
-    fastest_ct_per_s: float
+    hardest_ct_per_s2: float
 
     def text_um(self, value_ct: float) -> str:
         """A value in um for a person."""

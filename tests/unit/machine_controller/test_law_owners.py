@@ -120,13 +120,13 @@ def test_a_law_of_another_motor_is_not_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("servo", "step"), [(False, 7152), (True, 7114)], ids=["PLC 0", "servo"])
-def test_the_largest_step_of_a_bench_file_that_changed_is_written_anew(
+def test_the_largest_acceleration_of_a_bench_file_that_changed_is_written_anew(
     tmp_path: Path, *, servo: bool, step: int
 ) -> None:
-    """With one that is too small no motion is one, and the law corrects nothing."""
+    """With one that is too small the law takes motions up late."""
     bench = servo_bench(tmp_path) if servo else CardBench(tmp_path)
     put = law_install.require_open_servo if servo else law_install.install_law
-    slow = replace(LIMITS, fastest_ct_per_s=0.1 * LIMITS.fastest_ct_per_s)
+    slow = replace(LIMITS, hardest_ct_per_s2=0.1 * LIMITS.hardest_ct_per_s2)
     put(bench.link, replace(bench.context, limits=slow), 1)
     law_upload.upload_law(bench.link, bench.context, LawParameters(V0=0.1))
     before = bench.p(step)

@@ -10,7 +10,7 @@ LIMITS = Limits(
     min_position_ct=0.0,
     max_position_ct=2000.0,
     um_per_ct=1.0,
-    fastest_ct_per_s=5e5,
+    hardest_ct_per_s2=1.2e7,
 )
 
 

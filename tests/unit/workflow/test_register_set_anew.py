@@ -9,8 +9,9 @@ import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_state
+from pmac_comp.machine.controller import law_install, law_state
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import Index, WorkIndex
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -53,12 +54,15 @@ def armed(route: str, folder: Path) -> Iterator[tuple[Axis, Card, Context]]:
         yield axis, card, context
 
 
+@pytest.mark.parametrize("place_ct", [5.0, 300.0, PLACE_ct], ids="{:.0f} counts".format)
 @pytest.mark.parametrize("route", ["law", "servo"])
-def test_a_register_set_anew_is_no_motion(tmp_path: Path, route: str) -> None:
+def test_a_register_set_anew_is_no_motion(tmp_path: Path, route: str, place_ct: float) -> None:
+    """At 80 000 counts 180 m/s in one servo cycle; homed again it is a few counts."""
     with armed(route, tmp_path) as (axis, card, context):
+        axis.move_to(place_ct)
+        card.run_cycles(1000)
         before = law_state.read_law_head(axis.link, context.block)
         rest_Nm = outputs_Nm(axis, card, "", 20)
-        # Over 80 000 counts in one servo cycle: 180 m/s, if it were a motion.
         after_Nm = outputs_Nm(axis, card, "#1HMZ", 200)
         head = law_state.read_law_head(axis.link, context.block)
         assert abs(head.position_ct) < 5.0
@@ -86,3 +90,20 @@ def test_a_home_search_runs_through_its_trigger(tmp_path: Path, route: str) -> N
         assert np.max(np.abs(search_Nm)) < 2.0
         assert head.gain == 1.0
         assert head.n_clamped == before.n_clamped
+
+
+@pytest.mark.parametrize("route", ["law", "servo"])
+def test_a_motion_harder_than_the_bench_file_says_is_a_motion(tmp_path: Path, route: str) -> None:
+    """Only a single step of the command is none: the law follows from the second cycle on."""
+    with armed(route, tmp_path) as (axis, card, context):
+        limit = law_install.HARDER * context.limits.hardest_ct_per_s2 * BENCH.servo_period_s**2
+        work = Index.WORK_PLC if route == "law" else Index.WORK_SERVO
+        speed = context.block.p(work + WorkIndex.VELOCITY)
+        axis.link.write_buffer(["I119=100", "I120=0", "I121=0", "I122=100"])  # a step of the speed
+        axis.link.command("#1J+")
+        found = []
+        for _ in range(60):
+            card.run_cycles(1)
+            found.append(float(card.variables.read("P", speed)))
+        assert np.max(np.abs(np.diff(found))) > 2.0 * limit
+        assert found[-1] == pytest.approx(100e3 * BENCH.servo_period_s, rel=1e-3)
