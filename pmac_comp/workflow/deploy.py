@@ -154,7 +154,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         clamp = _clamp_ct(axis, context, compensation)
         parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
         if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
-            notes.append(require_time_left(axis.link, axis.bench))
+            notes.append(require_time_left(axis.link, axis.bench, compensation.route))
             context.progress("arming the law", *UNKNOWN)
             law_arming.arm(axis.link, context)
             notes.append("the law is armed; its gain ramped up")

@@ -8,7 +8,7 @@ words for people. What may not: the count of operations and the card's task time
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -142,7 +142,7 @@ def load_text(load: ProcessorLoad | None) -> str:
     )
 
 
-def require_time_left(link: Link, bench: Bench) -> str:
+def require_time_left(link: Link, bench: Bench, route: str) -> str:
     """What is left to the background with the law running, measured before it is armed.
 
     Raises
@@ -156,10 +156,17 @@ def require_time_left(link: Link, bench: Bench) -> str:
             f"With the law {load_text(load)}: too little is left for the tasks that check limits "
             "and serve the watchdog.",
             code="PC-LAW-044",
-            hint="Compute the law for fewer passes (`--every 2` or `--every 4` of `pmac-comp "
-            "compensate`), or for the open servo (--route servo).",
+            hint=_LESS_BUSY[route],
         )
     return f"with the law {load_text(load)}"
+
+
+_LESS_BUSY: Final = {
+    "law": "Compute the law for fewer passes (`--every 2` or `--every 4` of `pmac-comp "
+    "compensate`), or for the open servo (--route servo).",
+    "servo": "An open servo runs in every servo cycle: take other load off the card, or use "
+    "--route table, cam or program, which cost it nothing.",
+}
 
 
 def cheaper_laws(

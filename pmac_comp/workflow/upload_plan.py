@@ -13,6 +13,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import guard_install, motors
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_state import LawHead, read_law_head
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
@@ -118,9 +119,11 @@ def preview(
         lines += draw_motion(compensation, axis.bench).program.lines
     if compensation.route in TORQUE_ROUTES:
         parameters = law_parameters(compensation.law, axis.scales)
-        text += _law_lines(axis, compensation)
+        head = read_law_head(axis.link, context.block)
+        text += _law_lines(axis, compensation, head)
         lines += program_lines(axis, context, compensation.route)
-        bank = [context.block.bank(1, k) for k in range(len(parameters.values()))]
+        idle = int(head.bank == 0)
+        bank = [context.block.bank(idle, k) for k in range(len(parameters.values()))]
         lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
     cost = cost_remarks(axis.bench, compensation.route, compensation.law)
     text += [f"  {line}" for line in cost]
@@ -211,7 +214,7 @@ def _elsewhere(compensation: Compensation) -> str:
     return "other motions have the tables only"
 
 
-def _law_lines(axis: Axis, compensation: Compensation) -> list[str]:
+def _law_lines(axis: Axis, compensation: Compensation, head: LawHead) -> list[str]:
     law = compensation.law
     out = [
         f"  the law goes into the idle bank, is read back and taken over by one write: nothing is "
@@ -219,6 +222,8 @@ def _law_lines(axis: Axis, compensation: Compensation) -> list[str]:
     ]
     if not motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
         return [*out, "  the motor's loop is open: the law is loaded and not armed"]
+    if head.is_armed:
+        return [*out, "  a law is armed already: the new one takes its place at the same gain"]
     if compensation.route == "law":
         out.append(
             f"  before it is armed a guarded test moves the motor by {SIGN_OFFSETS_um[0]:g} to "

@@ -322,7 +322,7 @@ def measured_before_arming(axis: Axis, context: Context, compensation: Compensat
         axis.enable()
     if read_law_head(axis.link, context.block).is_armed:
         return []
-    return [*check_law_sign(axis, context), require_time_left(axis.link, axis.bench)]
+    return [*check_law_sign(axis, context), require_time_left(axis.link, axis.bench, "law")]
 
 
 def verify_axis(

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow import law_cost
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.dynamic_law import law_remarks
 from pmac_comp.workflow.law_cost import cheaper_laws, cost_refusals, cost_remarks, share_frac
 
@@ -86,6 +89,17 @@ def test_the_card_s_own_task_times_decide_where_they_are_known() -> None:
     # Servo tasks alone that leave no room: the slowest rhythm is named.
     (refusal,) = cost_refusals(BENCH, plain, load_of(servo=0.95))
     assert "--every 4" in refusal.hint
+
+
+def test_an_open_servo_that_leaves_no_time_is_not_sent_to_itself(
+    axis: Axis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(law_cost, "read_load", lambda *_: load_of(servo=0.95))
+    for route, hint in (("law", "--every 2"), ("servo", "take other load off")):
+        with pytest.raises(SafetyRefusal, match="too little is left") as refused:
+            law_cost.require_time_left(axis.link, BENCH, route)
+        assert hint in refused.value.hint
+        assert ("--route servo" in refused.value.hint) == (route == "law")
 
 
 def test_what_a_law_lacks_is_said() -> None:

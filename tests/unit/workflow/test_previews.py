@@ -20,7 +20,8 @@ from pmac_comp.workflow.previews import (
     what_is_open,
     what_was_uploaded,
 )
-from tests.compensations import lead_map
+from pmac_comp.workflow.upload_plan import preview
+from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
 TABLE = Compensation("table", CompensationLaw(), lead_map())
@@ -52,6 +53,19 @@ def test_recovery_names_an_upload_that_was_interrupted(axis: Axis, tmp_path: Pat
     with pytest.raises(RuntimeError), recovery.grouped(axis.link, context, "law"):
         raise RuntimeError
     assert what_is_open(axis, tmp_path)["would_settle"] == ["an upload (law) was interrupted"]
+
+
+def test_an_armed_law_is_told_to_be_replaced_where_it_is(axis: Axis, tmp_path: Path) -> None:
+    """Its sign was measured and its gain stands: the axis does not move, and bank 0 is idle now."""
+    law, context = Compensation("law", friction_law()), context_of(axis, tmp_path)
+    first = preview(axis, context, law, "tcp://127.0.0.1:1")
+    assert any("to measure the sign" in line for line in first.text)
+    assert any(line.startswith("P7040=") for line in first.lines)
+    deploy(axis, law, context)
+    again = preview(axis, context, law, "tcp://127.0.0.1:1")
+    assert any("takes its place at the same gain" in line for line in again.text)
+    assert not any("to measure the sign" in line for line in again.text)
+    assert any(line.startswith("P7010=") for line in again.lines)
 
 
 @pytest.mark.parametrize(("static_runs", "more"), [(0, 1), (5, 2)])
