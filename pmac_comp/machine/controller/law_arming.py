@@ -1,5 +1,7 @@
 """Arming and disarming the law: the gain ramps, nothing jumps."""
 
+from typing import Final
+
 from pmac_comp.base.errors import ControllerState, MotorNotSafe, ReplyTimeout, TableStateError
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
@@ -17,7 +19,10 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motor, require_stationary
 from pmac_comp.machine.controller.numbers import parse_integer, plain
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.variables import read_one, write_many
+from pmac_comp.machine.controller.variables import read_one, verify_many
+
+_FADE_STEPS: Final = 50
+_FADE_PAUSE_s: Final = 0.01
 
 
 def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 10.0) -> LawHead:
@@ -95,11 +100,12 @@ def _fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
     if head.motor and int(read_one(link, f"I{head.motor}59")) & 1:
         return read_law_head(link, context.block)
     word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
-    step = max(1, abs(word) // 50)
-    while word:
-        word = int(word - max(-step, min(step, word)))
-        link.command(f"WX${MASTER_WORD_ADDRESS:X},{word}")
-        link.clock.sleep_s(0.01)
+    torque = read_one(link, f"I{head.motor}29") if head.motor else 0.0
+    for k in range(_FADE_STEPS - 1, -1, -1) if word or torque else ():
+        if head.motor:
+            link.command(f"I{head.motor}29={int(torque * k / _FADE_STEPS)}")
+        link.command(f"WX${MASTER_WORD_ADDRESS:X},{int(word * k / _FADE_STEPS)}")
+        link.clock.sleep_s(_FADE_PAUSE_s)
     if head.motor:
-        write_many(link, {f"I{head.motor}29": 0.0})
+        verify_many(link, {f"I{head.motor}29": 0.0})
     return read_law_head(link, context.block)

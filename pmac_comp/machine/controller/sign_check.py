@@ -120,19 +120,21 @@ def _measure(
             hint=f"Enable it (`pmac-comp terminal URL -c '#{motor}J/'`) and run the command again.",
         )
     require_stationary(link, [motor])
-    before = _positions(link, motor)
+    before, reached = _positions(link, motor), 0
     try:
         for k in range(1, STEPS + 1):
+            reached = k
             put(offset_ct * k / STEPS)
             link.clock.sleep_s(STEP_PAUSE_s)
         link.clock.sleep_s(SETTLE_s)
         after = _positions(link, motor)
     except PmacCompError as error:
-        note_failure(error, lambda: put(0.0))
+        note_failure(error, lambda: _take_out(link, put, offset_ct, reached))
         raise
-    for k in range(STEPS - 1, -1, -1):
-        put(offset_ct * k / STEPS)
-        link.clock.sleep_s(STEP_PAUSE_s)
+    except KeyboardInterrupt:
+        _take_out(link, put, offset_ct, reached)
+        raise
+    _take_out(link, put, offset_ct, reached)
     moved, shown = (b - a for a, b in zip(before, after, strict=True))
     if abs(moved) < LEAST_RESPONSE * abs(offset_ct):
         raise MotorNotSafe(
@@ -142,6 +144,13 @@ def _measure(
             hint="Friction may hold the motor: give the integrator time, or use a larger offset.",
         )
     return SignResult(door, offset_ct, moved, shown)
+
+
+def _take_out(link: Link, put: Callable[[float], None], offset_ct: float, reached: int) -> None:
+    """As slowly as it was put in: at once it would kick the axis."""
+    for k in range(reached - 1, -1, -1):
+        put(offset_ct * k / STEPS)
+        link.clock.sleep_s(STEP_PAUSE_s)
 
 
 def _positions(link: Link, motor: int) -> tuple[float, float]:

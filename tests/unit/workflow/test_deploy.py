@@ -1,12 +1,19 @@
 """The bridge on the embedded card: what was meant is what the servo receives, and can be undone."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError, ControllerState, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.errors import (
+    ChangeInterrupted,
+    ConfigError,
+    ControllerState,
+    SafetyRefusal,
+    VerifyMismatch,
+)
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import law_install, law_state, recovery, sign_check
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
@@ -14,6 +21,7 @@ from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -255,3 +263,56 @@ def test_a_law_that_is_loaded_in_place_of_an_armed_one_waits(axis: Axis, tmp_pat
     axis.enable()
     axis.link.clock.sleep_s(1.0)
     assert axis.link.query("P7002P7003RX$10F8") == ["0", "0", "0"]
+
+
+def seen(axis: Axis, card: Card, words: list[tuple[int, float]]) -> Callable[[float], None]:
+    """A sleep of the axis' clock that notes master word and torque before it."""
+    sleep = axis.link.clock.sleep_s
+
+    def noted(duration_s: float) -> None:
+        word = int(card.memory.x[0x10F8])
+        words.append(((word + 0x800000) % 0x1000000 - 0x800000, float(card.variables.read_i(129))))
+        sleep(duration_s)
+
+    return noted
+
+
+def test_a_sign_test_that_is_stopped_takes_its_offset_out_slowly(
+    axis: Axis, card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(axis, tmp_path)
+    looks = iter(range(10))
+
+    def stopped_at_the_second_look(*_: object) -> tuple[float, float]:
+        if next(looks):
+            raise KeyboardInterrupt
+        return 0.0, 0.0
+
+    words: list[tuple[int, float]] = []
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(sign_check, "_positions", stopped_at_the_second_look)
+        meanwhile.setattr(axis.link.clock, "sleep_s", seen(axis, card, words))
+        with pytest.raises(ChangeInterrupted) as stopped:
+            deploy(axis, Compensation("law", LAW), context)
+    assert stopped.value.left is ControllerState.OLD
+    steps = np.abs(np.diff([word for word, _ in words]))
+    assert max(word for word, _ in words) >= 20 * 1024  # 20 um, 1024 units a count
+    assert np.max(steps) <= 1.1 * 20 * 1024 / sign_check.STEPS
+    assert axis.link.query("I106 RX$10F8") == ["0", "0"]
+
+
+def test_what_a_stopped_plc_0_left_fades(
+    axis: Axis, card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = context_of(axis, tmp_path)
+    deploy(axis, Compensation("law", replace(LAW, torque_constant_Nm=0.3)), context)
+    axis.move_to(20_000.0)
+    axis.link.command("DISABLE PLC 0")
+    axis.link.clock.sleep_s(0.5)
+    words: list[tuple[int, float]] = []
+    monkeypatch.setattr(axis.link.clock, "sleep_s", seen(axis, card, words))
+    recovery.rollback_last(axis.link, context)
+    torque = [value for _, value in words]
+    assert abs(torque[0]) > 100.0
+    assert np.max(np.abs(np.diff(torque))) <= 0.03 * abs(torque[0])
+    assert axis.link.query("I129 RX$10F8 I106") == ["0", "0", "0"]
