@@ -15,9 +15,9 @@ from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.manifest import Action, CLOCK_PER_s, Lease
 from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.machine.controller.table_status import announced_elsewhere, table_status
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.deploy import context_of
@@ -57,6 +57,9 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         if journal is not None:
             context = replace(context, store=journal)
         state = table_status(axis.link, context)
+        if state.decision.action is Action.DISABLE:
+            other = announced_elsewhere(axis.link, context, state.tables)
+            state = replace(state, decision=other or state.decision)
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)

@@ -24,7 +24,12 @@ from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
 from pmac_comp.machine.controller.table_set import TableSet
-from pmac_comp.machine.controller.table_status import TableStatus, read_head, table_status
+from pmac_comp.machine.controller.table_status import (
+    TableStatus,
+    announced_elsewhere,
+    read_head,
+    table_status,
+)
 from pmac_comp.machine.controller.transaction import (
     DONE,
     ROLLED_BACK,
@@ -137,6 +142,12 @@ def recover_tables(
         status = table_status(link, context, journal_manifest=manifest)
         _settle_lease(link, context)
         if status.decision.action is Action.DISABLE:
+            waits = last is not None and last.journal.is_open
+            other = None if waits else announced_elsewhere(link, context, status.tables)
+            if other is not None:
+                release_lease(link, context)
+                crc = status.tables.crc
+                return UploadResult(other.state, "table", crc, crc, notes=(other.reason,))
             _require_bumpless(link, context, status.tables)
             link.command("I51=0")
             raise ForeignChange(

@@ -4,19 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from pmac_comp.base.errors import (
-    ProtocolError,
-)
+from pmac_comp.base.errors import ControllerState, ProtocolError
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.lease import parse_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import (
+    MAGIC,
     MANIFEST_SIZE,
     Action,
     Decision,
     Lease,
     Manifest,
+    ManifestState,
     decide,
 )
 from pmac_comp.machine.controller.table_set import (
@@ -25,6 +25,8 @@ from pmac_comp.machine.controller.table_set import (
 )
 from pmac_comp.machine.wire.numbers import read_number
 
+_P_VARIABLES: Final = 8192
+_P_STEP: Final = 64
 HEAD_LINES: Final = 3 + MANIFEST_SIZE + 2 + 1
 
 
@@ -79,6 +81,27 @@ def parse_head(lines: Sequence[str]) -> Head:
         global1=int(digits[:6], 16),
         global2=int(digits[6:], 16),
     )
+
+
+def announced_elsewhere(link: Link, context: Context, tables: TableSet) -> Decision | None:
+    """Who announced tables that are not those of our manifest: the bench file of another axis.
+
+    Its block holds a sealed manifest of just these tables. Asked where they would else be foreign.
+    """
+    values: list[float] = []
+    for first in range(0, _P_VARIABLES, _P_STEP):
+        lines = link.query(f"P{first}..{first + _P_STEP - 1}")
+        values += [float(read_number(line)) for line in lines]
+    own = context.block.p(Index.MANIFEST)
+    for n, value in enumerate(values):
+        found = Manifest.from_values(values[n : n + MANIFEST_SIZE]) if value == MAGIC else None
+        if found is None or n == own or found.crc_new != tables.crc:
+            continue
+        if found.state is ManifestState.VALID:
+            block = n - int(Index.MANIFEST)
+            reason = f"tables act as an upload with the p_block at P{block} meant them"
+            return Decision(ControllerState.NEW, Action.NOTHING, reason)
+    return None
 
 
 def table_status(

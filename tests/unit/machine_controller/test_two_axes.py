@@ -81,11 +81,10 @@ def test_a_rollback_that_is_cut_anywhere_leaves_them_too(tmp_path: Path) -> None
             ended = True
         except LinkLost:
             afresh(bench)
-            try:
-                recovery.recover(bench.link, first)
-            except ForeignChange:  # before it began; nothing of this folder is open
+            verdict = recovery.recover(bench.link, first).verdict
+            if verdict is ControllerState.NEW:  # the rollback had not begun
                 recovery.rollback_last(bench.link, first)
-        assert standing(bench)[1:] == (None, [(1 + cut % 3) * k for k in ENTRIES]), cut
+        assert standing(bench) == (1, None, [(1 + cut % 3) * k for k in ENTRIES]), cut
         cut += 40
     assert cut > 600
 
@@ -118,3 +117,19 @@ def test_a_torn_upload_is_settled_with_its_own_bench_file(tmp_path: Path) -> Non
         recovery.recover(bench.link, second)
     assert recovery.recover(bench.link, first).verdict is ControllerState.OLD
     assert standing(bench) == (0, None, None)
+
+
+def test_tables_that_another_bench_file_put_on_are_not_foreign(tmp_path: Path) -> None:
+    """A recovery with nothing open switched both axes' tables off."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    put_table(bench, first, 1)
+    put_table(bench, second, 2)
+    told = recovery.recover(bench.link, first)
+    assert told.verdict is ControllerState.NEW
+    assert "p_block at P7200" in told.notes[0]
+    assert standing(bench) == (1, list(ENTRIES), list(ENTRIES))
+    bench.link.write_buffer(["I51=0", "#1DELETE COMP", "I51=1"])  # nobody announced that
+    with pytest.raises(ForeignChange):
+        recovery.recover(bench.link, first)
+    assert bench.i51 == 0
