@@ -40,9 +40,10 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.table_set import read_table
+from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_checks import not_at_rest
+from pmac_comp.machine.controller.upload_checks import buffer_refusals, not_at_rest
 from pmac_comp.machine.controller.variables import verify_many
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.as_described import description_refusals
@@ -184,6 +185,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     link, route = axis.link, compensation.route
     refusals = description_refusals(axis)
     refusals += block_refusals(link, context.block, axis.motor)
+    refusals += buffer_refusals(read_head(link, context))
     refusals += double_corrections(axis, context, compensation)
     if route == "law":
         every = compensation.law.every_cycles

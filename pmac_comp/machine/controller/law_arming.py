@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from pmac_comp.base.errors import ControllerState, MotorNotSafe, ReplyTimeout, TableStateError
+from pmac_comp.base.errors import ControllerState, MotorNotSafe, TableStateError
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import MASTER_WORD_ADDRESS, Index
@@ -31,11 +31,10 @@ def arm(link: Link, context: Context, *, gain: float = 1.0, timeout_s: float = 1
     Raises
     ------
     TableStateError
-        No algorithm runs, or the bank in use is not sealed.
+        No algorithm runs, or the bank in use is not sealed, or the gain did not arrive (heartbeat
+        lost, something else writes the target).
     MotorNotSafe
         The loop is open, or the motor moves: a correction grows in beside a motion.
-    ReplyTimeout
-        The gain did not arrive (loop open, heartbeat lost).
     """
     block = context.block
     head = read_law_head(link, block)
@@ -86,7 +85,7 @@ def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHea
         if abs(head.gain - gain) <= GAIN_TOLERANCE:
             return head
         if deadline.expired():
-            raise ReplyTimeout(
+            raise TableStateError(
                 f"The gain of the law is {head.gain:g} instead of {gain:g} after {timeout_s:g} s.",
                 code="PC-LAW-031",
                 hint="The loop may be open, the heartbeat lost or PLC 0 disabled.",

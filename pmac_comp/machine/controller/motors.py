@@ -11,7 +11,7 @@ from enum import IntFlag
 from functools import lru_cache
 from typing import Final
 
-from pmac_comp.base.errors import MotorNotSafe, RemoteProtocolError, ReplyTimeout
+from pmac_comp.base.errors import MotorNotSafe, RemoteProtocolError
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import nine_digits
@@ -362,9 +362,8 @@ def wait_in_position(
     Raises
     ------
     MotorNotSafe
-        The motor tripped or was killed on the way.
-    ReplyTimeout
-        Not in position in time; the motor is left as it is.
+        The motor tripped or was killed on the way, or is not in position in time: then it is left
+        as it is.
     """
     deadline = CardDeadline(link, timeout_s)
     while True:
@@ -382,7 +381,7 @@ def wait_in_position(
         if during is not None:
             during()
         if deadline.expired():
-            raise ReplyTimeout(
+            raise MotorNotSafe(
                 f"Motor #{motor} was not in position after {timeout_s:g} s "
                 f"(following error {reading.following_error_ct:.1f} counts).",
                 code="PC-MOT-002",

@@ -8,6 +8,7 @@ empty buffer.
 import re
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -255,6 +256,9 @@ def write_settings(
         link.write_buffer(["CLOSE"])
     if plcs:
         link.write_buffer([f"DISABLE PLC {n}" for n in plcs])
+    if any(changed.values()):
+        with suppress(CommandRefused):  # gathering runs: whether there is room will be seen
+            link.command("DELETE GATHER")  # its buffer takes all free memory
     lines = setting_lines(present, goal)
     refused = _send(link, lines, between, skip_refused=skip_refused)
     for (kind, number), body in changed.items():

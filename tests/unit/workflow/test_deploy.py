@@ -12,6 +12,7 @@ from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
     SafetyRefusal,
+    TableStateError,
     VerifyMismatch,
 )
 from pmac_comp.files.bench import load_bench
@@ -316,3 +317,14 @@ def test_what_a_stopped_plc_0_left_fades(
     assert abs(torque[0]) > 100.0
     assert np.max(np.abs(np.diff(torque))) <= 0.03 * abs(torque[0])
     assert axis.link.query("I129 RX$10F8 I106") == ["0", "0", "0"]
+
+
+def test_a_law_that_something_else_holds_disarmed_is_taken_back(axis: Axis, tmp_path: Path) -> None:
+    """The link lives: nothing is left unconfirmed, and no part of the upload stands."""
+    axis.link.write_buffer(["OPEN PLC 5 CLEAR", "P7002=0", "CLOSE", "ENABLE PLC 5"])
+    with pytest.raises(TableStateError, match="gain of the law is 0 instead of 1") as refused:
+        deploy(axis, Compensation("law", LAW, LEAD), context_of(axis, tmp_path))
+    assert refused.value.left is ControllerState.OLD
+    assert refused.value.context["confirmed"]
+    assert len(read_tables(axis.link)) == 0
+    assert not plc_runs(axis.link, 0)

@@ -12,6 +12,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import Deployment, context_of, deploy, switch
@@ -57,6 +58,21 @@ def test_all_that_forbids_a_law_is_told_at_once(axis: Axis, tmp_path: Path) -> N
     axis.link.write_buffer(["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE", "I15=1", "I159=1"])
     found = refused(axis, tmp_path, Compensation("law", LAW, LEAD))
     assert found == {"PC-LAW-032", "PC-LAW-037", "PC-LAW-041"}
+
+
+@pytest.mark.parametrize("lead", [LEAD, None], ids=["with tables", "without"])
+def test_somebody_s_gathering_is_not_ended_and_an_idle_buffer_leaves_room(
+    axis: Axis, tmp_path: Path, lead: LeadMap | None
+) -> None:
+    """A gather buffer, as other tools leave it, takes all memory that PLC 0 would need."""
+    law = Compensation("law", LAW, lead)
+    axis.link.write_buffer(["I5001=$400000", "I5050=1", "DEFINE GATHER", "GATHER"])
+    before = standing(axis)
+    with pytest.raises(SafetyRefusal, match="gathering is running"):
+        deploy(axis, law, context_of(axis, tmp_path))
+    assert standing(axis) == before
+    axis.link.command("ENDGATHER")
+    assert deploy(axis, law, context_of(axis, tmp_path)).verdict is ControllerState.NEW
 
 
 def test_an_armed_law_forbids_another_clamp_and_the_open_servo(axis: Axis, tmp_path: Path) -> None:
