@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from pmac_comp.base.errors import ControllerState, VerifyMismatch
+from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
 from pmac_comp.machine.controller.law_bank import (
@@ -22,6 +22,7 @@ from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
@@ -47,6 +48,8 @@ from pmac_comp.machine.controller.transaction import (
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 _FOLLOWING: Final = re.compile(r"I\d+06")
+# Following, output offset and backlash: what law and tables set at rest.
+_UNDER_A_CLOSED_LOOP: Final = frozenset({"05", "06", "07", "29", "85", "86", "87"})
 _OF_MOTOR: Final = re.compile(r"I([1-9]|[12]\d|3[0-2])\d\d")  # Ixx00 to Ixx99
 
 
@@ -184,7 +187,29 @@ def _require_rest(link: Link, context: Context, part: Part) -> None:
     if part.kind is ChangeKind.LAW or (ProgramKind.PLC, 0) in new.programs:
         motors |= {read_law_head(link, context.block).motor} - {0}
     if motors:
-        raise_all(motion_refusals(link, sorted(motors)), "Writing back what stood before")
+        refusals = motion_refusals(link, sorted(motors)) + _loop_refusals(link, new)
+        raise_all(refusals, "Writing back what stood before")
+
+
+def _loop_refusals(link: Link, new: Settings) -> list[SafetyRefusal]:
+    """Gains, scales and the like were set with the motor killed, and go back so.
+
+    A motor that the change itself activated (the time motor of a cam) is killed when it goes.
+    """
+    names = [(name, found) for name in new.variables if (found := _OF_MOTOR.fullmatch(name))]
+    tuned = {int(found[1]) for name, found in names if name[-2:] not in _UNDER_A_CLOSED_LOOP}
+    tuned -= {motor for motor in tuned if f"I{motor}00" in new.variables}
+    return [
+        MotorNotSafe(
+            f"Motor #{motor} is enabled: its settings were changed with the motor killed and go "
+            "back so.",
+            code="PC-REC-011",
+            hint=f"Kill it where the axis is safe without torque (`pmac-comp terminal URL -c "
+            f"'#{motor}K'`) and run the command again.",
+        )
+        for motor, reading in read_motors(link, sorted(tuned)).items()
+        if reading.status.is_closed_loop
+    ]
 
 
 def _settle_law(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:

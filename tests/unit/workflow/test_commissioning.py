@@ -184,3 +184,20 @@ def test_an_offset_of_the_output_is_told_before_runs_for_a_law(axis: Axis) -> No
     (said,) = offset_remarks(axis)
     assert "I129 = 25" in said
     assert "route law" in said
+
+
+def test_gains_are_not_put_back_under_a_closed_loop(tmp_path: Path) -> None:
+    """The set-up wants the motor killed, and so does taking it back."""
+    bench = load_bench("paper")
+    with embedded(make_card(bench)) as link:
+        axis = Axis(link, bench, "test", simulated=True)
+        context = context_of(axis, tmp_path)
+        link.command("I130=1000")
+        set_up_axis(axis, context, settable_variables(axis))
+        axis.enable()
+        with pytest.raises(MotorNotSafe, match="Motor #1 is enabled"):
+            rollback_last(link, context)
+        assert link.query("I130") == ["139449"]
+        axis.kill()
+        rollback_last(link, context)
+        assert link.query("I130") == ["1000"]
