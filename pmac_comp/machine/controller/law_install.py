@@ -233,6 +233,16 @@ def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[Saf
                 hint=f"Clear it with the motor killed: WX${MASTER_WORD_ADDRESS:X},0.",
             )
         )
+    elif word != 0 and LAW in goal.programs:
+        found.append(
+            MotorNotSafe(
+                f"The master word is {word}, not zero, and motor #{motor} follows it: PLC 0 would "
+                "make it jump when it begins.",
+                code="PC-LAW-050",
+                hint="`pmac-comp remove` takes it out slowly (a sign test or a law that was "
+                "stopped left it); then upload again.",
+            )
+        )
     return found + motion_refusals(link, [motor])
 
 

@@ -11,6 +11,7 @@ from pmac_comp.base.errors import (
     ChangeInterrupted,
     ConfigError,
     ControllerState,
+    MotorNotSafe,
     SafetyRefusal,
     TableStateError,
     VerifyMismatch,
@@ -32,6 +33,7 @@ from pmac_comp.workflow.compensation_file import (
 from pmac_comp.workflow.deploy import check_law_on_card, context_of, deploy, switch
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.removal import remove_from, standing_on
 from pmac_comp.workflow.repeated import run_with_offset
 from pmac_comp.workflow.runs import require_on_card
 from pmac_comp.workflow.simulated import TruthRecorder
@@ -328,3 +330,26 @@ def test_a_law_that_something_else_holds_disarmed_is_taken_back(axis: Axis, tmp_
     assert refused.value.context["confirmed"]
     assert len(read_tables(axis.link)) == 0
     assert not plc_runs(axis.link, 0)
+
+
+def test_what_a_killed_verification_left_in_the_master_word_is_taken_out_slowly(
+    axis: Axis, card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its sign test stands in no journal: PLC 0 is off, the motor 20 counts beside its place."""
+    context, law = context_of(axis, tmp_path), Compensation("law", LAW)
+    axis.kill()
+    deploy(axis, law, context)
+    axis.enable()
+    axis.link.command("DISABLE PLC 0")
+    for k in range(21):
+        axis.link.command(f"WX$10F8,{1024 * k}")
+        axis.link.clock.sleep_s(0.01)
+    axis.link.clock.sleep_s(0.5)
+    with pytest.raises(MotorNotSafe, match="master word is 20480"):
+        deploy(axis, law, context)
+    words: list[tuple[int, float]] = []
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(axis.link.clock, "sleep_s", seen(axis, card, words))
+        remove_from(axis, context, standing_on(axis))
+    assert np.max(np.abs(np.diff([word for word, _ in words]))) <= 1024
+    assert deploy(axis, law, context).verdict is ControllerState.NEW
