@@ -73,7 +73,7 @@ def disarm(link: Link, context: Context, *, timeout_s: float = 10.0) -> LawHead:
     """
     head = read_law_head(link, context.block)
     if is_running(link, context.block, context.servo_period_s) is LawForm.NONE:
-        return _fade_by_hand(link, context, head)
+        return fade_by_hand(link, context, head)
     return _ramp(link, context, 0.0, timeout_s)
 
 
@@ -94,7 +94,8 @@ def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHea
         link.clock.sleep_s(0.02)
 
 
-def _fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
+def fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
+    """Outputs that no algorithm writes any more go to zero in small steps."""
     link.write_buffer([f"P{context.block.p(k)}=0" for k in (Index.TARGET, Index.GAIN)])
     if head.motor and int(read_one(link, f"I{head.motor}59")) & 1:
         return read_law_head(link, context.block)

@@ -12,12 +12,13 @@ from typing import Final
 from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
+from pmac_comp.machine.controller.law_arming import fade_by_hand
 from pmac_comp.machine.controller.law_bank import (
     BLOCK_SIZE,
     MASTER_WORD_ADDRESS,
     LawParameters,
 )
-from pmac_comp.machine.controller.law_install import beside_open_servo
+from pmac_comp.machine.controller.law_install import beside_open_servo, follows
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import host_lock
@@ -26,7 +27,7 @@ from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings, differences, read_settings
+from pmac_comp.machine.controller.settings import Settings, differences, plc_runs, read_settings
 from pmac_comp.machine.controller.settings_upload import (
     finish_settings,
     put_back,
@@ -237,6 +238,7 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
     else:
         old = read_settings_backup(_backup(context, part))
         raise_all(beside_open_servo(link, context, old), "Writing back what stood before")
+        _take_offset_out(link, context, old)
         state = put_back(link, old, skip_refused=tolerant)
         _clear_master_word(link, old)
         reason = "the old settings are back"
@@ -252,6 +254,17 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
     return UploadResult(
         state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)
     )
+
+
+def _take_offset_out(link: Link, context: Context, old: Settings) -> None:
+    """What a sign test left in the master word goes out slowly, while the motor still follows it.
+
+    A motor that stops following keeps the offset: it would stand beside its place from then on.
+    """
+    stops = any(not parse_integer(v) & 1 for k, v in old.variables.items() if _FOLLOWING.match(k))
+    head = read_law_head(link, context.block)
+    if stops and head.motor and follows(link, head.motor) and not plc_runs(link, 0):
+        fade_by_hand(link, context, head)
 
 
 def _clear_master_word(link: Link, old: Settings) -> None:

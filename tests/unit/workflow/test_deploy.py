@@ -193,7 +193,7 @@ def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
     axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     context = context_of(axis, tmp_path)
-    looks = iter(range(10))
+    stood, looks = sign_check._positions(axis.link, axis.motor), iter(range(10))
 
     def killed_at_the_second_look(*_: object) -> tuple[float, float]:
         if next(looks) == 0:
@@ -207,9 +207,12 @@ def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
         with pytest.raises(Killed):
             deploy(axis, Compensation("law", LAW), context)
     assert axis.link.query("RX$10F8") != ["0"]  # the offset that the motor follows
+    axis.link.clock.sleep_s(0.5)
     assert recovery.recover(axis.link, context).verdict is ControllerState.OLD
     assert axis.link.query("I106 RX$10F8") == ["0", "0"]
     axis.link.clock.sleep_s(0.5)
+    # The offset went out while the motor followed it: otherwise it would stand there for good.
+    assert sign_check._positions(axis.link, axis.motor) == pytest.approx(stood, abs=3.0)
     assert deploy(axis, Compensation("law", LAW), context).verdict is ControllerState.NEW
 
 
