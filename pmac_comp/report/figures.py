@@ -75,16 +75,16 @@ def error_traces(before: ErrorSignals, after: ErrorSignals, position_m: FloatArr
     def draw(figure: Figure) -> None:
         axes = figure.subplots(4, 1, sharex=True, height_ratios=[0.7, 1.0, 1.0, 1.0])
         axes[0].plot(*thin_pair(after.time_s, position_m * MM_PER_M), color="#55554f", lw=0.9)
-        axes[0].set_ylabel("command\nmm")
+        axes[0].set_ylabel("command\n(mm)")
         names = ("mechanical_m", "control_m", "total_m")
-        labels = ("mechanical\num", "control\num", "total\num")
+        labels = ("mechanical\n(um)", "control\n(um)", "total\n(um)")
         for axis, name, label in zip(axes[1:], names, labels, strict=True):
             for signals, colour, word in ((before, BEFORE, "before"), (after, AFTER, "after")):
                 curve = thin_pair(signals.time_s, getattr(signals, name) * UM_PER_M)
                 axis.plot(*curve, color=colour, lw=0.8, label=word)
             axis.set_ylabel(label)
         figure.legend(*axes[1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-        axes[-1].set_xlabel("time s")
+        axes[-1].set_xlabel("time (s)")
 
     return svg(draw, 7.2, 5.0)
 
@@ -105,7 +105,7 @@ def spectra(before: ErrorSignals, after: ErrorSignals) -> str:
                 frequency, density = welch(values, rate, nperseg=size)
                 axis.loglog(frequency[1:], np.sqrt(density[1:]), color=colour, lw=0.9, label=word)
             axis.set_title(title, fontsize=8.5)
-            axis.set_xlabel("frequency Hz")
+            axis.set_xlabel("frequency (Hz)")
         axes[0].set_ylabel("um / sqrt(Hz)")
         axes[0].legend()
 
@@ -113,22 +113,49 @@ def spectra(before: ErrorSignals, after: ErrorSignals) -> str:
 
 
 def lead_figure(lead: LeadMap, table: Callable[[FloatArray], FloatArray] | None) -> str:
-    """Lead-error map, what the table takes away, and the reversal error."""
+    """Lead-error map in both directions, what the table leaves of its mean, and their difference.
+
+    ``table`` gives what the table adds at positions in m, None without one.
+    """
+    up = (lead.error_m + 0.5 * lead.reversal_m) * UM_PER_M
+    down = (lead.error_m - 0.5 * lead.reversal_m) * UM_PER_M
 
     def draw(figure: Figure) -> None:
-        top, low = figure.subplots(2, 1, sharex=True)
+        heights = [1.3, 1.0] if table is None else [1.3, 0.8, 0.8]
+        top, *others = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         x = lead.position_m * MM_PER_M
-        top.plot(x, lead.error_m * UM_PER_M, color=BEFORE, lw=0.9, label="lead error (mean)")
+        top.plot(x, up, color=BEFORE, lw=0.9, label="upwards")
+        top.plot(x, down, color=PROMISE, lw=0.9, ls="--", label="downwards")
+        top.set_ylabel("lead error (um)")
         if table is not None:
             left = (lead.error_m + table(lead.position_m)) * UM_PER_M
-            top.plot(x, left, color=AFTER, lw=0.9, label="with the table")
-        top.set_ylabel("um")
-        top.legend()
-        low.plot(x, lead.reversal_m * UM_PER_M, color=PROMISE, lw=0.8)
-        low.set_ylabel("forward -\nbackward um")
-        low.set_xlabel("table position mm")
+            others[0].plot(x, left, color=AFTER, lw=0.8)
+            others[0].set_ylabel("mean, with\nthe table (um)")
+        others[-1].plot(x, up - down, color="#55554f", lw=0.8)
+        others[-1].set_ylabel("upwards -\ndownwards (um)")
+        others[-1].set_xlabel("table position (mm)")
+        figure.legend(*top.get_legend_handles_labels(), loc="outside upper right", ncols=2)
 
-    return svg(draw, 7.2, 3.4)
+    return svg(draw, 7.2, 4.4)
+
+
+def learning_figure(left_um: Sequence[float], learnable_um: Sequence[float]) -> str:
+    """Error that is left pass by pass, all of it and the part that can be learned, um rms."""
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        passes = np.arange(len(left_um))
+        axis.semilogy(passes, left_um, "o-", color=AFTER, lw=1.0, ms=4, label="total error")
+        axis.semilogy(passes, learnable_um, "s--", color=PROMISE, lw=1.0, ms=4,
+                      label="its part that can be learned")  # fmt: skip
+        axis.set_xticks(passes)
+        axis.set_xlabel("pass (0: the model alone)")
+        axis.set_ylabel("um rms")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter("{x:g}")
+        axis.legend()
+
+    return svg(draw, 7.2, 2.8)
 
 
 def summary_bars(
@@ -159,7 +186,7 @@ def summary_bars(
             axis.axvline(floor_um, color="#23231f", ls=":", lw=1.2, label="sensors' steps alone")
         axis.set_yticks(place, [r[0] for r in rows])
         axis.invert_yaxis()
-        axis.set_xlabel(f"{what} error, um rms")
+        axis.set_xlabel(f"{what} error (um rms)")
         axis.grid(visible=False, axis="y")
         figure.legend(loc="outside upper right", ncols=2, markerscale=0.5)
 
@@ -197,7 +224,7 @@ def residual_figure(
             axis.plot(*thin_pair(time_s, np.nan_to_num(values)), color=PROMISE, lw=0.7)
             axis.set_ylabel(f"{name}\n{unit}")
         axes[0].set_title(title, fontsize=8.5, loc="left")
-        axes[-1].set_xlabel("time s")
+        axes[-1].set_xlabel("time (s)")
 
     return svg(draw, 7.2, 0.7 + 1.1 * len(channels))
 
@@ -242,24 +269,30 @@ def save_difference_plot(curves: Sequence[Curve], path: Path) -> None:
 
 
 def static_figure(static: StaticOutcome) -> str:
-    """Deviations at the targets, before and after, from both directions."""
+    """Deviations at the targets, before and after, from both directions, each on its own scale."""
 
     def draw(figure: Figure) -> None:
-        panels = np.atleast_1d(figure.subplots(1, len(static.sides), sharey=True))
+        panels = np.atleast_1d(figure.subplots(1, len(static.sides)))
         for axis, (name, side) in zip(panels, static.sides, strict=True):
             middle = float(np.mean([side.up_m, side.down_m]))
-            colour = BEFORE if name == "before" else AFTER
             x = side.target_m * MM_PER_M
-            for values, mark in ((side.up_m, "^"), (side.down_m, "v")):
+            ways = (
+                (side.up_m, "^", BEFORE, "-", "upwards"),
+                (side.down_m, "v", PROMISE, "--", "downwards"),
+            )
+            for values, mark, colour, line, word in ways:
                 runs = (values - middle) * UM_PER_M
-                axis.plot(x, runs.mean(axis=0), color=colour, lw=0.9)
+                mean, double = runs.mean(axis=0), 2.0 * runs.std(axis=0, ddof=1)
+                axis.errorbar(x, mean, double, color=colour, ls=line, lw=1.0, capsize=2.5,
+                              label=word)  # fmt: skip
                 for run in runs:
-                    axis.plot(x, run, mark, color=colour, ms=3.0, alpha=0.6)
+                    axis.plot(x, run, mark, color=colour, ms=2.6, alpha=0.5)
             axis.set_title(name, fontsize=8.5, loc="left")
-            axis.set_xlabel("target mm")
-        panels[0].set_ylabel("deviation um")
+            axis.set_xlabel("target (mm)")
+        panels[0].set_ylabel("deviation (um)")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
 
-    return svg(draw, 7.2, 2.8)
+    return svg(draw, 7.2, 3.0)
 
 
 def ringing_figure(before: Capture, after: Capture, lowest_Hz: float) -> str:
@@ -269,12 +302,12 @@ def ringing_figure(before: Capture, after: Capture, lowest_Hz: float) -> str:
         top, low = figure.subplots(2, 1, sharex=True, height_ratios=[0.6, 1.0])
         speed = np.gradient(before.commanded_position_m, before.sample_period_s) * MM_PER_M
         top.plot(*thin_pair(before.time_s, speed), color="#55554f", lw=0.9)
-        top.set_ylabel("speed\nmm/s")
+        top.set_ylabel("speed\n(mm/s)")
         for capture, colour, word in ((before, BEFORE, "before"), (after, AFTER, "after")):
             signal = ringing_signal(capture, lowest_Hz) * UM_PER_M
             low.plot(*thin_pair(capture.time_s, signal), color=colour, lw=0.7, label=word)
-        low.set_ylabel("ringing um")
-        low.set_xlabel("time s")
+        low.set_ylabel("ringing (um)")
+        low.set_xlabel("time (s)")
         figure.legend(*low.get_legend_handles_labels(), loc="outside upper right", ncols=2)
 
     return svg(draw, 7.2, 3.2)

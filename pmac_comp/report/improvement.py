@@ -1,9 +1,10 @@
 """Page of an improvement: what the first and the grown model's compensation leave, side by side."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from pmac_comp import __version__
-from pmac_comp.report.page import Page, Section, Table, write_page
+from pmac_comp.report.page import Page, Section, Table, sentence, write_page
 from pmac_comp.report.run import notice_of
 from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.improve import Improvement
@@ -42,7 +43,7 @@ def _outcome(result: Improvement) -> Section:
     columns = ("um rms", "no compensation", "first model", "grown model")
     return Section(
         "What was measured",
-        text=[f"{line.strip()[0].upper()}{line.strip()[1:]}." for line in result.judged()],
+        points=[sentence(line) for line in result.judged()],
         tables=[
             Table(columns, result.rows(), "Mechanical error, measured"),
             Table(columns, totals, "Total error at the table, measured"),
@@ -53,6 +54,6 @@ def _outcome(result: Improvement) -> Section:
 def _details(name: str, verification: Verification) -> list[Section]:
     """Tables and figures of one verification, folded."""
     return [
-        Section(f"{s.title}, {name}", s.text, s.tables, s.figures, open=False)
+        replace(s, title=f"{s.title}, {name}", open=False)
         for s in verification_sections(verification)
     ]

@@ -13,19 +13,21 @@ from pmac_comp.base.atomic import atomic_write_text
 
 @dataclass(frozen=True)
 class Table:
-    """A table: column names and rows of values."""
+    """A table: column names and rows of values; ``in_words`` where they are text, not figures."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
     caption: str = ""
+    in_words: bool = False
 
 
 @dataclass(frozen=True)
 class Section:
-    """One section of a page."""
+    """One section of a page: paragraphs, statements as a list, tables, figures with captions."""
 
     title: str
     text: Sequence[str] = ()
+    points: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[tuple[str, str]] = ()
     open: bool = True
@@ -47,6 +49,8 @@ class Page:
         The rest.
     facts : Mapping
         Small print: bench, controller, versions.
+    signed : sequence of str
+        Blanks to be filled in by hand; they are seen on paper only.
     """
 
     title: str
@@ -55,6 +59,7 @@ class Page:
     headline: Sequence[tuple[str, str]] = ()
     sections: Sequence[Section] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
+    signed: Sequence[str] = ()
 
 
 def write_page(page: Page, path: Path) -> Path:
@@ -77,6 +82,12 @@ def render(page: Page) -> str:
     # Figures are our own SVG, made by matplotlib, which escapes the text it is given.
     environment.filters["figure"] = Markup
     return environment.get_template("page.html").render(page=page)
+
+
+def sentence(text: str) -> str:
+    """Text of a remark as a sentence: a capital first, a full stop last."""
+    said = text.strip().rstrip(".")
+    return f"{said[:1].upper()}{said[1:]}."
 
 
 def cell(value: Any) -> str:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError
-from pmac_comp.files.bench import parse_bench
+from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import told_by
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
@@ -21,6 +21,7 @@ _TRUE = (
     "figures marked 'true' are the plant's unquantised positions, which no sensor of a real axis "
     "sees; "
 )
+_TO_THE_SECOND = 19  # characters of an ISO 8601 time
 _MEASURED = "All figures marked 'measured' come from captures; 'promised' ones from the model."
 
 
@@ -68,28 +69,42 @@ def write_verification_report(verification: Verification, path: Path) -> Path:
         facts={
             "pmac-comp": __version__,
             **_where_and_when(verification),
-            "sensor floor um rms": verification.floor_um,
+            "steps of the sensors": f"{verification.floor_um:.3f} um rms of table minus motor",
         },
+        signed=("Machine, axis, serial number", "Measured by", "Date, signature"),
     )
     return write_page(page, path)
 
 
 def _axis_name(verification: Verification) -> str:
     """Name in the bench file that the runs carry, for a subtitle; nothing where none does."""
+    bench = _bench(verification)
+    return "" if bench is None or not bench.name else f"{bench.name} – "
+
+
+def _bench(verification: Verification) -> Bench | None:
+    """Bench file that the runs carry; None for runs without one, or of another version."""
     texts = _told(verification, "bench_text")
     try:
-        name = parse_bench(texts[0]).name if texts else ""
-    except ConfigError:  # a bench file of another version: the figures stand without its name
-        name = ""
-    return f"{name} – " if name else ""
+        return parse_bench(texts[0]) if texts else None
+    except ConfigError:
+        return None
 
 
 def _where_and_when(verification: Verification) -> dict[str, str]:
-    """Controller, and the start of the first and the last run, as far as the runs say it."""
-    controllers, starts = (_told(verification, key) for key in ("controller", "start_utc"))
-    facts = {"controller": ", ".join(controllers)} if controllers else {}
+    """Controller, bench file, compensation, and when it was run, as far as the runs say it."""
+    bench = _bench(verification)
+    facts = {} if bench is None else {"digest of the bench file": bench.digest}
+    for key, name in (
+        ("controller", "fingerprint of the controller"),
+        ("compensation_digest", "digest of the compensation"),
+    ):
+        told = _told(verification, key)
+        facts |= {name: ", ".join(told)} if told else {}
+    starts = _told(verification, "start_utc")
     if starts:
-        facts |= {"first run UTC": starts[0], "last run UTC": starts[-1]}
+        first, last = (text[:_TO_THE_SECOND].replace("T", " ") for text in (starts[0], starts[-1]))
+        facts["first and last run begun"] = f"{first} and {last} UTC"
     return facts
 
 

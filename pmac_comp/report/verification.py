@@ -4,11 +4,12 @@ from typing import Any
 
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.report import figures
-from pmac_comp.report.page import Section, Table
-from pmac_comp.workflow.outcome import MotionOutcome, error_signals
+from pmac_comp.report.page import Section, Table, sentence
+from pmac_comp.report.positioning import lead_section, positioning_section
+from pmac_comp.report.repeated import learning_section
+from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread, error_signals
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.routes import MOTION_ROUTES
-from pmac_comp.workflow.static_check import StaticOutcome
 from pmac_comp.workflow.verification import Verification
 
 
@@ -17,20 +18,22 @@ def headline(verification: Verification) -> list[tuple[str, str]]:
     motions = verification.motions
     out: list[tuple[str, str]] = []
     if motions:
-        pairs = [
-            ("mechanical error, measured rms", "e_before", "e_r_after", 2),
-            ("control tracking error, measured rms", "e_c_before", "e_c_after", 1),
-            ("total error at the table, measured rms", "total_before", "total_after", 1),
+        total, mechanical = verification.total, verification.mechanical
+        kinds = [
+            ("mechanical error, measured rms", "e_before", "e_r_after", 2, mechanical),
+            ("control tracking error, measured rms", "e_c_before", "e_c_after", 1, None),
+            ("total error at the table, measured rms", "total_before", "total_after", 1, total),
         ]
         if verification.route in MOTION_ROUTES:
-            pairs = pairs[2:]
-        for name, before, after, digits in pairs:
+            kinds = kinds[2:]
+        for name, before, after, digits, left in kinds:
             values = [_mean([getattr(m, key).value for m in motions]) for key in (before, after)]
-            out.append((f"{values[0]:.{digits}f} → {values[1]:.{digits}f} um", name))
+            share = "" if left is None else f"; after/before {_share(left)}"
+            out.append((f"{values[0]:.{digits}f} → {values[1]:.{digits}f} um", f"{name}{share}"))
     out += _true_headline(verification)
     if verification.static is not None and len(verification.static.sides) > 1:
         accuracy = [side.figures().accuracy_m * UM_PER_M for _, side in verification.static.sides]
-        out.append((f"{accuracy[0]:.1f} → {accuracy[1]:.1f} um", "accuracy A after ISO 230-2"))
+        out.append((f"{accuracy[0]:.1f} → {accuracy[1]:.1f} um", "accuracy A by ISO 230-2"))
     return out
 
 
@@ -51,60 +54,51 @@ def _mean(values: list[float]) -> float:
 
 
 def verification_sections(verification: Verification) -> list[Section]:
-    """Tables and figures of before and after."""
-    sections = [
-        Section(
-            "Before and after",
-            text=[
-                "Mechanical error: table minus motor, plus the correction where compensation is "
-                "on; the lead error is taken out of both. Control error: motor minus desired "
-                "position. Total: table minus command. The mean of each run is taken out. "
-                f"The sensors' own quantisation is {verification.floor_um:.2f} um rms. Intervals "
-                "are 95 % by drawing blocks of the runs anew.",
-                *(
-                    f"{line[0].upper()}{line[1:]}."
-                    for line in (
-                        *verification.reached(),
-                        *verification.judged(),
-                        *verification.remarks,
-                    )
-                ),
-            ],
-            tables=[
-                *_main_tables(verification.motions),
-                *_promise_tables(verification.motions),
-                *_interval_tables(verification),
-            ],
-            figures=[_summary(verification)],
-        )
-    ]
-    sections += [_motion_section(verification, m) for m in verification.motions]
-    if verification.lead is not None:
-        summary = verification.lead.summary()
-        rows = [(name.replace("_", " "), value) for name, value in summary.items()]
-        sections.append(
-            Section(
-                "Static lead error",
-                tables=[
-                    Table(
-                        ("quantity", "value"),
-                        rows,
-                    )
-                ],
-                figures=[
-                    (
-                        figures.lead_figure(verification.lead, verification.table_correction),
-                        "Mean of both directions after the dynamic part was removed; below, the "
-                        "direction-dependent remainder.",
-                    )
-                ],
-            )
-        )
+    """Tables and figures of before and after: what a customer is handed first, then the traces."""
+    sections = [_before_and_after(verification)]
     if verification.static is not None:
-        sections.append(_static_section(verification.static))
+        sections.append(positioning_section(verification.static))
+    if verification.lead is not None:
+        sections.append(lead_section(verification.lead, verification.table_correction))
+    if verification.learning is not None:
+        sections.append(learning_section(verification.learning))
+    if verification.motions:
+        sections += [_errors_section(verification), _promise_section(verification)]
+    sections += [_motion_section(verification, m) for m in verification.motions]
     if verification.ringing is not None:
         sections.append(_ringing_section(verification.ringing))
     return sections
+
+
+def _before_and_after(verification: Verification) -> Section:
+    """What was reached, at a glance, and what a person should know beside it."""
+    said = (*verification.reached(), *verification.judged(), *verification.remarks)
+    return Section(
+        "Before and after",
+        points=[sentence(line) for line in said],
+        figures=[_summary(verification)] if verification.motions else [],
+    )
+
+
+def _errors_section(verification: Verification) -> Section:
+    """The errors of each motion, with what the words mean."""
+    lead = (
+        "the lead error is taken out of both"
+        if verification.lead is not None
+        else "the lead error is still in it, for no map of it was given"
+    )
+    return Section(
+        "Errors, motion by motion",
+        text=[
+            f"Mechanical error (e before, e_r after): table minus motor, plus the correction where "
+            f"compensation is on; {lead}. Control error (e_c): motor minus desired position. "
+            "Total error: table minus command. The mean of each run is taken out. In brackets: "
+            "95 % intervals, by drawing blocks of the runs anew. Peaks are the largest of all "
+            f"samples. The steps of the sensors alone make {verification.floor_um:.2f} um rms of "
+            "every mechanical error."
+        ],
+        tables=_main_tables(verification.motions),
+    )
 
 
 def _summary(verification: Verification) -> tuple[str, str]:
@@ -126,38 +120,17 @@ def _summary(verification: Verification) -> tuple[str, str]:
     ]
     # The floor is that of table against motor, whose steps a total error has not.
     image = figures.summary_bars(bars, 0.0 if known else verification.floor_um, what)
+    promised = any(bar[3] is not None for bar in bars)
     return image, (
-        f"{what.capitalize()} error per motion, measured; the promise is that of the model, "
-        "without the steps of encoder and scale."
-    )
-
-
-def _static_section(static: StaticOutcome) -> Section:
-    """Positioning after ISO 230-2 with its run scheme."""
-    targets = static.sides[0][1].target_m
-    runs = ", ".join(f"{side.up_m.shape[0]} runs {name}" for name, side in static.sides)
-    return Section(
-        "Positioning after ISO 230-2",
-        text=[
-            f"{targets.size} targets, each approached upwards and downwards; {runs}, in turns. "
-            "Deviation: table minus target, mean of the last part of each rest. The offset between "
-            "scale and encoder cancels in all figures."
-        ],
-        tables=[Table(("um", "before", "after"), static.rows(), "Measured")],
-        figures=[
-            (
-                figures.static_figure(static),
-                "Deviation at the targets less its mean: points are runs, lines their means; "
-                "arrows up and down are the directions of approach.",
-            )
-        ],
+        f"{what.capitalize()} error per motion, measured."
+        + " The promise is that of the model, without the steps of the sensors." * promised
     )
 
 
 def _ringing_section(ringing: RingingOutcome) -> Section:
     """What rings after steps of the acceleration, before and after."""
     rows = [
-        (name, s.value, f"{s.lower95:.3f} – {s.upper95:.3f}", s.peak)
+        (name, f"{s.value:.2f} ({s.lower95:.2f} – {s.upper95:.2f})", f"{s.peak:.2f}")
         for name, s in (("before", ringing.before), ("after", ringing.after))
     ]
     half = len(ringing.captures) // 2
@@ -167,101 +140,114 @@ def _ringing_section(ringing: RingingOutcome) -> Section:
         "Ringing after steps of the acceleration",
         text=[
             f"A move without S-curve time rings at {ringing.frequency_Hz:.0f} Hz: "
-            f"{ringing.says}. Rms of the total error above half the resonance, in the "
-            "windows after the corners of the speed."
+            f"{ringing.says}. Rms of the total error above half the resonance "
+            f"({ringing.lowest_Hz:.0f} Hz), in the windows after the corners of the speed."
         ],
-        tables=[Table(("um", "rms", "95 % interval", "peak"), rows, "Measured")],
+        tables=[Table(("um", "rms (95 %)", "peak"), rows, "Measured")],
         figures=shown if half else [],
     )
 
 
-_RINGING = "Total error above half the resonance, measured."
+_RINGING = "Total error above half the resonance, measured, one run each."
 
 
 def _main_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
-    mechanical = [
-        (
-            m.name,
-            m.e_before.value,
-            m.e_r_after.value,
-            f"{m.e_r_after.lower95:.2f} – {m.e_r_after.upper95:.2f}",
-            m.mechanical.value,
-            f"{m.mechanical.lower95:.3f} – {m.mechanical.upper95:.3f}",
-            m.e_before.peak,
-            m.e_r_after.peak,
-        )
-        for m in motions
-    ]
-    others = [
-        (
-            m.name,
-            m.e_c_before.value,
-            m.e_c_after.value,
-            m.total_before.value,
-            m.total_after.value,
-            m.total.value,
-            m.total_before.peak,
-            m.total_after.peak,
-        )
-        for m in motions
-    ]
-    return [
-        Table(
-            ("um", "e rms before", "e_r rms after", "95 % interval", "ratio", "95 % interval",
-             "peak before", "peak after"),
-            mechanical,
-            "Mechanical error, measured",
-        ),
-        Table(
-            ("um", "e_c rms before", "e_c rms after", "total rms before", "total rms after",
-             "ratio", "peak before", "peak after"),
-            others,
-            "Control tracking error and total error, measured",
-        ),
-    ]  # fmt: skip
-
-
-def _promise_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
-    names = (
-        ("e_before_um", "e before"), ("e_r_after_um", "e_r after"),
-        ("e_c_before_um", "e_c before"), ("e_c_after_um", "e_c after"),
-        ("total_before_um", "total before"), ("total_after_um", "total after"),
-    )  # fmt: skip
-    rows: list[tuple[Any, ...]] = []
-    for motion in motions:
-        for label, values in (("promised", motion.promise), ("true", motion.truth)):
-            if values is not None:
-                texts = (f"{values[name]:.2f}" for name, _ in names)
-                rows.append((f"{motion.name}: {label}", *texts))
-    if not rows:
-        return []
-    caption = "What the model promised"
-    if any(motion.truth is not None for motion in motions):
-        caption += ", and what the simulated plant really did"
-    return [Table(("um rms", *(label for _, label in names)), rows, caption)]
-
-
-def _interval_tables(verification: Verification) -> list[Table]:
-    """Promised intervals beside what was measured, per motion and quantity."""
-    rows: list[tuple[Any, ...]] = [
-        (
-            f"{motion.name}: {j.quantity}",
-            f"{j.lower_um:.2f} to {j.upper_um:.2f}",
-            f"{j.most_um:.2f}",
-            f"{j.measured_um:.2f}",
-            "kept" if j.is_kept else "missed",
-        )
-        for motion in verification.motions
-        for j in motion.judged(verification.floor_um)
-    ]
-    if not rows:
-        return []
-    caption = (
-        "Promised intervals, and their upper end with the sensors' own steps of "
-        f"{verification.floor_um:.2f} um; kept: measured at most that"
+    """Mechanical, control and total error: rms with intervals, what is left of it, peaks."""
+    kinds: tuple[tuple[str, str, str, str | None], ...] = (
+        ("Mechanical error, measured", "e_before", "e_r_after", "mechanical"),
+        ("Control tracking error, measured", "e_c_before", "e_c_after", None),
+        ("Total error at the table, measured", "total_before", "total_after", "total"),
     )
-    columns = ("um rms", "promised", "with steps, up to", "measured", "promise")
-    return [Table(columns, rows, caption)]
+    tables = []
+    for caption, before, after, ratio in kinds:
+        sides = [(m, getattr(m, before), getattr(m, after)) for m in motions]
+        rows = [
+            (
+                m.name,
+                _spread(a),
+                _spread(b),
+                _share(b.value / max(a.value, 1e-12) if ratio is None else getattr(m, ratio)),
+                f"{a.peak:.1f}",
+                f"{b.peak:.2f}",
+            )
+            for m, a, b in sides
+        ]
+        columns = ("um", "rms before", "rms after", "after / before", "peak before", "peak after")
+        tables.append(Table(columns, rows, caption))
+    return tables
+
+
+def _spread(spread: Spread) -> str:
+    return f"{spread.value:.2f} ({spread.lower95:.2f} – {spread.upper95:.2f})"
+
+
+def _share(ratio: Ratio | float) -> str:
+    if isinstance(ratio, float):
+        return f"{ratio:.3f}"
+    return f"{ratio.value:.3f} ({ratio.lower95:.3f} – {ratio.upper95:.3f})"
+
+
+def _promise_section(verification: Verification) -> Section:
+    """What the model promised beside what was measured, and what the plant really did."""
+    motions, floor = verification.motions, verification.floor_um
+    tables = [*_promise_tables(motions, floor), *_truth_tables(motions)]
+    if not tables:
+        return Section(
+            "What the model promised",
+            text=["No promise: name model and compensation with --model and --compensation."],
+        )
+    text = [
+        "A promise is a simulation of the run by the identified model, before it is measured. It "
+        "is kept where the measured value is at most the upper end of its interval, to which the "
+        f"sensors' own steps ({floor:.2f} um rms) are added."
+    ]
+    return Section("What the model promised", text=text, tables=tables)
+
+
+_QUANTITIES = (
+    ("mechanical", "e_before", "e_r_after"),
+    ("control", "e_c_before", "e_c_after"),
+    ("total", "total_before", "total_after"),
+)
+
+
+def _promise_tables(motions: tuple[MotionOutcome, ...], floor_um: float) -> list[Table]:
+    """Promised beside measured, per motion and quantity; only some have an interval."""
+    rows: list[tuple[Any, ...]] = []
+    for motion in (m for m in motions if m.promise is not None):
+        promise = motion.promise or {}
+        judged = {f"{j.quantity}_after": j for j in motion.judged(floor_um)}
+        for name, before, after in _QUANTITIES:
+            j = judged.get(after)
+            rows.append(
+                (
+                    f"{motion.name}: {name}",
+                    f"{promise[f'{before}_um']:.2f}",
+                    f"{getattr(motion, before).value:.2f}",
+                    f"{promise[f'{after}_um']:.2f}",
+                    None if j is None else f"{j.lower_um:.2f} – {j.upper_um:.2f}",
+                    None if j is None else f"{j.most_um:.2f}",
+                    f"{getattr(motion, after).value:.2f}",
+                    None if j is None else "kept" if j.is_kept else "MISSED",
+                )
+            )
+    columns = (
+        "um rms", "before, by the model", "before, measured", "after, promised", "interval",
+        "at most, with steps", "after, measured", "promise",
+    )  # fmt: skip
+    return [Table(columns, rows, "Promised and measured")] if rows else []
+
+
+def _truth_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
+    """The same errors on the plant's unquantised positions, of simulated cards only."""
+    rows = [
+        (m.name, *(f"{m.truth[f'{k}_um']:.2f}" for _, a, b in _QUANTITIES for k in (a, b)))
+        for m in motions
+        if m.truth is not None
+    ]
+    columns = ("um rms", "e before", "e_r after", "e_c before", "e_c after", "total before",
+               "total after")  # fmt: skip
+    return [Table(columns, rows, "What the simulated plant really did (true)")] if rows else []
 
 
 def _motion_section(verification: Verification, motion: MotionOutcome) -> Section:
@@ -278,7 +264,11 @@ def _motion_section(verification: Verification, motion: MotionOutcome) -> Sectio
     return Section(
         motion.name,
         figures=[
-            (figures.error_traces(before, after, command), "Errors over time, measured."),
-            (figures.spectra(before, after), "Amplitude spectral densities, measured."),
+            (
+                figures.error_traces(before, after, command),
+                f"Errors over time, measured, their means taken out: the first of {motion.n_pairs} "
+                "pair(s) of runs.",
+            ),
+            (figures.spectra(before, after), "Amplitude spectral densities of the same runs."),
         ],
     )

@@ -24,10 +24,11 @@ STATIC_NAME = "positioning after ISO 230-2"
 STATIC_RUNS = 5  # ISO 230-2:2014, clause 5.3.2
 _RUNS = "Give runs of one `verify --static` on both sides."
 _LEAST_REST_s = 0.15
-_READ_FRAC = 0.4  # last share of a rest that is averaged: the loop has settled
+READ_FRAC = 0.4  # last share of a rest that is averaged: the loop has settled
 _SAME_m = 1e-6
+_COVERAGE = 2.0  # of a standard deviation, as the standard has it
 _STILL_m = 1e-10  # per sample: commanded position at rest
-_FIGURES = (
+FIGURES = (
     ("reversal value B", "reversal_value_m"),
     ("mean reversal", "mean_reversal_m"),
     ("repeatability R", "repeatability_m"),
@@ -35,6 +36,25 @@ _FIGURES = (
     ("mean bidirectional deviation M", "mean_bidirectional_m"),
     ("accuracy A", "accuracy_m"),
 )
+
+
+@dataclass(frozen=True)
+class OneWay:
+    """Figures of the approaches from one side only, in m (ISO 230-2:2014, clause 3)."""
+
+    accuracy_m: float
+    systematic_m: float
+    repeatability_m: float
+
+    @classmethod
+    def of(cls, deviation_m: FloatArray) -> "OneWay":
+        """Figures of deviations, shape (runs, targets)."""
+        mean, double = deviation_m.mean(axis=0), _COVERAGE * deviation_m.std(axis=0, ddof=1)
+        return cls(
+            float(np.max(mean + double) - np.min(mean - double)),
+            float(np.ptp(mean)),
+            float(np.max(2.0 * double)),
+        )
 
 
 @dataclass(frozen=True)
@@ -60,6 +80,10 @@ class Approaches:
     def figures(self) -> Positioning:
         """Figures after ISO 230-2."""
         return positioning(self.up_m, self.down_m)
+
+    def one_way(self) -> tuple[OneWay, OneWay]:
+        """Figures of the upward and of the downward approaches alone."""
+        return OneWay.of(self.up_m), OneWay.of(self.down_m)
 
     def of_motor(self) -> Positioning:
         """The same figures of the standing error that the servo leaves, e_c at rest."""
@@ -96,7 +120,7 @@ class StaticOutcome:
     def rows(self) -> list[tuple[str, float | None, float | None]]:
         """Figure, before, after; um."""
         before, after = (None if s is None else s.figures() for s in (self.before, self.after))
-        rows = [(name, _figure_um(before, key), _figure_um(after, key)) for name, key in _FIGURES]
+        rows = [(name, _figure_um(before, key), _figure_um(after, key)) for name, key in FIGURES]
         for name, key, part in _PARTS:
             first, second = (None if s is None else part(s) for s in (self.before, self.after))
             rows.append((name, _figure_um(first, key), _figure_um(second, key)))
@@ -107,7 +131,7 @@ class StaticOutcome:
         n = max(side.up_m.shape[0] for _, side in self.sides)
         targets = self.sides[0][1].target_m
         out = [
-            f"positioning after ISO 230-2: {targets.size} targets from "
+            f"positioning by ISO 230-2: {targets.size} targets from "
             f"{targets[0] * MM_PER_M:.1f} to {targets[-1] * MM_PER_M:.1f} mm, {n} runs, um"
         ]
         for name, before, after in self.rows():
@@ -119,6 +143,13 @@ class StaticOutcome:
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
         return {name: _side_result(side) for name, side in self.sides}
+
+
+ONE_WAY = (
+    ("accuracy A", "accuracy_m"),
+    ("systematic deviation E", "systematic_m"),
+    ("repeatability R", "repeatability_m"),
+)
 
 
 def _figure_um(found: Positioning | None, key: str) -> float | None:
@@ -140,12 +171,21 @@ def _side_result(side: Approaches) -> dict[str, Any]:
         "mean_down_um": (found.mean_down_m * UM_PER_M).tolist(),
         **{
             name: float(getattr(found, key) * UM_PER_M)
-            for name, (_, key) in zip(names, _FIGURES, strict=True)
+            for name, (_, key) in zip(names, FIGURES, strict=True)
         },
+        "one_way_um": dict(zip(("up", "down"), map(_one_way_um, side.one_way()), strict=True)),
+        "deviation_up_um": (side.up_m * UM_PER_M).tolist(),
+        "deviation_down_um": (side.down_m * UM_PER_M).tolist(),
         "parts_um": {
             name: float(getattr(part(side), key) * UM_PER_M) for name, key, part in _PARTS
         },
     }
+
+
+def _one_way_um(found: OneWay) -> dict[str, float]:
+    names = ("accuracy_A", "systematic_E", "repeatability_R")
+    values = (found.accuracy_m, found.systematic_m, found.repeatability_m)
+    return {name: value * UM_PER_M for name, value in zip(names, values, strict=True)}
 
 
 def approaches(captures: Sequence[Capture]) -> Approaches:
@@ -177,6 +217,13 @@ def approaches(captures: Sequence[Capture]) -> Approaches:
 Rest = tuple[float, float, float]  # target, deviation of the table and of the motor, m
 
 
+def rests_of(capture: Capture) -> list[slice]:
+    """Stretches over which the command rests long enough to be read."""
+    still = np.abs(np.diff(capture.commanded_position_m, prepend=capture.commanded_position_m[0]))
+    least = round(_LEAST_REST_s / capture.sample_period_s)
+    return [rest for rest in stretches(still < _STILL_m) if rest.stop - rest.start >= least]
+
+
 def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
     """Rests after upward and after downward moves."""
     if capture.table_position_m is None:
@@ -188,17 +235,13 @@ def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
     r = capture.commanded_position_m
     deviation = capture.table_position_m - r
     standing = capture.motor_position_m - capture.desired_m
-    least = round(_LEAST_REST_s / capture.sample_period_s)
     up: list[Rest] = []
     down: list[Rest] = []
-    still = np.abs(np.diff(r, prepend=r[0])) < _STILL_m
     last = float(r[0])
-    for rest in stretches(still):
+    for rest in rests_of(capture):
         first, end = rest.start, rest.stop
-        if end - first < least:
-            continue
         place = float(r[first])
-        part = slice(end - max(1, int(_READ_FRAC * (end - first))), end)
+        part = slice(end - max(1, int(READ_FRAC * (end - first))), end)
         side = up if place > last + _SAME_m else down
         if abs(place - last) > _SAME_m:
             side.append((place, float(deviation[part].mean()), float(standing[part].mean())))

@@ -121,7 +121,7 @@ def test_report_is_one_file_that_says_what_is_simulated(
     page = write_run_report(result[0], tmp_path / "report.html")
     html = page.read_text()
     assert "are simulated" in html
-    assert "Positioning after ISO 230-2" in html
+    assert "Positioning by ISO 230-2" in html
     assert "Ringing after steps of the acceleration" in html
     assert html.count("<svg") >= 13
     assert "lead_cyclic" in html  # what the plant held is told at the end

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from pmac_comp.report import figures
-from pmac_comp.report.page import Page, Section, Table, cell, render
+from pmac_comp.report.page import Page, Section, Table, cell, render, sentence
 
 
 def page(text: str) -> str:
@@ -67,7 +67,25 @@ def test_cells() -> None:
 def test_no_promise_makes_no_empty_table() -> None:
     from pmac_comp.report.verification import _promise_tables
 
-    assert _promise_tables(()) == []
+    assert _promise_tables((), 0.05) == []
+
+
+def test_statements_are_a_list_and_text_is_read_from_the_left() -> None:
+    scheme = Table(("run scheme", "value"), [("targets", "7")], in_words=True)
+    html = render(Page("t", "s", "n", sections=[Section("x", points=["one"], tables=[scheme])]))
+    assert "<li>one</li>" in html
+    assert '<table class="words">' in html
+    assert [sentence(text) for text in ("said", " so it is. ", "")] == ["Said.", "So it is.", "."]
+
+
+def test_paper_shows_what_is_folded_and_asks_for_a_signature() -> None:
+    folded = Section("x", text=["inside"], open=False)
+    html = render(Page("t", "s", "n", sections=[folded], signed=("Measured by",)))
+    paper = html[html.index("@media print") : html.index("</style>")]
+    for said in ("details::details-content", "break-inside: avoid", ".signed { display: flex"):
+        assert said in paper
+    assert "<span>Measured by</span>" in html
+    assert "@page { size: A4" in html
 
 
 def test_long_names_break_and_heads_wrap() -> None:

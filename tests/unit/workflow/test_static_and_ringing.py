@@ -11,6 +11,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.report.verification import headline
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion
 from pmac_comp.workflow.motions import Motion, check_motion, parse_motion
+from pmac_comp.workflow.positioning_sheet import by_target, run_scheme, sheet_rows
 from pmac_comp.workflow.pvt import pvt_program
 from pmac_comp.workflow.ringing import ringing_of
 from pmac_comp.workflow.static_check import Approaches, StaticOutcome, approaches, is_static
@@ -76,10 +77,38 @@ def test_before_and_after_side_by_side() -> None:
     assert is_static(staircase_run(0.0, 0.0, 0.0))
 
 
+def test_the_sheet_has_each_way_alone_and_the_run_scheme() -> None:
+    offsets = (100.0, 100.5, 99.5)
+    runs = [staircase_run(offset, 3.0, 20.0) for offset in offsets]
+    told = [run.with_attributes(start_utc=f"2026-03-01T10:0{i}:00") for i, run in enumerate(runs)]
+    found = StaticOutcome(approaches(runs), None, tuple(told))
+    rows = {name: (before, after) for name, before, after in sheet_rows(found)}
+    assert next(iter(rows)) == "accuracy A"
+    span_um = 20.0 * float(np.ptp(approaches(runs).target_m))
+    # s = 0.5 um in each direction: R = 4 s, A = E + 4 s; the reversal is in neither.
+    for way in "↑↓":
+        assert rows[f"systematic deviation E {way}"] == (pytest.approx(span_um, abs=1e-3), None)
+        assert rows[f"repeatability R {way}"][0] == pytest.approx(2.0, abs=1e-3)
+        assert rows[f"accuracy A {way}"][0] == pytest.approx(span_um + 2.0, abs=1e-3)
+    first = by_target(approaches(runs))[0]
+    assert first.figures_um[1::2][:2] == pytest.approx((0.5, 0.5), abs=1e-3)
+    assert first.figures_um[4] == pytest.approx(3.0, abs=1e-3)
+    scheme = dict(run_scheme(found))
+    assert scheme["targets"].startswith("7, from -275.000")
+    assert scheme["approaches of a target from each side"] == "3 before; the standard wants 5"
+    assert scheme["overrun beyond the first and last target"] == "12.0 mm"
+    assert scheme["speed between targets, at most"] == "300 mm/s"
+    assert scheme["rest at a target"].startswith("0.40 s")
+    assert "2026-03-01 10:00:00 and 2026-03-01 10:02:00 UTC" in scheme.values()
+    result = found.as_result()["before"]
+    assert result["one_way_um"]["up"]["repeatability_R"] == pytest.approx(2.0, abs=1e-3)
+    assert np.shape(result["deviation_down_um"]) == (3, 7)
+
+
 def test_the_report_begins_with_the_accuracy() -> None:
     sides = [approaches([staircase_run(o, b, 0.0) for o in (0.0, 0.0)]) for b in (3.0, 0.5)]
     shown = headline(Verification((), 0.0, simulated=True, static=StaticOutcome(*sides)))
-    assert shown == [("3.0 → 0.5 um", "accuracy A after ISO 230-2")]
+    assert shown == [("3.0 → 0.5 um", "accuracy A by ISO 230-2")]
 
 
 def test_what_the_motor_leaves_at_rest_is_told_from_the_mechanics() -> None:

@@ -202,8 +202,11 @@ def test_stored_runs_are_held_against_the_compensation_that_acted_only(tmp_path:
 
     with pytest.raises(ConfigError, match=r"after\.h5: made with another .* \(route table\)"):
         compared(after, law="other")
-    for law in ("acted", "renamed", ""):
+    for law in ("acted", "renamed"):
         assert not any("compensation" in text for text in compared(after, law=law))
+    (said,) = (text for text in compared(after) if "compensation" in text)
+    assert "the lead error is still in the mechanical error before" in said
+    assert "--compensation FILE" in said
     assert any("2 different ones" in text for text in compared(after, mixed))
     # Captures of an earlier version, or of `capture` with the compensation on.
     write_capture(after, with_it)
@@ -227,4 +230,4 @@ def test_the_figure_of_a_page_shows_the_error_that_is_judged(route: str, judged:
     sections = verification_sections(Verification(motions, 0.1, simulated=True, route=route))
     image, caption = sections[0].figures[0]
     assert caption.startswith(f"{judged.capitalize()} error per motion")
-    assert f"{judged} error, um rms" in image
+    assert f"{judged} error (um rms)" in image

@@ -1,0 +1,39 @@
+"""Section on a repeated motion: what the model alone gives, and what learning adds pass by pass."""
+
+from pmac_comp.report import figures
+from pmac_comp.report.page import Section, Table, sentence
+from pmac_comp.workflow.repeated import Refinement
+
+
+def learning_section(found: Refinement) -> Section:
+    """Error without anything, by the model alone and with what was learned; the passes."""
+    learning = found.learning
+    fresh = f"on {len(learning.confirmed_um)} fresh runs, which differ by {learning.scatter_um:.2f}"
+    added = found.model_share + found.learning_share
+    rows = [
+        ("without compensation", f"{found.without_um:.2f}", "–"),
+        ("with the model alone", f"{found.model_um:.2f}", f"{100 * found.model_share:.1f} %"),
+        (f"with what was learned ({fresh})", f"{found.confirmed_um:.2f}", f"{100 * added:.1f} %"),
+    ]
+    names = ("pass", "total error, um rms", f"below {learning.cutoff_Hz:.0f} Hz, um rms")
+    passes = [
+        (str(number), f"{left:.3f}", f"{part:.3f}")
+        for number, (left, part) in enumerate(
+            zip(learning.history_um, learning.learnable_um, strict=True)
+        )
+    ]
+    return Section(
+        "Learning on top of the model",
+        points=[sentence(line) for line in found.lines()],
+        tables=[
+            Table(("total error in motion, measured", "um rms", "taken away"), rows),
+            Table(names, passes, "Pass by pass; pass 0 is the model alone"),
+        ],
+        figures=[
+            (
+                figures.learning_figure(learning.history_um, learning.learnable_um),
+                "What is left pass by pass. Only what lies below the cutoff can be learned: its "
+                "fall is the proof of convergence.",
+            )
+        ],
+    )
