@@ -58,6 +58,10 @@ from pmac_comp.workflow.verification import Verification, static_remarks, verdic
 Progress = Callable[[str, float], None]
 _RESULT = "verification.json"
 _LEARNED = "learned.json"
+_NO_FILE = (
+    "no compensation file was named: the lead error is still in the mechanical error before, and "
+    "nothing is promised; --compensation FILE takes it out, --model FILE beside it promises"
+)
 Pair = tuple[list[Capture], list[Capture]]
 
 
@@ -81,7 +85,7 @@ def verify_files(
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
     compensation = None if law is None else read_compensation(law)
     runs = {str(path): capture for path, capture in zip(after, sides[1], strict=True)}
-    remarks = check_acted(runs, compensation, str(law))
+    remarks = (*check_acted(runs, compensation, str(law)), *([_NO_FILE] if law is None else []))
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     if not first and not second and (static is not None or ringing is not None):
