@@ -7,7 +7,7 @@ words for people. What may not: the count of operations and the card's task time
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,6 +33,9 @@ CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws
 MOST_FRAC = 0.81
 BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
 _SLOWEST_CYCLES = 4
+# Of an interpreted operation a compiled one takes 1 us of 3 in floating point (User Manual), in
+# which the open servo is written; only fixed point would be a tenth and less.
+COMPILED_FRAC = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -211,6 +214,8 @@ def cost_remarks(
     offers: tuple[CheaperLaw, ...] = (),
 ) -> list[str]:
     """What the route costs on the card's processor, and the ways out where that is much."""
+    if route == "servo":
+        return [_servo_text(bench, law)]
     if route != "law":
         return []
     text, every_cycles = cost_text(bench, law), law.every_cycles
@@ -228,8 +233,30 @@ def cost_remarks(
     much = "more than a quarter" if fits else "more than it may, `upload` refuses it"
     return [
         f"{text}: {much}. Cheaper: {ways}; or --route servo, whose compiled form "
-        "costs about a tenth"
+        f"takes about {100 * _servo_frac(bench, law):.0f} % in each servo cycle"
     ]
+
+
+def _servo_frac(bench: Bench, law: CompensationLaw) -> float:
+    """Share of the processor's time that the law takes in the open servo, every servo cycle."""
+    return COMPILED_FRAC * _cost_us(bench, law) / (bench.servo_period_s * US_PER_S)
+
+
+def _servo_text(bench: Bench, law: CompensationLaw) -> str:
+    """What the law costs in the open servo, and what is cheaper where that is much."""
+    share = _servo_frac(bench, law)
+    text = (
+        f"in the open servo the law takes about {COMPILED_FRAC * _cost_us(bench, law):.0f} us in "
+        f"each servo cycle, {100 * share:.0f} % of the processor's time at "
+        f"{bench.controller.cpu_clock_MHz:g} MHz, beside the loop's own terms"
+    )
+    seldom = share_frac(bench, replace(law, every_cycles=_SLOWEST_CYCLES))
+    if share <= CHEAP_FRAC:
+        return text
+    return (
+        f"{text}: more than a quarter. Cheaper: --route law with --every {_SLOWEST_CYCLES} "
+        f"({100 * seldom:.0f} %)"
+    )
 
 
 def _offer_text(offer: CheaperLaw, here: list[CheaperLaw]) -> str:

@@ -38,7 +38,20 @@ def test_a_law_below_a_quarter_only_says_what_it_costs() -> None:
     assert share_frac(BENCH, seldom) == pytest.approx(share_frac(BENCH, plain) / 4)
     (text,) = cost_remarks(BENCH, "law", seldom)
     assert "more than a quarter" not in text
-    assert cost_remarks(BENCH, "servo", plain) == []
+    assert cost_remarks(BENCH, "table", plain) == []
+
+
+def test_the_open_servo_takes_a_third_and_that_is_said() -> None:
+    plain = CompensationLaw(inertia_s2=2e-6)
+    third = f"{100 * share_frac(BENCH, plain) / 3:.0f} %"
+    (text,) = cost_remarks(BENCH, "servo", plain)
+    assert third in text
+    assert "a quarter" not in text
+    # Interpreted it is offered with the same figure.
+    assert f"takes about {third}" in cost_remarks(BENCH, "law", plain)[0]
+    gap = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7)
+    (text,) = cost_remarks(BENCH, "servo", gap)
+    assert "more than a quarter. Cheaper: --route law with --every 4" in text
 
 
 def test_a_law_of_every_second_cycle_is_not_offered_itself() -> None:
