@@ -138,6 +138,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             f"the motion is PROG {CAM_PROGRAM}; motor #{axis.bench.controller.cam_motor_number} "
             "counts its time"
         )
+        notes += check_table_sign(axis, tables, context)
     elif tables or stale:
         context.progress("standing at the motor's zero", *UNKNOWN)
         stand_at_zero(axis)

@@ -4,6 +4,7 @@ What changes and by how much at most, what is off meanwhile and for how long, wh
 and everything that forbids it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import guard_install, motors
+from pmac_comp.machine.controller.comp_table import CompTable, Table
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import LawHead, read_law_head
 from pmac_comp.machine.controller.processor_load import read_load
@@ -63,6 +65,10 @@ class UploadPreview:
     refusals: tuple[SafetyRefusal, ...]
     change: Difference
 
+    def refused(self) -> list[str]:
+        """What forbids it, for people who only look; an upload raises it with what to do."""
+        return [f"  refused: {refusal.message}" for refusal in self.refusals]
+
     def require_allowed(self) -> None:
         """Raise all refusals together, if there are any; nothing was changed."""
         raise_all(self.refusals, "The upload")
@@ -72,7 +78,7 @@ class UploadPreview:
         return {
             "url": self.url,
             "route": self.route,
-            "plan": list(self.text),
+            "plan": [*self.text, *self.refused()],
             "lines": list(self.lines),
             "largest_change_um": self.change.largest_change_um,
             "refusals": [refusal.message for refusal in self.refusals],
@@ -110,7 +116,7 @@ def preview(
         if tables and compensation.route != "law":
             lines += program_lines(axis, context, compensation.route)
             text += _guard_lines(axis, context)
-        text += _motion_lines(axis)
+        text += _motion_lines(axis, tables)
     if compensation.route == "cam":
         text += _cam_lines(axis, compensation)
         lines += render_cam(compensation, axis.bench).program.lines
@@ -132,7 +138,6 @@ def preview(
     text += [f"  {remark}" for remark in place_remarks(axis.link, axis.bench)]
     text += [_SAVED if persist else _NOT_SAVED]
     refusals = list({refusal.message: refusal for refusal in refusals}.values())
-    text += [f"  refused: {refusal.message}" for refusal in refusals]
     return UploadPreview(
         url, compensation.route, tuple(text), tuple(lines), tuple(refusals), change
     )
@@ -174,14 +179,14 @@ def _off_s(url: str, characters: int) -> float:
     return _STEPS_s + _BOTH_WAYS * characters / rate
 
 
-def _motion_lines(axis: Axis) -> list[str]:
+def _motion_lines(axis: Axis, tables: Sequence[Table]) -> list[str]:
     reading = motors.read_motor(axis.link, axis.motor)
     if not reading.status.is_closed_loop:
         return ["  the motor's loop is open: nothing moves"]
-    return [
-        "  the axis moves to its zero first, where every table corrects nothing, and then to where "
-        "the table corrects most, to measure its sign"
-    ]
+    there = "  the axis moves to its zero first, where every table corrects nothing"
+    tested = any(isinstance(table, CompTable) and table.motor == axis.motor for table in tables)
+    most = ", and then to where the table corrects most, to measure its sign"
+    return [there + most * tested]
 
 
 def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:

@@ -129,8 +129,12 @@ def test_total_error_falls_and_rollback_restores(
         compensation.motion_correction_m,
     )
     context = context_of(axis, tmp_path)
-    deploy(axis, compensation, context)
+    told = preview(axis, context, compensation, "sim://").text
+    done = deploy(axis, compensation, context)
     assert [t.motor for t in read_tables(axis.link)] == [8, 1]
+    # The plan says that the sign of the lead table is measured: it is, as on the other routes.
+    assert any("to measure its sign" in line for line in told)
+    assert any("sign was not measured" in note for note in done.notes)  # it corrects nothing
     runner, (motion,) = cam_axis(axis, compensation)
     left: dict[bool, tuple[float, float]] = {}
     for on in (False, True):
@@ -152,6 +156,20 @@ def test_total_error_falls_and_rollback_restores(
     with pytest.raises(VerifyMismatch):
         runner.run(motion)
     assert np.max(np.abs(offset_of(axis.run(MOTION)))) < 1e-9
+
+
+@pytest.mark.parametrize("lead", [None, lead_map()], ids=["cam alone", "with a lead table"])
+def test_the_sign_of_the_lead_table_beside_a_cam_is_measured(
+    axis: Axis, tmp_path: Path, lead: LeadMap | None
+) -> None:
+    """The plan promised it, and a reversed table would have acted unseen."""
+    compensation, context = replace(cam_of(BUMP), lead=lead), context_of(axis, tmp_path)
+    axis.enable()
+    told = preview(axis, context, compensation, "sim://").text
+    done = deploy(axis, compensation, context)
+    assert any("to measure its sign" in line for line in told) is (lead is not None)
+    measured = any("sign of the tables measured" in note for note in done.notes)
+    assert measured is (lead is not None)
 
 
 TIME_MOTOR = tuple(time_motor_variables(BENCH))
