@@ -66,6 +66,7 @@ from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
+_CUT_FRAC = 0.999  # of the limit: what reaches it was cut
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
@@ -211,16 +212,20 @@ def _for_motion(
 ) -> Compensation:
     limit_m = bench.safety.max_correction_um / UM_PER_M
     # A run meets its start out of a jog and a rest: that friction and integrator are in its error.
-    exact = exact_correction(
+    learned = partial(
+        exact_correction,
         model_loop(model),
         motion.position_m,
         bench.servo_period_s,
-        limit_m=limit_m,
         aim=aim,
         lead_in_m=approach(bench, float(motion.position_m[0])),
         may_run=lambda offset_m: is_allowed(with_offset(motion, offset_m), bench),
     )
-    said = {"error_um": list(exact.history_um), "aim": aim.value, "motion": motion.name}
+    exact = learned(limit_m=limit_m)
+    said: dict[str, Any] = {"aim": aim.value, "motion": motion.name}
+    said["error_um"] = list(exact.history_um)
+    if np.any(np.abs(exact.correction_m) > _CUT_FRAC * limit_m):
+        said["needed_um"] = float(np.max(np.abs(learned().correction_m))) * UM_PER_M
     return Compensation(
         route,
         replace(law, provenance={**law.provenance, "exact": said}),
@@ -440,8 +445,11 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     limit_um = bench.safety.max_correction_um
     correction = compensation.motion_correction_m
     if correction is not None:
-        share = float(np.mean(np.abs(correction) * UM_PER_M > 0.999 * limit_um))
+        share = float(np.mean(np.abs(correction) * UM_PER_M > _CUT_FRAC * limit_um))
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
+        needed_um = compensation.law.provenance.get("exact", {}).get("needed_um")
+        if needed_um is not None:
+            cut += f", uncut it would take up to {needed_um:.0f} um"
         return [cut] if share else []
     law = compensation.law
     largest = law.largest_correction_m * UM_PER_M

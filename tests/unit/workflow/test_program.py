@@ -15,7 +15,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow import upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import compute_compensation
+from pmac_comp.workflow.computing import compute_compensation, limits_report
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
@@ -121,3 +121,21 @@ def test_the_correction_is_computed_for_the_start_that_a_run_has() -> None:
     run = promiser.of_motion(MOTION.trajectory, drawn_m=drawn_m)
     told_um = min(found.law.provenance["exact"]["error_um"])
     assert run["model_total_after_um"] < 1.5 * told_um
+
+
+def test_a_correction_that_is_cut_tells_what_it_would_take() -> None:
+    """Three limits were tried, each a minute, before one was large enough."""
+    drive = DriveModel.base(BENCH)
+
+    def limited(most_um: float) -> tuple[float, list[str]]:
+        safety = BENCH.safety.model_copy(update={"max_correction_um": most_um})
+        bench = BENCH.model_copy(update={"safety": safety})
+        found = compute_compensation(bench, drive, route="program", motion=MOTION)
+        assert found.motion_correction_m is not None
+        return 1e6 * float(np.max(np.abs(found.motion_correction_m))), limits_report(bench, found)
+
+    needed_um, nothing = limited(200.0)
+    assert nothing == []
+    cut_um, (said,) = limited(0.8 * needed_um)
+    assert cut_um == pytest.approx(0.8 * needed_um)
+    assert f"uncut it would take up to {needed_um:.0f} um" in said
