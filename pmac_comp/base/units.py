@@ -6,6 +6,7 @@ UM_PER_M = 1e6
 MM_PER_M = 1e3
 US_PER_S = 1e6
 MS_PER_S = 1e3
+S_PER_MIN = 60.0
 RAD_PER_REV = 2.0 * math.pi
 
 

@@ -24,6 +24,7 @@ from pmac_comp.workflow.motions import (
     check_motion,
     motion_rows,
     parse_motion,
+    time_needed,
 )
 from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
 from pmac_comp.workflow.runs import acting
@@ -47,6 +48,10 @@ class CapturePlan:
     def rows(self) -> list[tuple[Any, ...]]:
         """Rows for people."""
         return motion_rows(self.motions)
+
+    def time_needed(self) -> str:
+        """How long the session takes, for people."""
+        return time_needed([(1, motion) for motion in self.motions])
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""

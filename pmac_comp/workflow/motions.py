@@ -10,7 +10,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import AmplitudeExceeded, ConfigError, MotorNotSafe, SafetyRefusal
-from pmac_comp.base.units import MM_PER_M, MS_PER_S
+from pmac_comp.base.units import MM_PER_M, MS_PER_S, S_PER_MIN
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.physics.signals.trajectory import Trajectory
@@ -20,6 +20,7 @@ _WIGGLE_Hz = 6.0
 _WIGGLE_s = 1.5
 _WIGGLE_DECADES = 4.5  # natural ones: from 150 um to below 2 um
 _REST_s = 0.1
+_BETWEEN_s = 6.0  # jog to the start, rest, fading motion and reading out, as seen at servo rate
 
 
 @dataclass(frozen=True)
@@ -262,3 +263,14 @@ def relaxing(motion: Motion) -> tuple[Motion, int]:
 def motion_rows(motions: Sequence[Motion]) -> list[tuple[Any, ...]]:
     """Rows of a table of motions."""
     return [motion.row() for motion in motions]
+
+
+def time_needed(runs: Sequence[tuple[int, Motion]]) -> str:
+    """How long a session takes, for people; how often each motion runs beside it."""
+    number = sum(n for n, _ in runs)
+    moving_s = sum(n * motion.duration_s for n, motion in runs)
+    whole_min = (moving_s + number * _BETWEEN_s) / S_PER_MIN
+    return (
+        f"{moving_s / S_PER_MIN:.1f} min of motion in {number} run{'s' * (number != 1)}, about "
+        f"{whole_min:.1f} min with the ways to their starts"
+    )

@@ -24,7 +24,7 @@ from pmac_comp.workflow.campaigns import (
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.improve import require_many_motions
-from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
@@ -52,9 +52,8 @@ class RunsPreview:
         return [(what, n, *motion.row()) for what, n, motion in self.runs]
 
     def lines(self) -> list[str]:
-        """Time that the motions take, and the remarks."""
-        total_s = sum(n * motion.duration_s for _, n, motion in self.runs)
-        return [f"{total_s / 60.0:.1f} min of motion in all", *self.remarks]
+        """Time that the session takes, and the remarks."""
+        return [time_needed([(n, motion) for _, n, motion in self.runs]), *self.remarks]
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
