@@ -155,7 +155,17 @@ def _table_rows(axis: Axis, old: list[Table], new: list[Table]) -> list[Row]:
         low, high = [float(v.min()) for v in values], [float(v.max()) for v in values]
         rows.append((f"{name}, lowest", low[0], low[1], "um"))
         rows.append((f"{name}, highest", high[0], high[1], "um"))
+        steep = [0.0 if t is None else _steepest(axis, t) for t in pair]
+        rows.append((f"{name}, steepest", steep[0], steep[1], "um/mm"))
     return rows
+
+
+def _steepest(axis: Axis, table: Table) -> float:
+    """Largest change from one entry to the next, um per mm; the last one is that at zero."""
+    um_per_ct = axis.scales.motor_m_per_ct * UM_PER_M
+    spacing_mm = table.span_ct / len(table.entries) * axis.scales.motor_m_per_ct * MM_PER_M
+    entries_um = np.asarray(table.entries) / _SIXTEENTHS * um_per_ct
+    return float(np.max(np.abs(np.diff(entries_um, prepend=entries_um[-1])))) / spacing_mm
 
 
 def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]:
@@ -254,7 +264,10 @@ def _law_curves(
         out = evaluate(bank, counts, clamp_ct=clamp_ct)
         to_um = axis.scales.motor_m_per_ct * UM_PER_M
         sides.append((out.correction_ct * to_um, out.torque_dac * axis.scales.torque_Nm_per_dac))
-    names = (("the law's correction on a reference move", "um"), ("its torque", "Nm"))
+    names = (
+        ("the law's correction on a reference move", "um"),
+        ("the law's torque on a reference move", "Nm"),
+    )
     return [
         Curve(name, unit, motion.time_s, "s", sides[0][k], sides[1][k])
         for k, (name, unit) in enumerate(names)
