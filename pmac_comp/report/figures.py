@@ -222,11 +222,29 @@ def residual_figure(
         axes = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
         for axis, (name, values, unit) in zip(axes, channels, strict=True):
             axis.plot(*thin_pair(time_s, np.nan_to_num(values)), color=PROMISE, lw=0.7)
-            axis.set_ylabel(f"{name}\n{unit}")
+            axis.set_ylabel(f"{name}\n({unit})")
         axes[0].set_title(title, fontsize=8.5, loc="left")
         axes[-1].set_xlabel("time (s)")
 
     return svg(draw, 7.2, 0.7 + 1.1 * len(channels))
+
+
+def overlay_figure(time_s: FloatArray, measured: FloatArray, simulated: FloatArray) -> str:
+    """Table minus motor in um, measured and simulated by the model, means taken out."""
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        for values, colour, word in (
+            (measured, BEFORE, "measured"),
+            (simulated, AFTER, "simulated"),
+        ):
+            centred = np.nan_to_num(values - np.nanmean(values))
+            axis.plot(*thin_pair(time_s, centred), color=colour, lw=0.8, label=word)
+        axis.set_ylabel("table - motor (um)")
+        axis.set_xlabel("time (s)")
+        figure.legend(*axis.get_legend_handles_labels(), loc="outside upper right", ncols=2)
+
+    return svg(draw, 7.2, 2.4)
 
 
 def scatter_figure(x: FloatArray, y: FloatArray, xlabel: str, ylabel: str, title: str = "") -> str:
@@ -260,8 +278,8 @@ def save_difference_plot(curves: Sequence[Curve], path: Path) -> None:
             axis.plot(*thin_pair(curve.along, curve.old), color=BEFORE, label="on the controller")
             axis.plot(*thin_pair(curve.along, curve.new), color=AFTER, label="new")
             what = "table position" if curve.along_unit == "mm" else "time"
-            axis.set_xlabel(f"{what} {curve.along_unit}")
-            axis.set_ylabel(curve.unit)
+            axis.set_xlabel(f"{what} ({curve.along_unit})")
+            axis.set_ylabel(f"({curve.unit})")
             axis.set_title(curve.name, fontsize=8.5, loc="left")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         figure.savefig(path)

@@ -20,6 +20,8 @@ _FIGURES = {
     "held_out_coulomb_um": "left on held-out stretches with Coulomb friction, um rms",
     "held_out_lugre_um": "left on held-out stretches with LuGre friction, um rms",
     "held_out_gms_um": "left on held-out stretches with GMS friction, um rms",
+    "held_out_turning_stribeck_um": "left on held-out stretches with Stribeck friction at nut and "
+    "motor, um rms",
     "held_out_onset_um": "left on held-out stretches with a fitted onset of friction, um rms",
     "relative_force_error_percent": "relative error of the force, %",
     "closed_loop_position_rms_um": "motor position from the command alone, um rms",
@@ -103,12 +105,25 @@ def _residual_sections(outcome: IdentificationOutcome) -> list[Section]:
         ]
         name = str(capture.attributes.get("motion", f"capture {i + 1}"))
         time_s = capture.time_s[: channels[0][1].size] if channels else capture.time_s
-        images = [
+        images = _overlay(capture, left.table_m)
+        images += [
             (figures.residual_figure(time_s, channels, name), "Measured minus simulated over time.")
         ]
         images += _where(capture, channels)
         sections.append(Section(f"What the model leaves: {name}", figures=images, open=i < 3))
     return sections
+
+
+def _overlay(capture: Capture, left_m: FloatArray | None) -> list[tuple[str, str]]:
+    """What the drive did and what the model makes of the same command; nothing without a scale."""
+    table = capture.table_position_m
+    if table is None or left_m is None or np.size(left_m) != capture.n:
+        return []
+    measured = (table - capture.motor_position_m) * UM_PER_M
+    image = figures.overlay_figure(
+        capture.time_s, measured, measured - np.asarray(left_m) * UM_PER_M
+    )
+    return [(image, "Table minus motor, measured and simulated, means taken out.")]
 
 
 def _where(capture: Capture, channels: list[tuple[str, FloatArray, str]]) -> list[tuple[str, str]]:
@@ -119,16 +134,16 @@ def _where(capture: Capture, channels: list[tuple[str, FloatArray, str]]) -> lis
     good = np.isfinite(values)
     speed = np.gradient(capture.commanded_position_m, capture.time_s) * MM_PER_M
     coordinates: list[tuple[FloatArray, str]] = [
-        (speed, "commanded speed mm/s"),
-        (capture.commanded_position_m * MM_PER_M, "commanded position mm"),
+        (speed, "commanded speed (mm/s)"),
+        (capture.commanded_position_m * MM_PER_M, "commanded position (mm)"),
     ]
     out: list[tuple[str, Any]] = []
     for coordinate, label in coordinates:
         if np.ptp(coordinate[good]) > 0.0:
             image = figures.scatter_figure(
-                coordinate[good], values[good], label, f"{name} residual {unit}"
+                coordinate[good], values[good], label, f"{name} residual ({unit})"
             )
             out.append(
-                (image, f"Where the {name} residual lives along the {label.split(' m')[0]}.")
+                (image, f"Where the {name} residual lives along the {label.split(' (')[0]}.")
             )
     return out
