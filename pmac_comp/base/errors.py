@@ -216,8 +216,10 @@ class SafetyRefusal(PmacCompError):
 
     def __str__(self) -> str:
         # With several refusals, each says what is special about it; general advice stands once.
-        each = [f"  - {refusal.described(refusal.hint)}" for refusal in self.refusals]
-        return "\n".join([super().__str__(), *each])
+        each = [
+            refusal.described(refusal.hint).replace("\n", "\n    ") for refusal in self.refusals
+        ]
+        return "\n".join([super().__str__(), *(f"  - {text}" for text in each)])
 
 
 class AmplitudeExceeded(SafetyRefusal):

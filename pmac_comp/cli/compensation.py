@@ -170,7 +170,7 @@ def upload(
     def show_plan() -> None:
         output.echo_all(plan.text)
         if dry_run:
-            output.echo_all(plan.lines)
+            output.echo_all([*plan.refused(), *plan.lines])
 
     if dry_run:
         output.finish(plan.as_result(), json_target, show_plan)
@@ -184,8 +184,7 @@ def upload(
     progress.close()
 
     def show() -> None:
-        output.echo(_ended(result))
-        output.echo(result["next"])
+        output.echo_all(_ended(result))
 
     output.finish(result, json_target, show)
 
@@ -214,7 +213,7 @@ def recover(
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, keep=keep, progress=progress)
     progress.close()
-    output.finish(result, json_target, lambda: output.echo(_ended(result)))
+    output.finish(result, json_target, lambda: output.echo_all(_ended(result)))
 
 
 def rollback(
@@ -238,7 +237,7 @@ def rollback(
     progress = ProgressLines()
     result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
     progress.close()
-    output.finish(result, json_target, lambda: output.echo(_ended(result)))
+    output.finish(result, json_target, lambda: output.echo_all(_ended(result)))
 
 
 def remove(
@@ -263,11 +262,23 @@ def remove(
     progress = ProgressLines()
     result = remove_compensation(url, bench, journal, progress=progress)
     progress.close()
-    output.finish(result, json_target, lambda: output.echo("removed and verified"))
+    shown = ["removed and verified", result["next"]]
+    output.finish(result, json_target, lambda: output.echo_all(shown))
 
 
-def _ended(result: dict[str, Any]) -> str:
-    return f"{result['verdict']}: {result['summary']}"
+_MEANS = {
+    "NEW": "what was uploaded stands on the controller",
+    "OLD": "what stood before stands on the controller",
+    "DISABLED": "compensation is off on the controller",
+}
+
+
+def _ended(result: dict[str, Any]) -> list[str]:
+    """The verdict and what it rests on, one statement a line, then what may follow."""
+    verdict, said = result["verdict"], result["said"]
+    if len(said) == 1:
+        return [f"{verdict}: {said[0]}", result["next"]]
+    return [f"{verdict}: {_MEANS[verdict]}", *(f"  - {text}" for text in said), result["next"]]
 
 
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:

@@ -91,6 +91,16 @@ def info(url: UrlArgument, json_target: JsonOption = "") -> None:
     output.finish(result, json_target, lambda: output.table(url, ("item", "value"), result.items()))
 
 
+_STATUS_WORDS = {
+    "tables_act": "tables act (I51)",
+    "verdict": "verdict on tables",  # the law's state stands beside it
+    "law_gain": "law gain, 0 to 1",
+    "law_correction_ct": "law correction now, counts",
+    "law_torque_dac": "law torque now, DAC units",
+    "clamped_passes": "passes of the law that were clamped",
+}
+
+
 def status(
     url: UrlArgument,
     bench: BenchOption = "paper",
@@ -111,9 +121,8 @@ def status(
                 for m in result["motors"]
             ],
         )
-        said = {"verdict": "verdict on tables"}  # the law's state stands beside it
         items = result["compensation"].items()
-        rows = [(said.get(name, name.replace("_", " ")), value) for name, value in items]
+        rows = [(_STATUS_WORDS.get(name, name.replace("_", " ")), value) for name, value in items]
         output.table("compensation", ("item", "value"), rows)
         output.echo(result["processor"]["summary"])
 
@@ -287,6 +296,9 @@ def capture(
             ("name", "duration s", "from mm", "to mm", "peak mm/s", "peak m/s2"),
             plan.rows(),
         )
+        output.echo(plan.time_needed())
+        if dry_run:
+            output.echo("nothing was changed")
 
     if dry_run:
         output.finish(plan.as_result(), json_target, show_plan)

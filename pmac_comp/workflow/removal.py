@@ -21,6 +21,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import rest_time_motor
 from pmac_comp.workflow.deploy import Progress, context_of, stand_at_zero
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.upload_flow import rollback_command
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,11 @@ def remove_compensation(
             temporary.take_off(axis.link, context)
             found = standing_on(axis)
             results = remove_from(axis, context, found) if not found.is_empty else ()
-    return {"removed": [] if found.is_empty else found.lines(),
-            "parts": [result.as_dict() for result in results]}  # fmt: skip
+    return {
+        "removed": [] if found.is_empty else found.lines(),
+        "parts": [result.as_dict() for result in results],
+        "next": f"Bring it back: {rollback_command(url, bench, journal)}",
+    }
 
 
 def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadResult, ...]:

@@ -65,6 +65,7 @@ def upload_file(
     return {
         **deployment.as_result(),
         "saved": persist,
+        "said": said,
         "summary": "; ".join(said),
         "next": "\n".join(next_steps(url, bench, new, journal, compensation, deployment)),
     }
@@ -79,8 +80,7 @@ def next_steps(
     deployment: Deployment,
 ) -> Iterator[str]:
     """Commands that may follow an upload, ready to be run."""
-    where = f"{shlex.quote(url)} --bench {shlex.quote(bench)}"
-    again = "" if journal == DEFAULT_JOURNAL else f" --journal {shlex.quote(str(journal))}"
+    where, again = _where(url, bench), _again(journal)
     file = shlex.quote(str(new))
     if not deployment.acts:
         yield (
@@ -89,7 +89,27 @@ def next_steps(
             f"pmac-comp upload {where} {file}{again}"
         )
     yield f"Check it: pmac-comp verify {where} --compensation {file}{_promise(new, compensation)}"
-    yield f"Take it back: pmac-comp rollback {where}{again}"
+    yield f"Take it back: {rollback_command(url, bench, journal)}"
+
+
+def _where(url: str, bench: str) -> str:
+    return f"{shlex.quote(url)} --bench {shlex.quote(bench)}"
+
+
+def _again(journal: Path) -> str:
+    return "" if journal == DEFAULT_JOURNAL else f" --journal {shlex.quote(str(journal))}"
+
+
+def rollback_command(url: str, bench: str, journal: Path) -> str:
+    """Command that takes the last upload of a journal back."""
+    return f"pmac-comp rollback {_where(url, bench)}{_again(journal)}"
+
+
+def look_after(url: str, bench: str, journal: Path, state: str) -> str:
+    """Command that may follow a change which was taken back or settled, ready to be run."""
+    if state == ControllerState.DISABLED.value:
+        return f"Bring back what stood before: {rollback_command(url, bench, journal)}"
+    return f"Look at it: pmac-comp status {_where(url, bench)}{_again(journal)}"
 
 
 def _promise(new: Path, compensation: Compensation) -> str:
@@ -141,7 +161,13 @@ def recover_upload(
     settle = recovery.keep if keep else recovery.recover
     with _ready(url, bench, journal, progress) as (axis, context):
         result = settle(axis.link, context)
-    return {**result.as_dict(), "summary": "; ".join(result.notes) or "nothing was left open"}
+    said = list(result.notes) or ["nothing was left open"]
+    return {
+        **result.as_dict(),
+        "said": said,
+        "summary": "; ".join(said),
+        "next": look_after(url, bench, journal, result.verdict.value),
+    }
 
 
 _FLASH = (
@@ -170,5 +196,11 @@ def rollback_upload(
             # The time motor of a cam went with the upload; what is left of it is not enabled.
             _save(axis, context, result.route, ControllerState.OLD)
             said = f"motor #{axis.motor} was killed, all of it saved to flash and read again"
-    summary = "; ".join((*result.notes, said))
-    return {**result.as_dict(), "saved": persist, "summary": summary}
+    told = [*result.notes, said]
+    return {
+        **result.as_dict(),
+        "saved": persist,
+        "said": told,
+        "summary": "; ".join(told),
+        "next": look_after(url, bench, journal, result.verdict.value),
+    }

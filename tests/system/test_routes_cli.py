@@ -45,8 +45,9 @@ def test_plan_upload_and_end_of_each_route(tmp_path: Path, route: str) -> None:
     done = run("upload", "sim://", "c.json", "--yes", "--persist", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    verdict = next(line for line in lines if line.startswith("NEW:"))
-    assert "saved to flash and read again" in verdict
+    assert "NEW: what was uploaded stands on the controller" in lines
+    said = lines[lines.index("NEW: what was uploaded stands on the controller") + 1 :]
+    assert any(line.startswith("  - ") and "saved to flash and read again" in line for line in said)
     assert "pmac-comp verify sim:// --bench paper --compensation c.json" in done.stdout
     assert "pmac-comp rollback sim:// --bench paper" in done.stdout
     assert "largest change of" in done.stdout  # the plan comes first
@@ -77,7 +78,9 @@ def test_a_forbidden_upload_names_every_reason_before_it_asks(tmp_path: Path) ->
     write_compensation(tmp_path / "c.json", Compensation("table", LAW, steep))
     done = run("upload", "sim://", "c.json", cwd=tmp_path)
     assert done.returncode == 6
-    assert done.stdout.count("refused:") == 2
+    # Each reason once, with its advice; the plan above them does not tell them as well.
+    assert done.stderr.count("\n  - ") == 2
+    assert "refused:" not in done.stdout
     assert "PC-SAF-001" in done.stderr or "corrects by" in done.stderr
     assert "--yes" not in done.stderr
     assert not (tmp_path / "pmac-comp-journal").exists()

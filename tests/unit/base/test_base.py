@@ -40,7 +40,7 @@ def test_all_refusals_are_shown_at_once_and_general_advice_once():
     )
     text = str(errors.SafetyRefusal("2 refusals", refusals=parts))
     assert "80 um" in text
-    assert "motor 1 moves (PC-SAF-000)\nWait until it stands." in text
+    assert "motor 1 moves (PC-SAF-000)\n    Wait until it stands." in text
     assert text.count(errors.SafetyRefusal.usual_advice) == 1
 
 

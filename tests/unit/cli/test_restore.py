@@ -49,11 +49,15 @@ def test_a_card_without_an_upload_is_told_so_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recover("sim://", "paper", tmp_path)
-    assert capsys.readouterr().out == "OLD: no upload is under way\n"
+    verdict, after = capsys.readouterr().out.splitlines()
+    assert verdict == "OLD: no upload is under way"
+    assert after.startswith("Look at it: pmac-comp status sim:// --bench paper --journal ")
 
 
 def test_the_verdict_in_the_status_says_that_it_is_of_the_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status("sim://", "paper", tmp_path)
-    assert "verdict on tables  OLD" in capsys.readouterr().out
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "verdict on tables OLD" in rows
+    assert "law torque now, DAC units 0" in rows

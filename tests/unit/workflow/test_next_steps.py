@@ -8,7 +8,7 @@ from pmac_comp.base.errors import ControllerState
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import Deployment
-from pmac_comp.workflow.upload_flow import next_steps
+from pmac_comp.workflow.upload_flow import look_after, next_steps
 
 
 def check_line(folder: Path) -> str:
@@ -18,6 +18,16 @@ def check_line(folder: Path) -> str:
         "sim://", "paper", folder / "c.json", Path("kept"), Compensation("law", law), done
     )
     return next(line for line in steps if line.startswith("Check it"))
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [("OLD", "Look at it: pmac-comp status"), ("DISABLED", "stood before: pmac-comp rollback")],
+)
+def test_what_follows_a_change_that_was_settled(state: str, said: str) -> None:
+    line = look_after("tcp://card:1", "my bench.toml", Path("kept"), state)
+    assert said in line
+    assert line.endswith("tcp://card:1 --bench 'my bench.toml' --journal kept")
 
 
 def test_a_model_in_the_working_folder_is_named(
