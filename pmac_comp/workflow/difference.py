@@ -161,11 +161,19 @@ def _table_rows(axis: Axis, old: list[Table], new: list[Table]) -> list[Row]:
 
 
 def _steepest(axis: Axis, table: Table) -> float:
-    """Largest change from one entry to the next, um per mm; the last one is that at zero."""
-    um_per_ct = axis.scales.motor_m_per_ct * UM_PER_M
-    spacing_mm = table.span_ct / len(table.entries) * axis.scales.motor_m_per_ct * MM_PER_M
-    entries_um = np.asarray(table.entries) / _SIXTEENTHS * um_per_ct
-    return float(np.max(np.abs(np.diff(entries_um, prepend=entries_um[-1])))) / spacing_mm
+    """Largest slope between two knots within the travel, um per mm."""
+    spacing_ct = table.span_ct / len(table.entries)
+    limits = axis.scales.limits(axis.bench)
+    first, last = (
+        np.trunc(end / spacing_ct) for end in (limits.min_position_ct, limits.max_position_ct)
+    )
+    knots_ct = spacing_ct * np.arange(first, last + 1)
+    values_ct = np.zeros(knots_ct.size)
+    if isinstance(table, CompTable):
+        values_ct = table.correction_ct(knots_ct)
+    elif isinstance(table, BacklashTable):
+        values_ct = table.backlash_ct(knots_ct)
+    return float(np.max(np.abs(np.diff(values_ct)))) / spacing_ct * UM_PER_M / MM_PER_M
 
 
 def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]:

@@ -69,6 +69,9 @@ def test_old_against_new_of_a_law_is_numbers_in_um_and_a_plot(tmp_path: Path) ->
     assert rows["law, friction (each side)"]["new"] == pytest.approx(0.9, rel=1e-3)
     assert rows["law, friction (each side)"]["old"] is None
     assert rows["backlash table, highest"]["new"] == pytest.approx(4.0, abs=0.1)
+    # 35 um per m, to the rounding of two entries; beyond the travel the table runs back steeply.
+    assert rows["lead table, steepest"]["new"] == pytest.approx(0.035, abs=2 * 0.0625 / 0.5)
+    assert rows["lead table, steepest"]["unit"] == "um/mm"
     assert (tmp_path / "d.svg").read_text().count("<svg") == 1
 
 
