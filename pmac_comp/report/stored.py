@@ -10,6 +10,13 @@ from pmac_comp.base.reading import why
 from pmac_comp.report.page import Page, Section, Table, write_page
 
 _MOST_DEPTH = 6
+_MOST_COLUMNS = 8  # of a table on a page; records with more are shown side by side
+_TO_CENTI = 1e3  # from here on four digits would hide hundredths
+_FIGURES = (
+    "This page lists the stored figures. The page with plots and the sheet of ISO 230-2 is made "
+    "from the runs: `pmac-comp verify --before FOLDER --after FOLDER --bench FILE "
+    "--compensation FILE --model FILE --report FILE`."
+)
 _MOST_SHOWN = 20  # of a list in one cell
 _HINT = "Give the JSON file that verify, demo, identify, compare, improve or diagnose wrote."
 _MARKS = {"kind", "verdict"}  # each result has one of them
@@ -38,9 +45,11 @@ def report_from_file(source: Path, out: Path) -> Path:
             hint=_HINT,
         )
     simple = {k: v for k, v in data.items() if not isinstance(v, (dict, list))}
-    sections = [Section("Result", tables=[Table(("item", "value"), list(simple.items()))])]
+    result = Table(("item", "value"), list(simple.items()))
+    text = [_FIGURES] if data.get("kind") == "verification" else []
+    sections = [Section("Result", text=text, tables=[result])]
     sections += [
-        Section(name, tables=_tables(value, 0))
+        Section(name, tables=_tables(value, 0), open=name != "files")
         for name, value in data.items()
         if isinstance(value, (dict, list)) and value
     ]
@@ -94,6 +103,10 @@ def _tables(value: Any, depth: int, caption: str = "") -> list[Table]:
 
 def _records(records: list[dict[str, Any]], caption: str) -> Table:
     columns = list(dict.fromkeys(key for record in records for key in record))
+    if len(columns) > _MOST_COLUMNS and len(records) < _MOST_COLUMNS:
+        names = [_flat(r.get(columns[0])) for r in records]
+        rows = [[key, *(_flat(r.get(key)) for r in records)] for key in columns[1:]]
+        return Table((columns[0], *names), rows, caption)
     return Table(columns, [[_flat(r.get(key)) for key in columns] for r in records], caption)
 
 
@@ -113,4 +126,6 @@ def _flat(value: Any) -> Any:
         shown = ", ".join(str(_flat(item)) for item in value[:_MOST_SHOWN])
         more = len(value) - _MOST_SHOWN
         return f"{shown} and {more} more" if more > 0 else shown
-    return f"{value:.4g}" if isinstance(value, float) else value
+    if isinstance(value, float):
+        return f"{value:.2f}" if abs(value) >= _TO_CENTI else f"{value:.4g}"
+    return value

@@ -41,6 +41,20 @@ def test_the_page_says_where_its_captures_come_from(tmp_path: Path) -> None:
         assert "Simulated controller and drive." not in text
 
 
+def test_many_figures_of_few_motions_stand_side_by_side(tmp_path: Path) -> None:
+    """Thirty columns went off the page, and 9988.12 um was shown as 9988, the next as 1e+04."""
+    figures = {f"figure_{i}_um": float(i) for i in range(12)}
+    motions = [{"name": name, **figures} for name in ("sine", "move")]
+    places = {"before": {"name": "before", "mean_up_um": [9988.125, 10001.5]}}
+    result = {"kind": "verification", "motions": motions, "static": places, "files": ["a.h5"]}
+    (tmp_path / "r.json").write_text(json.dumps(result), encoding="utf-8")
+    text = report_from_file(tmp_path / "r.json", tmp_path / "report.html").read_text("utf-8")
+    assert "<th>name</th><th>sine</th><th>move</th>" in text
+    assert "9988.12, 10001.50" in text
+    assert "--before FOLDER --after FOLDER" in text
+    assert "<details><summary>show</summary>" in text
+
+
 def test_what_is_nested_is_a_table_of_its_own_and_no_line_of_a_page_width(tmp_path: Path) -> None:
     motion = {"name": "sine", "e_rms_um": {"value": 0.25, "upper95": 0.31}}
     part = {"simulated": True, "motions": [motion], "remarks": ["warm"]}
