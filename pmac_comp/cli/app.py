@@ -90,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         app(args=words, prog_name="pmac-comp")
     except PmacCompError as error:
         output.show_error(error, wants_json)
+        output.keep_error(error, words)
         sys.exit(error.exit_code)
     except KeyboardInterrupt as ended:
         _say_interrupted(words, ended)

@@ -11,6 +11,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -282,6 +283,21 @@ def show_error(error: PmacCompError, as_json: bool) -> None:
         say(f"  {note}")
     if as_json:
         write_json("-", {"error": describe_error(error)})
+
+
+_UNUSABLE = frozenset({"PC-CLI-001", "PC-CLI-002", "PC-CLI-014", "PC-CLI-015"})
+
+
+def keep_error(error: PmacCompError, words: Iterable[str]) -> None:
+    """Error as JSON in the file of ``--json``: an earlier result there would be taken for this one.
+
+    Not where the error is that this file cannot be used, or is an input.
+    """
+    named = [word.removeprefix("--json=") for word in words if word.startswith("--json=")]
+    if not named or named[-1] == "-" or error.code in _UNUSABLE:
+        return
+    with suppress(PmacCompError, OSError):
+        write_json(named[-1], {"error": describe_error(error)})
 
 
 def describe_error(error: PmacCompError) -> dict[str, Any]:

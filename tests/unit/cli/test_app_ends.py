@@ -57,6 +57,20 @@ def test_wrong_usage_is_a_document_where_json_was_asked_for(
     assert "new" in error["message"]
 
 
+def test_a_failed_command_leaves_no_earlier_result_in_the_file_of_json(tmp_path: Path) -> None:
+    """A script that read the file took the upload of yesterday for that of today."""
+    kept = tmp_path / "result.json"
+    kept.write_text('{"verdict": "NEW"}')
+    with pytest.raises(SystemExit) as left:
+        app.main(["upload", "sim://", str(tmp_path / "none.json"), "--json", str(kept)])
+    assert left.value.code == 2
+    assert json.loads(kept.read_text())["error"]["code"] == "PC-DEP-002"
+    # An input that is named as the result by mistake is not written over.
+    with pytest.raises(SystemExit):
+        app.main(["upload", "sim://", str(kept), "--json", str(kept)])
+    assert json.loads(kept.read_text())["error"]["code"] == "PC-DEP-002"
+
+
 @pytest.mark.parametrize("taken_by", ["nobody", "typer"])
 def test_an_interruption_tells_what_was_kept(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], taken_by: str
