@@ -49,8 +49,10 @@ from pmac_comp.machine.controller.transaction import (
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 _FOLLOWING: Final = re.compile(r"I\d+06")
-# Following, output offset and backlash: what law and tables set at rest.
-_UNDER_A_CLOSED_LOOP: Final = frozenset({"05", "06", "07", "29", "85", "86", "87"})
+# What closes the loop: activation, addresses, scales, flags; gains and filters; output and limits.
+_OF_THE_LOOP: Final = frozenset(
+    f"{n:02d}" for n in (*range(5), *range(8, 11), 24, 25, *range(30, 40), *range(59, 70))
+)
 _OF_MOTOR: Final = re.compile(r"I([1-9]|[12]\d|3[0-2])\d\d")  # Ixx00 to Ixx99
 
 
@@ -198,7 +200,7 @@ def _loop_refusals(link: Link, new: Settings) -> list[SafetyRefusal]:
     A motor that the change itself activated (the time motor of a cam) is killed when it goes.
     """
     names = [(name, found) for name in new.variables if (found := _OF_MOTOR.fullmatch(name))]
-    tuned = {int(found[1]) for name, found in names if name[-2:] not in _UNDER_A_CLOSED_LOOP}
+    tuned = {int(found[1]) for name, found in names if name[-2:] in _OF_THE_LOOP}
     tuned -= {motor for motor in tuned if f"I{motor}00" in new.variables}
     return [
         MotorNotSafe(
