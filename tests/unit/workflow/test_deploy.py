@@ -156,7 +156,7 @@ def test_motion_is_a_value() -> None:
 
 @pytest.mark.parametrize(
     ("more_motors", "code", "step"),
-    [(4, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
+    [(3, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
     ids=["measured with the law", "foreseen"],
 )
 def test_a_card_too_busy_for_the_law_is_left_as_it_was(

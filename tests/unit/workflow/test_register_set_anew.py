@@ -21,7 +21,11 @@ from tests.compensations import friction_law
 
 BENCH = load_bench("paper")
 LAW = friction_law(
-    viscous_s=3.7e-6, torque_viscous_Nm_s_per_m=0.5, torque_coulomb_Nm=0.45, lookahead_s=1.6e-3
+    viscous_s=3.7e-6,
+    torque_viscous_Nm_s_per_m=0.5,
+    torque_coulomb_Nm=0.45,
+    lookahead_s=1.6e-3,
+    jerk_limit_m_per_s3=400.0,  # as that of every law which is computed from a model
 )
 PLACE_ct = 80_000.0
 
