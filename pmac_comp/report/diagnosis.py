@@ -23,6 +23,7 @@ _PARTLY = "A part of what is missing has a name, a part has none"
 _MOST_COORDINATES = 4
 _MOST_TRACES = 6
 _LEAST_SHARE = 0.02
+_LEAST_P = 1e-12
 
 
 def write_diagnosis_report(outcome: DiagnosisOutcome, path: Path) -> Path:
@@ -69,7 +70,7 @@ def _words(outcome: DiagnosisOutcome) -> Section:
     rows = [(e.name, e.value, e.unit, e.std, e.lower95, e.upper95) for e in d.estimates]
     columns = ("parameter", "value", "unit", "std", "lower 95 %", "upper 95 %")
     tables = [Table(columns, rows)] if rows else []
-    return Section("What was found", text=[*d.statements, *outcome.findings()], tables=tables)
+    return Section("What was found", points=[*d.statements, *outcome.findings()], tables=tables)
 
 
 def _separation(outcome: DiagnosisOutcome) -> list[Section]:
@@ -108,37 +109,41 @@ def _evidence(d: Diagnosis) -> Section:
             e.name,
             e.round,
             e.status,
-            *map(_finite, (e.heldout_gain, e.bic_gain, e.p_value)),
+            *map(_finite, (e.heldout_gain, e.bic_gain)),
+            _p_value(e.p_value),
             e.gap_um,
         )
         for e in refitted
     ]
     columns = ("candidate", "round", "status", "held-out gain", "BIC gain", "p", "gap um")
     image = figures.candidates_figure(d.evidence)
+    tables = [Table(columns, rows, "Candidates that got a full refit")] if rows else []
     return Section(
         "Candidates and their evidence",
         text=[
             "Every candidate is refitted jointly with the parameters it could hide behind. The "
             "p-value is that of a block sign-flip test, corrected for the number of candidates; "
-            "half the BIC gain is the logarithm of the Bayes factor, near enough.",
-            *_screened(d.evidence),
+            "half the BIC gain is the logarithm of the Bayes factor, near enough."
         ],
-        tables=[Table(columns, rows)] if rows else [],
+        tables=[*tables, *_screened(d.evidence)],
         figures=[] if image is None else [(image, "Candidates that got a full refit.")],
     )
 
 
-def _screened(evidence: Sequence[Evidence]) -> list[str]:
-    """Candidates that a linearised refit ruled out, in one sentence per round."""
-    said = []
+def _screened(evidence: Sequence[Evidence]) -> list[Table]:
+    """Candidates that a linearised refit ruled out, one row per round."""
+    rows = []
     for number in sorted({e.round for e in evidence}):
         names = [e.name for e in evidence if e.round == number and e.status == "screened"]
         if names:
-            said.append(
-                f"Round {number}: a linearised joint refit gave these too little to be refitted "
-                f"in full: {', '.join(names)}."
-            )
-    return said
+            rows.append((f"round {number}", ", ".join(names)))
+    caption = "To these a linearised joint refit gave too little to be refitted in full"
+    return [Table(("round", "candidates"), rows, caption, in_words=True)] if rows else []
+
+
+def _p_value(value: float) -> float | str | None:
+    """A p-value; below what the test's blocks can tell, only that."""
+    return f"< {_LEAST_P:g}" if value < _LEAST_P else _finite(value)
 
 
 def _finite(value: float) -> float | None:

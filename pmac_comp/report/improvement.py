@@ -14,7 +14,10 @@ from pmac_comp.workflow.verification import Verification
 def write_improvement_report(result: Improvement, path: Path) -> Path:
     """Page of an improvement, beside that of its diagnosis."""
     first, grown = result.before_growth, result.after_growth
-    sections = [_outcome(result), Section("What the diagnosis said", text=result.diagnosis.lines())]
+    sections = [
+        _outcome(result),
+        Section("What the diagnosis said", points=result.diagnosis.lines()),
+    ]
     sections += _details("with the compensation of the first model", first)
     if grown is not None:
         sections += _details("with the compensation of the grown model", grown)
@@ -37,18 +40,24 @@ def _outcome(result: Improvement) -> Section:
     first, grown = result.before_growth.motions, result.after_growth
     after = [None] * len(first) if grown is None else [m.total_after.value for m in grown.motions]
     totals = [
-        (m.name, m.total_before.value, m.total_after.value, of_grown)
+        _in_um(m.name, m.total_before.value, m.total_after.value, of_grown)
         for m, of_grown in zip(first, after, strict=True)
     ]
+    mechanical = [_in_um(*row) for row in result.rows()]
     columns = ("um rms", "no compensation", "first model", "grown model")
     return Section(
         "What was measured",
         points=[sentence(line) for line in result.judged()],
         tables=[
-            Table(columns, result.rows(), "Mechanical error, measured"),
+            Table(columns, mechanical, "Mechanical error, measured"),
             Table(columns, totals, "Total error at the table, measured"),
         ],
     )
+
+
+def _in_um(name: str, *values_um: float | None) -> tuple[str, ...]:
+    """Row of a motion with hundredths of um, a dash for what was not measured."""
+    return name, *("–" if value is None else f"{value:.2f}" for value in values_um)
 
 
 def _details(name: str, verification: Verification) -> list[Section]:

@@ -90,10 +90,10 @@ def test_a_tie_shows_both_names_and_a_command_that_can_be_pasted(tmp_path: Path)
     assert "1.41 → 0.162 um" in html
 
 
-def test_candidates_are_drawn_and_those_only_screened_are_one_sentence(tmp_path: Path) -> None:
+def test_candidates_are_drawn_and_those_only_screened_are_one_row(tmp_path: Path) -> None:
     html = page(tmp_path, diagnosis())
-    assert "gave these too little to be refitted in full: cogging." in html
-    assert not re.search(r"<td>cogging</td>", html)
+    assert "<tr><td>round 1</td><td>cogging</td></tr>" in html
+    assert len(re.findall(r"<td>cogging</td>", html)) == 1
     assert len(re.findall(r"<td>presliding</td>", html)) == 1
     assert "lost, p 1<" in html
     assert "chosen, p &lt; 1e-6" in html
@@ -153,3 +153,10 @@ def test_a_refit_that_ran_away_does_not_hide_the_other_bars() -> None:
     assert figures._lowest_shown([-9.7, -8.8, 0.67, -2.85e8]) == pytest.approx(-44.0)
     assert figures._lowest_shown([80.0, -30.0]) == pytest.approx(-400.0)
     assert figures._lowest_shown([-3.0]) == pytest.approx(-15.0)
+
+
+def test_a_p_value_that_no_test_can_tell_is_a_bound() -> None:
+    from pmac_comp.report.diagnosis import _p_value
+
+    assert [_p_value(v) for v in (0.0, 1e-256, 0.03)] == ["< 1e-12", "< 1e-12", 0.03]
+    assert _p_value(float("nan")) is None

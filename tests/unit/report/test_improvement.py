@@ -36,7 +36,7 @@ def page(tmp_path: Path, grown: Verification | None, kept: str) -> str:
 
 def test_both_models_stand_side_by_side(tmp_path: Path) -> None:
     text = page(tmp_path, verification(0.375, 1.125), "grown")
-    for figure in ("1.25 → 0.38 um", "2.50 → 1.12 um", "0.375", "1.125", "30"):
+    for figure in ("1.25 → 0.38 um", "2.50 → 1.12 um", ">0.38<", ">1.12<", ">30.00<"):
         assert figure in text
     assert "Details, with the compensation of the grown model" in text
     assert "The compensation of the grown model is on the controller." in text
