@@ -254,8 +254,21 @@ def _module_name(path: Path) -> str:
     if known is not None:
         ours = getattr(known, "__file__", None) == str(path)
     else:
-        ours = name.isidentifier() and importlib.util.find_spec(name) is None
-    return name if ours else f"pmac_comp_user_plant_{name}"
+        ours = name.isidentifier() and _is_free(path)
+    return name if ours else _other_name(path)
+
+
+def _is_free(path: Path) -> bool:
+    """Whether nothing else would be imported by the name of a file."""
+    found = importlib.util.find_spec(path.stem)
+    if found is None:
+        return True
+    origin = Path(found.origin or "")
+    return origin.is_file() and origin.samefile(path)
+
+
+def _other_name(path: Path) -> str:
+    return f"pmac_comp_user_plant_{path.stem}"
 
 
 def _module_from(path: Path) -> object:
@@ -266,11 +279,14 @@ def _module_from(path: Path) -> object:
             f"{path} is not a Python file.", code="PC-PLT-011", hint="Give a file ending in .py."
         )
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    # Compiled functions that were kept when the file had its other name are found as well.
+    names = {name, _other_name(path)}
+    sys.modules.update(dict.fromkeys(names, module))
     try:
         spec.loader.exec_module(module)
     except USER_CODE_ERRORS as error:
-        del sys.modules[name]
+        for each in names:
+            del sys.modules[each]
         raise ConfigError(
             f"The plant file {path} cannot be loaded: {error}.",
             code="PC-PLT-011",

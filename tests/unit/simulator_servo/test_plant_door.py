@@ -118,6 +118,23 @@ def test_compiled_functions_that_its_author_ran_are_found_again(tmp_path, monkey
     assert again.step(2.0)[0] == pytest.approx(1e-9)
 
 
+def test_compiled_functions_are_found_whatever_the_file_was_called_when_they_were_kept(
+    tmp_path, monkeypatch
+):
+    """`pmac-comp` and `python -m pmac_comp` in the file's folder see it under different paths."""
+    file = tmp_path / "my_other_axis.py"
+    file.write_text(COMPILED)
+    before = "import importlib.util as u, sys; s = u.spec_from_file_location(N, F); "
+    code = before + "m = u.module_from_spec(s); sys.modules[N] = m; s.loader.exec_module(m); "
+    code = (
+        f"N, F = 'pmac_comp_user_plant_my_other_axis', {str(file)!r}; {code} m.advanced(0.0, 2.0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert load_plant(str(file), BENCH).step(2.0)[0] == pytest.approx(1e-9)
+    assert sys.modules["my_other_axis"].__file__ == str(file)
+
+
 def test_a_file_named_like_a_module_does_not_take_its_place(tmp_path):
     import json
 
