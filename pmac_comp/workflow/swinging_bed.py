@@ -57,10 +57,11 @@ def bed_remarks(law: CompensationLaw) -> list[str]:
     if bed is None:
         return []
     return [
-        f"the bed swings at {bed['frequency_Hz']:.1f} Hz as the table accelerates (table mass over "
-        f"bed mass {bed['mass_ratio']:.3f} +- {2.0 * bed['mass_ratio_std']:.3f}, damping ratio "
+        f"the bed, or a mass that hangs on the table, swings at {bed['frequency_Hz']:.1f} Hz as "
+        f"the table accelerates (table mass over bed mass {bed['mass_ratio']:.3f} +- "
+        f"{2.0 * bed['mass_ratio_std']:.3f}, damping ratio "
         f"{bed['damping_ratio']:.3f}), which the model does not hold: on stretches that were not "
         f"fitted {bed['without_um']:.2f} um rms of table minus motor stay without it, "
         f"{bed['with_um']:.2f} with it. The law undoes what the table feels of it; `pmac-comp "
-        "diagnose` tells what it is, and stiffer feet end it"
+        "diagnose` tells what it is, and stiffer feet, or a stiffer mount, end it"
     ]

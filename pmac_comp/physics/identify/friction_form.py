@@ -226,13 +226,15 @@ def _chosen(
     first = trial.fitted(trial.shaped(_start(base, _FIRST_GUESS, _NO_ZONE_m)))
     if first is None:
         return None
-    reduced = [_reduced(trial, fit) for fit in (first, _with_curve_anew(trial, first))]
-    tried = [(*fit, trial.errors(fit[0])) for fit in reduced if fit is not None]
-    if not tried:
+    whole = [fit for fit in (first, _with_curve_anew(trial, first)) if fit is not None]
+    best = _best(trial, [_reduced(trial, fit) for fit in whole], plain)
+    # A part that does not stand out of its own deviation can still be what predicts the rest.
+    kept = _best(trial, [_whole(fit) for fit in whole], plain)
+    if best is None or (kept is not None and is_better(kept[2], best[2], _RATHER)):
+        best = kept
+    if best is None or not is_better(best[2], plain, _CLEARLY):
         return None
-    found, form, errors = min(tried, key=lambda fit: _left(fit[2], plain))
-    if not is_better(errors, plain, _CLEARLY):
-        return None
+    found, form, errors = best
     figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
     # counts can hide what it leaves around reversals: only the held-out samples tell.
@@ -295,6 +297,21 @@ def _reduced(
         return found, form
     # Left out from the start: what came out as nothing can hold the rest in a corner.
     return trial.fitted(_start(found.model, form, _STICK_ZONE_m)) or found, form
+
+
+def _whole(found: Identification) -> tuple[Identification, _Form]:
+    """A fit of every part as it is, and its form."""
+    return found, replace(_form_of(found), has_stribeck=True)
+
+
+def _best(
+    trial: _FrictionTrial,
+    fits: Sequence[tuple[Identification, _Form] | None],
+    plain: FloatArray,
+) -> tuple[Identification, _Form, FloatArray] | None:
+    """The fit with the smallest misfit on what was held out, its form and that misfit."""
+    tried = [(*fit, trial.errors(fit[0])) for fit in fits if fit is not None]
+    return min(tried, key=lambda fit: _left(fit[2], plain), default=None)
 
 
 def _left(errors: FloatArray, plain: FloatArray) -> float:

@@ -33,6 +33,7 @@ _TINY_m2 = 1e-30
 _PROBED_FRAC = 0.1  # of what the model leaves of table minus motor in motion, by the probe alone
 _MOST_DAMPING = 0.2  # more is no swinging
 _SIGNIFICANT = 5.0  # standard deviations
+_HALF_SIGNIFICANT = 3.0  # the same of a fit to half the samples: those held out judge it too
 _CLEARLY = 3.0  # standard errors of the mean over blocks
 
 
@@ -88,13 +89,13 @@ def measured_bed(
         return None
     begun = _begun(trial, plain)
     swinging = None if begun is None else trial.half(begun, None)
-    if swinging is None or swinging.model is None or not _swings(swinging):
+    if swinging is None or swinging.model is None or not _swings(swinging, _HALF_SIGNIFICANT):
         return None
     before, after = trial.errors(plain), trial.errors(swinging)
     if not is_better(after, before, _CLEARLY):
         return None
     found = trial.settled(swinging.model)
-    if found is None or found.model is None or not _swings(found):
+    if found is None or found.model is None or not _swings(found, _SIGNIFICANT):
         return None
     own = found.model.values_of(BED)
     return SwingingBed(
@@ -108,10 +109,10 @@ def measured_bed(
     )
 
 
-def _swings(found: Identification) -> bool:
+def _swings(found: Identification, least_std: float) -> bool:
     ratio = found.parameters[f"{BED}.mass_ratio"]
     damping = found.parameters[f"{BED}.damping_ratio"]
-    return ratio.value > _SIGNIFICANT * ratio.std and damping.value < _MOST_DAMPING
+    return ratio.value > least_std * ratio.std and damping.value < _MOST_DAMPING
 
 
 def _begun(trial: Trial, plain: Identification) -> DriveModel | None:
