@@ -145,7 +145,7 @@ def test_a_law_loaded_with_the_loop_open_waits_for_its_sign_and_load(
     axis: Axis, tmp_path: Path
 ) -> None:
     context = context_of(axis, tmp_path)
-    law = friction_law()
+    law = friction_law(ripple_Nm=0.01, turn_friction_Nm=0.01)
     axis.kill()
     notes = deploy(axis, Compensation("law", law), context).notes
     assert not any("sign measured" in note for note in notes)
