@@ -25,6 +25,7 @@ _LEAST_SPEED_m_per_s = 1e-3
 _HIGHEST_ORDER = 3.5  # per turn that is taken for the screw's: beyond, it is noise and rounding
 _MOST_PASSED = 0.7  # of what the knots resolve, where they are few to the turn
 _KERNEL_TURNS = 3
+_FEWEST = 8  # knots of a map that can be smoothed
 _WOBBLE_m = 0.25e-6  # beyond that order: what is smaller may be cogging's at the run's speed
 _STANDS_OUT = 6.0  # times its neighbours
 _COVERED = 0.9  # share of the knots that both directions must have seen
@@ -133,15 +134,17 @@ def _smooth(values: FloatArray, knots_per_turn: float) -> FloatArray:
     """
     from scipy.signal import firwin
 
-    size = 2 * round(0.5 * _KERNEL_TURNS * knots_per_turn) + 1
-    if values.size <= size:
+    if values.size < _FEWEST:
         return values
+    longest = 2 * ((values.size - 2) // 2) + 1
+    size = min(2 * round(0.5 * _KERNEL_TURNS * knots_per_turn) + 1, longest)
     angle = (2.0 * np.pi / knots_per_turn) * np.arange(values.size, dtype=np.float64)
     most = 0.5 * knots_per_turn
-    low = [order for order in range(1, math.ceil(_HIGHEST_ORDER)) if order < most]
+    orders = range(1, math.ceil(most)) if values.size > _KERNEL_TURNS * knots_per_turn else ()
+    low = [order for order in orders if order < _HIGHEST_ORDER]
     rest = values - _waves(values, angle, low)
-    high = range(math.ceil(_HIGHEST_ORDER), math.ceil(most))
-    waves = _waves(values, angle, [*low, *(n for n in high if _stands_out(rest, angle, n))])
+    high = [order for order in orders[len(low) :] if _stands_out(rest, angle, order)]
+    waves = _waves(values, angle, [*low, *high])
     # What is left hardly knows where the map ends: so it is padded by its mirror image.
     padded = np.pad(values - waves, size // 2, mode="reflect", reflect_type="odd")
     cutoff = min(_HIGHEST_ORDER / most, _MOST_PASSED)

@@ -131,6 +131,14 @@ def test_a_table_does_not_ring_the_first_mode_by_its_noise() -> None:
     assert np.max(left[high]) < 0.02 * np.max(given[high])
 
 
+@pytest.mark.parametrize("n", [9, 30, 60, 61, 62])
+def test_a_map_of_few_turns_is_smoothed_too(n: int) -> None:
+    slope, ripple = 1e-4 * KNOTS[:n], 0.2e-6 * (-1.0) ** np.arange(n)
+    assert np.max(np.abs(_smooth(slope, 20.0) - slope)) < 1e-12
+    left = _smooth(slope + ripple, 20.0) - slope
+    assert np.max(np.abs(left[2:-2])) < 0.08e-6
+
+
 def test_knots_that_are_few_to_the_turn_still_follow_its_wobble() -> None:
     wobble = 3e-6 * np.sin(2.0 * np.pi * np.arange(600) / 6.0)
     assert np.max(np.abs(_smooth(wobble, 6.0) - wobble)) < 0.03e-6
