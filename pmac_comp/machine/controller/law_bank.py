@@ -125,7 +125,7 @@ class WorkIndex(IntEnum):
 
     COUNTER = 0  # servo counter of the last pass
     POSITION = 1  # r, counts
-    VELOCITY = 2  # v, counts/SC
+    VELOCITY = 2  # v, counts/SC; PLC 0 by the pass, as the next
     ACCELERATION = 3  # a, counts/SC^2
     STATE = 4  # s
     TORQUE_STATE = 5  # t
@@ -135,7 +135,7 @@ class WorkIndex(IntEnum):
     CORRECTION = 9  # what was sent, counts
     TORQUE = 10  # what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
-    ELAPSED = 12  # dn
+    ELAPSED = 12  # dn; PLC 0 that of the last pass that came late
     LIVE = 13  # 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed
 
 
