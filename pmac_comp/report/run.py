@@ -10,6 +10,7 @@ from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
 from pmac_comp.workflow.computing import describe
 from pmac_comp.workflow.demo import RunResult
+from pmac_comp.workflow.positioning_sheet import begun
 from pmac_comp.workflow.verification import Verification
 
 _SIMULATED = (
@@ -21,7 +22,6 @@ _TRUE = (
     "figures marked 'true' are the plant's unquantised positions, which no sensor of a real axis "
     "sees; "
 )
-_TO_THE_SECOND = 19  # characters of an ISO 8601 time
 _MEASURED = "All figures marked 'measured' come from captures; 'promised' ones from the model."
 
 
@@ -101,11 +101,7 @@ def _where_and_when(verification: Verification) -> dict[str, str]:
     ):
         told = _told(verification, key)
         facts |= {name: ", ".join(told)} if told else {}
-    starts = _told(verification, "start_utc")
-    if starts:
-        first, last = (text[:_TO_THE_SECOND].replace("T", " ") for text in (starts[0], starts[-1]))
-        facts["first and last run begun"] = f"{first} and {last} UTC"
-    return facts
+    return facts | dict(begun(_told(verification, "start_utc")))
 
 
 def _told(verification: Verification, key: str) -> list[str]:

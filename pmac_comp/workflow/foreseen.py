@@ -16,12 +16,11 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import design_motions, model_loop, start_law
 from pmac_comp.physics.compensate.exact import Aim, LEARNING_CUTOFF_Hz, zero_phase
-from pmac_comp.physics.compensate.lead import lead_map
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.rendering import cam_shape, lead_spacing_m
+from pmac_comp.workflow.rendering import cam_shape
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
-from pmac_comp.workflow.static_map import require_covered
+from pmac_comp.workflow.static_map import bench_map, require_covered
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
@@ -103,7 +102,7 @@ def check_slow_runs(
             hint="Give the runs of `capture --campaign lead` with --slow, or use another route.",
         )
     if slow:
-        lead = lead_map(slow, None, spacing_m=lead_spacing_m(bench), turn_m=bench.pitch_m)
+        lead = bench_map(bench, slow)
         if whole_travel:
             require_covered(bench, lead)
 

@@ -14,9 +14,8 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import lead_map
 from pmac_comp.workflow.dynamic_law import nut_gap, without_turn
-from pmac_comp.workflow.rendering import lead_spacing_m
+from pmac_comp.workflow.static_map import bench_map
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
@@ -30,11 +29,7 @@ def found_clearance(
     """Gap that slow and fast runs together show beyond the model; None without fast runs."""
     if not captures:
         return None
-    lead = (
-        lead_map(slow, None, spacing_m=lead_spacing_m(bench), turn_m=bench.pitch_m)
-        if slow
-        else None
-    )
+    lead = bench_map(bench, slow) if slow else None
     return measured_clearance(without_turn(model), (*captures, *slow), lead)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, told_by
 from pmac_comp.workflow.static_check import (
     FIGURES,
     ONE_WAY,
@@ -93,8 +93,12 @@ def _as_run(captures: Sequence[Capture], target_mm: FloatArray) -> list[tuple[st
         ("speed between targets, at most", f"{fastest_mm_per_s:.0f} mm/s"),
         ("rest at a target", f"{rest_s:.2f} s; its last {100 * READ_FRAC:.0f} % are averaged"),
     ]
-    told = sorted(str(c.attributes["start_utc"]) for c in captures if "start_utc" in c.attributes)
-    if told:
-        start, end = (text[:_TO_THE_SECOND].replace("T", " ") for text in (told[0], told[-1]))
-        out.append(("first and last run begun", f"{start} and {end} UTC"))
-    return out
+    return [*out, *begun(sorted(told_by(captures, "start_utc")))]
+
+
+def begun(starts: Sequence[str]) -> list[tuple[str, str]]:
+    """When the first and the last of runs began: item and value, from sorted ISO 8601 times."""
+    if not starts:
+        return []
+    first, last = (text[:_TO_THE_SECOND].replace("T", " ") for text in (starts[0], starts[-1]))
+    return [("first and last run begun", f"{first} and {last} UTC")]

@@ -47,18 +47,28 @@ def static_map(
     """
     none = dict.fromkeys(("coulomb_m", "stribeck_m", "gap_half_m"), 0.0)
     removed = law.with_values(**none) if route == "table" else law
-    lead = lead_map(
-        slow,
-        removed,
-        spacing_m=lead_spacing_m(bench),
-        turn_m=bench.pitch_m,
-        per_turn_m=per_turn_m,
-    )
+    lead = bench_map(bench, slow, removed, per_turn_m)
     if covered_m(bench, lead) is None:
         return lead
     if limit is Limit.REFUSE:
         require_covered(bench, lead)
     return _faded(bench, lead)
+
+
+def bench_map(
+    bench: Bench,
+    slow: Sequence[Capture],
+    law: CompensationLaw | None = None,
+    per_turn_m: Sequence[FloatArray] = (),
+) -> LeadMap:
+    """Lead map with the knots of a bench's table; as ``lead_map`` else."""
+    return lead_map(
+        slow,
+        law,
+        spacing_m=lead_spacing_m(bench),
+        turn_m=bench.pitch_m,
+        per_turn_m=per_turn_m,
+    )
 
 
 def require_covered(bench: Bench, lead: LeadMap) -> None:

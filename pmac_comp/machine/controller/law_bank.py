@@ -22,7 +22,7 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..154 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 (115
+              134..157 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 (115
               and 116 jerk, 127..129 bed)
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law

@@ -32,9 +32,7 @@ _STANDS_OUT = 6.0  # times the typical amplitude of the neighbouring orders
 _NEIGHBOURS = 6
 _LEAST_ORDER = 3  # below, friction per turn and lead wobble live
 _PROBE_Nm = 0.02  # torque whose effect is simulated
-_LEAST_GAIN_FRAC = (
-    0.01  # of the residual's power: what explains less is not worth its time in each pass
-)
+_LEAST_GAIN_FRAC = 0.01  # of the residual's power: less is not worth its time in each pass
 _DECIMATION = 3
 _COGGING, _ONCE, _AGAIN = slice(0, 2), slice(2, 4), slice(4, 6)  # columns of the regression
 

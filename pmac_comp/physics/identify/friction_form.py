@@ -227,9 +227,11 @@ def _chosen(
     if first is None:
         return None
     whole = [fit for fit in (first, _with_curve_anew(trial, first)) if fit is not None]
-    best = _best(trial, [_reduced(trial, fit) for fit in whole], plain)
+    reduced = [_reduced(trial, fit) for fit in whole]
+    best = _best(trial, reduced, plain)
     # A part that does not stand out of its own deviation can still be what predicts the rest.
-    kept = _best(trial, [_whole(fit) for fit in whole], plain)
+    left_out = [f for f, less in zip(whole, reduced, strict=True) if not less or less[0] is not f]
+    kept = _best(trial, [_whole(fit) for fit in left_out], plain)
     if best is None or (kept is not None and is_better(kept[2], best[2], _RATHER)):
         best = kept
     if best is None or not is_better(best[2], plain, _CLEARLY):
