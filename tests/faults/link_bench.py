@@ -14,7 +14,10 @@ PORTS = {Framing.PACKETS: PacketPort, Framing.LINES: LinePort}
 
 
 class LinkBench:
-    """A healthy conversation whose link gets its faults afterwards, counted from then on."""
+    """A conversation whose link gets its faults once it is open, counted from then on.
+
+    ``at_opening`` are those it is opened under.
+    """
 
     def __init__(
         self,
@@ -23,11 +26,12 @@ class LinkBench:
         card: ScriptedCard | None = None,
         checksum: bool = False,
         faults: Iterable[Fault] = (),
+        at_opening: Iterable[Fault] = (),
     ) -> None:
         self.clock = VirtualClock()
         self.card = card or ScriptedCard()
         pair = PairTransport(PORTS[framing](self.card), self.clock, framing=framing)
-        self.tap = FaultyTransport(pair)
+        self.tap = FaultyTransport(pair, at_opening)
         self.commander = Commander(
             self.tap, clock=self.clock, timeout_s=TIMEOUT_S, checksum=checksum
         )

@@ -109,6 +109,23 @@ def test_f05_a_late_answer_never_answers_another_question(framing, late_s, exhau
 
 
 @pytest.mark.parametrize("framing", FRAMINGS)
+@pytest.mark.parametrize("late_s", [0.3, 0.49, 0.501, 0.52, 0.6, 0.9])
+def test_f05_a_conversation_opens_though_the_first_answer_is_late(framing, late_s):
+    late = Fault(FaultKind.DELAY, Way.RECEIVE, at=0, argument=late_s)
+    bench = LinkBench(framing, card=tagged_card(), at_opening=[late])
+    assert [bench.commander.query(f"P{k}") for k in range(3)] == [["0"], ["11"], ["22"]]
+
+
+@pytest.mark.parametrize("framing", FRAMINGS)
+@pytest.mark.parametrize("noise", [b"@", b"\x40\x40", b"garbage", b"7\r\x06"])
+def test_f06_a_conversation_opens_though_something_stands_before_the_first_answer(framing, noise):
+    at = {Framing.PACKETS: 1, Framing.LINES: 0}[framing]  # FLUSH is answered by one byte
+    stray = Fault(FaultKind.INJECT, Way.RECEIVE, at=at, data=noise)
+    bench = LinkBench(framing, card=tagged_card(), at_opening=[stray])
+    assert [bench.commander.query(f"P{k}") for k in range(3)] == [["0"], ["11"], ["22"]]
+
+
+@pytest.mark.parametrize("framing", FRAMINGS)
 def test_f05_writes_are_sent_once_whatever_comes_back(framing):
     size = answer_size(framing, lambda c: c.command("P500=1"))
     for at in range(size):

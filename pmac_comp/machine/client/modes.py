@@ -14,6 +14,7 @@ from pmac_comp.machine.wire.replies import read_settled
 
 _QUESTION = b"I3I4I6I9"
 _NAMES = ("I3", "I4", "I6", "I9")
+_TRIES = 2
 
 
 @dataclass(frozen=True)
@@ -79,20 +80,30 @@ def establish(link: Link, wanted: Modes, deadline: Deadline) -> Modes:
 
 
 def _find_modes(link: Link, deadline: Deadline) -> Modes:
+    """The modes as the card tells them; asked once more where what came cannot be read.
+
+    What was under way when the line opened, or an answer to FLUSH that came after its time, can
+    stand before the first answer. The question only reads, so that asking it anew harms nothing.
+    """
+    for _ in range(_TRIES):
+        data = _collected(link, deadline)
+        modes = read_modes(data)
+        if modes is not None:
+            return modes
+    raise ConnectFailed(
+        f"{link.transport.name} answered '{visible(data[:60])}', which no PMAC says",
+        hint="Check address and port. Nothing was written.",
+    )
+
+
+def _collected(link: Link, deadline: Deadline) -> bytes:
     try:
-        data = link.collect(_QUESTION, deadline)
+        return link.collect(_QUESTION, deadline)
     except LinkError as error:
         raise ConnectFailed(
             f"{link.transport.name} is connected, but does not answer as a PMAC does",
             hint="Check the port: 1025 speaks packets; an ASCII port needs ?dialog=ascii.",
         ) from error
-    modes = read_modes(data)
-    if modes is None:
-        raise ConnectFailed(
-            f"{link.transport.name} answered '{visible(data[:60])}', which no PMAC says",
-            hint="Check address and port. Nothing was written.",
-        )
-    return modes
 
 
 def restore(link: Link, found: Modes, current: Modes, deadline: Deadline) -> bool:
