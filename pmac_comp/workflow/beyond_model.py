@@ -1,10 +1,11 @@
 """What calibration runs show beyond the model: found in turn, kept with the law, and said.
 
 What lives here: the order in which it is looked for, and the model with all of it, from the runs or
-from a law's provenance. What may not: each of the findings (``late_scale``, ``swinging_bed``,
-``loose_nut``).
+from a law's provenance. What may not: each of the findings (``drive_lag``, ``late_scale``,
+``swinging_bed``, ``loose_nut``).
 
-A late scale and a bed that swings hide each other, and a gap in the nut hides both, and friction.
+The drive's lag is the first: it moves the motor, which all else is measured against. A late scale
+and a bed that swings hide each other, and a gap in the nut hides both, and friction.
 The gap is looked for where readings belong together and nothing swings; with it in the model the
 drive is fitted anew, and both are looked for again.
 """
@@ -20,6 +21,7 @@ from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.model.effect import split_name
+from pmac_comp.workflow.drive_lag import found_drive_lag, lag_note, lag_remarks
 from pmac_comp.workflow.dynamic_law import without_turn
 from pmac_comp.workflow.late_scale import (
     in_time,
@@ -74,7 +76,7 @@ def shown_by_runs(
     with_gap: bool = True,
     progress: Progress | None = None,
 ) -> Shown:
-    """Look for a late scale, a bed that swings and, if asked, a gap in the nut.
+    """Look for the drive's lag, a late scale, a bed that swings and, if asked, a gap in the nut.
 
     Parameters
     ----------
@@ -87,7 +89,8 @@ def shown_by_runs(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    shown = _timed_and_still(bench, Shown(model, tuple(captures), tuple(slow), {}), progress)
+    shown = _in_step(bench, Shown(model, tuple(captures), tuple(slow), {}), progress)
+    shown = _timed_and_still(bench, shown, progress)
     if with_gap:  # else the route takes the whole difference of the directions as it is
         if progress is not None and captures:
             progress("looking for a gap in the nut", 0.0)
@@ -98,6 +101,14 @@ def shown_by_runs(
     own = [name for name in shown.model.effects if name not in model.effects]
     whole = {"effects": own, "values": dict(shown.model.parameters)}
     return replace(shown, noted={**shown.noted, _WHOLE: whole})
+
+
+def _in_step(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    """With the lag of the drive, where runs contradict the bench file."""
+    lag = found_drive_lag(bench, shown.model, shown.captures, progress)
+    if lag is None:
+        return shown
+    return replace(shown, model=lag.model, noted={**shown.noted, **lag_note(lag)})
 
 
 def _timed_and_still(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
@@ -173,7 +184,7 @@ def made_with(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
 
 def shown_remarks(law: CompensationLaw) -> list[str]:
     """What was found beyond the model, for people."""
-    said = [*scale_remarks(law), *bed_remarks(law), *clearance_remarks(law)]
+    said = [*lag_remarks(law), *scale_remarks(law), *bed_remarks(law), *clearance_remarks(law)]
     return [*said, *_friction_remarks(law)]
 
 

@@ -50,8 +50,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a| + TR sin(NR p + PR)) t + T0
-        + TP r + TH sin(NH p + PH) + TG (g - l) + BT b
+    q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r
+        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -85,7 +85,7 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 6  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 7  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
@@ -160,7 +160,7 @@ class BankIndex(IntEnum):
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant, at position zero
     GW = 17  # counts, elastic correction at which all of GH is taken up
-    TR = 18  # DAC units, friction per turn
+    TR = 18  # DAC units, friction per turn, or a second cogging
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
     T_LIMIT = 21  # DAC units, largest torque feed-forward
@@ -169,7 +169,7 @@ class BankIndex(IntEnum):
     NH = 24  # degrees per count (I15 = 0)
     PH = 25  # degrees
     GH = 26  # counts, half the clearance of the nut; with it S0 and GW are positive
-    NR = 27  # degrees per count, of TR
+    NR = 27  # degrees per count, of TR; negative: TR pushes whichever way, as TH does
     SEALED = 28  # the checksum of the others, once the bank was read back
     TI = 29  # DAC units per (count/SC^3), against the ringing that steps of the jerk excite
     BS = 30  # counts per (count/SC^2), A0 times the bed's share; 0: no bed that swings
@@ -421,8 +421,9 @@ def evaluate(
     angle = r + p.L1 * v
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
-    level = p.TC + p.TX * slow + p.TE * np.abs(a) + p.TR * np.sin(np.radians(p.NR * angle + p.PR))
-    cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
+    level = p.TC + p.TX * slow + p.TE * np.abs(a)
+    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
+    cogging = wave + p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
     q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t + p.T0 + p.TP * r + cogging

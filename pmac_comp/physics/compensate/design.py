@@ -270,7 +270,8 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     """Motions over the usable range of a bench on which the coefficients are refined.
 
     Sinusoids from slow to the acceleration limit and jerk-limited trapezoids, fast and slow, hard
-    and soft, at places over the travel. Verification motions are drawn elsewhere.
+    and soft, at places over the travel. Verification motions are drawn elsewhere. Two of them are
+    long and slow: on those a load holds the nut near the force at which it changes its flank.
     """
     period = bench.servo_period_s
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
@@ -312,6 +313,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
         move(0.5, 0.5, 0.1),
         move(0.7, 0.35, 0.2),
         move(0.5, 0.8, -0.4),
+        sine(0.045, 0.7, 0.2, 2.0),
     )
 
 

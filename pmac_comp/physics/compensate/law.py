@@ -137,7 +137,8 @@ class CompensationLaw:
     turn_m : float
         Travel of one screw turn.
     turn_friction_Nm, turn_order, turn_phase_rad : float
-        TR, m and PR: friction that changes m times per turn.
+        TR, m and PR: friction that changes m times per turn. With a negative m it is no friction
+        but a second order of cogging, which pushes whichever way the screw turns.
     ripple_Nm, ripple_order, ripple_phase_rad : float
         TH, n, PH: cogging, the strongest order of it.
     stribeck_m, torque_stribeck_Nm, stribeck_speed_m_per_s : float
@@ -427,7 +428,8 @@ def _slow_share(speed: _Speed) -> _Speed:
 def _by_turn(p: FloatArray, place: float) -> tuple[float, float]:
     """Friction and cogging by the turn at a place; ``p`` is turn, TR, m, PR, TH, n, PH."""
     angle = 2.0 * math.pi * place / p[0]
-    return p[1] * math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
+    wave, cogging = p[1] * math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
+    return (wave, cogging) if p[2] > 0.0 else (0.0, cogging + wave)
 
 
 @njit(cache=True, nogil=True)

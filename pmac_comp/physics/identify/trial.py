@@ -27,8 +27,8 @@ Progress = Callable[[str, float], None]
 
 _SEGMENT_s = 0.8  # held out and fitted by turns
 _BLOCK_s = 0.4
-_GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
-_FEW_BLOCKS = 8
+USEFUL_GAIN = 0.05  # of the mean squares of both channels: less is not worth more parameters
+FEW_BLOCKS = 8
 _ALONE = 1.0  # standard errors more where table minus motor alone is to be clear
 
 
@@ -99,21 +99,26 @@ class Trial:
 
     def errors(self, found: Identification) -> FloatArray:
         """Mean squares left per held-out block in motion: table - motor, torque, shape (b, 2)."""
+        return self.errors_with_motor(found)[:, :2]
+
+    def errors_with_motor(self, found: Identification) -> FloatArray:
+        """The same, and of the motor's position, shape (b, 3)."""
         blocks = []
         for capture, out, left in zip(self.captures, self.held_out, found.residuals, strict=True):
             if left.table_m is None:
                 continue
             torque = np.zeros(capture.n) if left.torque_Nm is None else left.torque_Nm
             record = rec.prepare(capture, self.bench)
-            both = np.nan_to_num(np.column_stack([left.table_m, torque]))
-            smooth = rec.thinned(both, record.factor)
+            motor = np.zeros(capture.n) if left.motor_m is None else left.motor_m
+            channels = np.nan_to_num(np.column_stack([left.table_m, torque, motor]))
+            smooth = rec.thinned(channels, record.factor)
             counts = rec.clean_rows(record) & out[:: record.factor] & rec.moving_rows(record)
             size = max(round(_BLOCK_s / record.period_s), 1)
             for low in range(0, counts.size, size):
                 rows = counts[low : low + size]
                 if rows.any():
                     blocks.append(np.mean(smooth[low : low + size][rows] ** 2, axis=0))
-        return np.array(blocks).reshape(-1, 2)
+        return np.array(blocks).reshape(-1, 3)
 
 
 def _alternate(capture: Capture) -> BoolArray:
@@ -129,7 +134,7 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
     the first alone would call a misfit that falls to a fifth in nearly every block unclear. Or in
     table minus motor alone, by ``_ALONE`` more, where torque ripple makes most of the scatter.
     """
-    if new.shape[0] < _FEW_BLOCKS:
+    if new.shape[0] < FEW_BLOCKS:
         return False
     gain = ((old - new) / channel_sizes(old)).sum(axis=1)
     both = old + new
@@ -139,7 +144,7 @@ def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
     clear = any(
         np.mean(found) > least * np.std(found) / np.sqrt(found.size) for found, least in looks
     )
-    return bool(clear and np.mean(gain) > _GAIN)
+    return bool(clear and np.mean(gain) > USEFUL_GAIN)
 
 
 def channel_sizes(mean_squares: FloatArray) -> FloatArray:

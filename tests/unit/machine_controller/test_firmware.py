@@ -201,17 +201,33 @@ def test_a_pass_that_is_late_sees_the_same_motion(tmp_path: Path) -> None:
     assert np.max(np.abs(left)) < 0.05
 
 
-def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
-    paper = load_bench("paper")
-    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
-    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
-    bench.link.command("I159=1")
-    bench.link.command("#1J/")
-    law_install.require_open_servo(bench.link, bench.context, 1)
-    law_upload.upload_law(bench.link, bench.context, LAW)
+PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction by the turn
+
+
+@pytest.mark.parametrize("law", [LAW, PUSHING], ids=["friction by the turn", "second cogging"])
+def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
+    bench = make_plc_bench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
-    path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, paper.servo_period_s) / 0.5))
-    program = program_of(path, paper)
+    commanded, (_, torque) = stepped_motion(bench, 7109)
+    expected = evaluate(law, commanded, clamp_ct=60.0).torque_dac
+    other = evaluate(replace(law, NR=-law.NR), commanded, clamp_ct=60.0).torque_dac
+    moving = slice(int(np.flatnonzero(np.abs(commanded) > 500)[0]), None)
+    shift = min(range(3), key=lambda k: off(torque, expected, k, moving))
+    assert off(torque, expected, shift, moving) < 2.0
+    assert off(torque, other, shift, moving) > 20.0
+
+
+def off(sent: np.ndarray, expected: np.ndarray, shift: int, use: slice) -> float:
+    """Largest deviation from an expectation that comes some cycles later."""
+    return float(np.max(np.abs(sent[shift:] - expected[: expected.size - shift])[use]))
+
+
+def stepped_motion(bench: CardBench, first: int) -> tuple[np.ndarray, np.ndarray]:
+    """Commanded position in counts and what P-variables first and next held, cycle by cycle."""
+    path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, bench.bench.servo_period_s) / 0.5))
+    program = program_of(path, bench.bench)
     bench.link.write_buffer(AXIS_LINES)
     programs.download(bench.link, program)
     motion.start(bench.link, program.number)
@@ -219,11 +235,24 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
     for _ in range(6000):
         bench.card.run_cycles(1)
         commanded.append(bench.card.variables.read("M", 161) / UNIT)
-        sent.append((bench.p(7139), bench.p(7140)))
+        sent.append((bench.p(first), bench.p(first + 1)))
+    return np.array(commanded), np.array(sent).T
+
+
+@pytest.mark.parametrize("law", [LAW, PUSHING], ids=["friction by the turn", "second cogging"])
+def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
+    paper = load_bench("paper")
+    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
+    bench.link.command("I159=1")
+    bench.link.command("#1J/")
+    law_install.require_open_servo(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, law)
+    law_arming.arm(bench.link, bench.context)
+    commanded, (correction, torque) = stepped_motion(bench, 7139)
     assert np.ptp(commanded) > 3900
-    expected = evaluate(LAW, np.array(commanded), clamp_ct=60.0)
-    moving = np.flatnonzero(np.abs(np.array(commanded)) > 500)[0]
-    correction, torque = np.array(sent).T
+    expected = evaluate(law, commanded, clamp_ct=60.0)
+    moving = np.flatnonzero(np.abs(commanded) > 500)[0]
     assert np.max(np.abs(correction - expected.correction_ct)[moving:]) < 0.03
     assert np.max(np.abs(torque - expected.torque_dac)[moving:]) < 2.0
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.ripple import TurnTorque, turn_torque, with_turn_torque
@@ -22,29 +21,32 @@ LAW = CompensationLaw(turn_m=BENCH.pitch_m, torque_breakaway_m=2e-6, torque_limi
 DELAY_s = 1.2e-3
 
 
-def captures(effects: dict[str, dict[str, float | str]]) -> list[Capture]:
+MODEL = DriveModel.base(
+    BENCH,
+    {
+        "coulomb.guide_N": 45.0,
+        "coulomb.nut_Nm": 0.25,
+        "coulomb.motor_Nm": 0.2,
+        "viscous.guide_Ns_per_m": 200.0,
+    },
+)
+MOVES = (
+    trapezoid(
+        period_s=PERIOD, distance_m=0.06, speed_m_per_s=0.05, acceleration_m_per_s2=0.5,
+        s_curve_s=0.05, start_m=-0.02,
+    ),
+    sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=1.0, cycles=3.0),
+)  # fmt: skip
+
+
+def found(effects: dict[str, dict[str, float | str]], *, added_Nm: float = 0.0) -> TurnTorque:
+    """What is found on a plant that five waves per turn of added torque push as well."""
     plant = make_plant(BENCH, effects=effects, spread=0.0)
-    moves = [
-        trapezoid(
-            period_s=PERIOD, distance_m=0.06, speed_m_per_s=0.05, acceleration_m_per_s2=0.5,
-            s_curve_s=0.05, start_m=-0.02,
-        ),
-        sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=1.0, cycles=3.0),
-    ]  # fmt: skip
-    return [closed_loop_capture(BENCH, plant, move.position_m) for move in moves]
-
-
-def found(effects: dict[str, dict[str, float | str]]) -> TurnTorque:
-    model = DriveModel.base(
-        BENCH,
-        {
-            "coulomb.guide_N": 45.0,
-            "coulomb.nut_Nm": 0.25,
-            "coulomb.motor_Nm": 0.2,
-            "viscous.guide_Ns_per_m": 200.0,
-        },
-    )
-    return turn_torque(LAW, model_loop(model), captures(effects), drive_delay_s=DELAY_s)
+    runs = []
+    for move in MOVES:
+        wave = added_Nm * np.sin(5.0 * 2.0 * math.pi * move.position_m / BENCH.pitch_m)
+        runs.append(closed_loop_capture(BENCH, plant, move.position_m, torque_feedforward_Nm=wave))
+    return turn_torque(LAW, model_loop(MODEL), runs, drive_delay_s=DELAY_s)
 
 
 def test_cogging_of_the_plant_is_found_with_its_order_size_and_phase() -> None:
@@ -56,7 +58,27 @@ def test_cogging_of_the_plant_is_found_with_its_order_size_and_phase() -> None:
     law = got.ripple_Nm * np.sin(12.0 * angle + got.ripple_phase_rad)
     plant = 0.05 * np.cos(12.0 * angle + 0.4)
     assert abs(np.corrcoef(law, plant)[0, 1]) > 0.97
-    assert got.friction_Nm < 0.01
+    assert got.second_Nm < 0.01
+
+
+def test_two_coggings_are_found_and_sent() -> None:
+    cogging: dict[str, float | str] = {
+        "amplitude_Nm": 0.05, "order_per_rev": 12.0, "phase_rad": 0.4,
+    }  # fmt: skip
+    got = found({"cogging": cogging}, added_Nm=0.04)
+    assert {got.order, got.second_order} == {5, 12}
+    assert got.second_pushes
+    sizes = {got.order: got.ripple_Nm, got.second_order: got.second_Nm}
+    assert sizes[12] == pytest.approx(0.05, rel=0.15)
+    assert sizes[5] == pytest.approx(0.04, rel=0.15)
+    law = with_turn_torque(LAW, got)
+    assert law.turn_order == -got.second_order
+    r = np.concatenate([np.zeros(50), 0.05 * PERIOD * np.arange(4000)])
+    for way in (r, -r):  # whichever way the screw turns
+        angle = 2.0 * math.pi * way[100:] / BENCH.pitch_m
+        want = got.ripple_Nm * np.sin(got.order * angle + got.ripple_phase_rad)
+        want += got.second_Nm * np.sin(got.second_order * angle + got.second_phase_rad)
+        assert np.max(np.abs(evaluate_law(law, way, PERIOD).torque_Nm[100:] - want)) < 1e-6
 
 
 def test_friction_once_per_turn_is_found() -> None:
@@ -64,27 +86,27 @@ def test_friction_once_per_turn_is_found() -> None:
         {"friction_per_rev": {"amplitude_Nm": 0.05, "order_per_rev": 1.0, "phase_rad": 0.7}}
     )
     assert got.order == 0
-    assert got.friction_Nm == pytest.approx(0.05, rel=0.15)
+    assert got.second_Nm == pytest.approx(0.05, rel=0.15)
 
 
 def test_torque_that_ripples_with_its_size_is_found_as_a_wave_of_friction() -> None:
     got = found({"torque_ripple": {"amplitude_Nm": 0.8, "order_per_rev": 10.0, "phase_rad": 0.4}})
-    assert got.friction_order == 10
+    assert got.second_order == 10
     # Of 0.8 N m at rated torque what friction, nearly all of the torque here, has of that.
     friction_Nm = 0.45 + 45.0 * BENCH.lead_m_per_rad
-    assert got.friction_Nm == pytest.approx(0.8 * friction_Nm / 6.37, rel=0.15)
-    assert got.ripple_Nm < 0.2 * got.friction_Nm
+    assert got.second_Nm == pytest.approx(0.8 * friction_Nm / 6.37, rel=0.15)
+    assert got.ripple_Nm < 0.2 * got.second_Nm
     assert got.explained > 0.3
 
 
 def test_nothing_is_found_on_a_drive_without_ripple() -> None:
     got = found({})
-    assert (got.order, got.ripple_Nm, got.friction_Nm) == (0, 0.0, 0.0)
+    assert (got.order, got.ripple_Nm, got.second_Nm) == (0, 0.0, 0.0)
     assert with_turn_torque(LAW, got).ripple_Nm == 0.0
 
 
 def test_the_law_sends_the_torque_ahead_of_the_angle() -> None:
-    got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1, 1.0)
+    got = TurnTorque(8, 0.05, 0.3, 0.0, 0.0, 1, second_pushes=False, explained=1.0)
     law = with_turn_torque(LAW.with_values(lookahead_s=DELAY_s + PERIOD), got)
     r = np.concatenate([np.zeros(50), 0.05 * PERIOD * np.arange(4000)])
     sent = evaluate_law(law, r, PERIOD).torque_Nm
