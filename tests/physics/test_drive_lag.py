@@ -10,9 +10,11 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.drive_lag import DriveLag, measured_drive_lag
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow import beyond_model
 from pmac_comp.workflow.beyond_model import made_with, shown_by_runs
+from pmac_comp.workflow.campaigns import calibration_motions
 from pmac_comp.workflow.drive_lag import lag_note, lag_remarks
 from tests.physics.identified import SLOW, identified
 
@@ -38,14 +40,16 @@ def test_a_late_drive_is_found_behind_a_bench_file_that_is_too_sure() -> None:
     assert drive_delay_s(found.model) == pytest.approx(found.lag_s + 0.5 * BENCH.servo_period_s)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_the_samples_outweigh_the_bench_file() -> None:
     runs, model = identified(BENCH, {}, seed=3, without=SLOW)
     assert measured_drive_lag(runs, BENCH, model) is None
 
 
 def test_a_model_with_a_lag_of_its_own_is_taken_at_its_word() -> None:
-    runs, model = identified(SURE, LATE, seed=3, without=SLOW)
-    model = model.with_effect("actuator_delay", {"time_s": 5e-4})
+    motion = calibration_motions(SURE)[0]
+    runs = [closed_loop_capture(SURE, make_plant(BENCH, effects=LATE), motion.position_m)]
+    model = MODEL.with_effect("actuator_delay", {"time_s": 5e-4})
     assert measured_drive_lag(runs, SURE, model) is None
     assert measured_drive_lag([], BENCH, MODEL) is None
 
