@@ -11,6 +11,7 @@ from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.feed_override import run_refusals
 from pmac_comp.machine.controller.identity import read_servo_period_s
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
@@ -28,6 +29,7 @@ ENTRY_RESULT: Final = 0x3501  # X: of the first line of the encoder conversion t
 _OF_COMPENSATION: Final = ("05", "06", "07", "29", "59", "85", "86", "87")  # of the motor
 _SOFTWARE_1T, _NO_EXTENSION = 0x0, 0xC  # methods: first hex digit of the entry
 _LOWEST_CHANNEL: Final = 0x78000  # of a servo IC; second lines of entries lie below
+RUN_SYSTEM: Final = 1  # coordinate system of every run
 _SHOWN: Final = 8
 _CLOCK_FRAC: Final = 0.01  # rounded figures of bench files lie closer; doctor remarks on less
 
@@ -40,7 +42,8 @@ def require_as_described(axis: Axis) -> None:
     SafetyRefusal
         All reasons together; nothing was changed.
     """
-    raise_all([*description_refusals(axis), *program_refusals(axis.link)], "The run")
+    found = [*description_refusals(axis), *program_refusals(axis.link)]
+    raise_all([*found, *run_refusals(axis.link, RUN_SYSTEM)], "The run")
 
 
 def description_refusals(axis: Axis) -> list[SafetyRefusal]:

@@ -27,6 +27,7 @@ from pmac_comp.files.capture_formats import Attribute
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg
+from pmac_comp.machine.controller.feed_override import jog_refusals
 from pmac_comp.machine.controller.gather_plan import (
     GatherMode,
     GatherPlan,
@@ -36,6 +37,7 @@ from pmac_comp.machine.controller.gather_plan import (
 )
 from pmac_comp.machine.controller.gather_samples import GatherResult
 from pmac_comp.machine.controller.motion import program_status
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.supervision import SensorWatch
 from pmac_comp.workflow.approach import (
     APPROACHED,
@@ -127,7 +129,13 @@ class Axis:
         """Jog to a position in counts and wait; whoever stops waiting stops the axis as well.
 
         Encoder and scale are compared on the way: with wrong counts it would be a long one.
+
+        Raises
+        ------
+        MotorNotSafe
+            The feed rate override is 0, nothing was sent; or the motor did not arrive.
         """
+        raise_all(jog_refusals(self.link, self.motor), "The move")
         watch = jog_watch(self.link, self.bench, self.scales)
         try:
             motors.move_to(self.link, self.motor, place_ct, during=watch)

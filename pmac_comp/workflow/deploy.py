@@ -32,6 +32,7 @@ from pmac_comp.machine.controller import (
 from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
+from pmac_comp.machine.controller.feed_override import jog_refusals
 from pmac_comp.machine.controller.journal import require_folder
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.processor_load import read_load
@@ -188,6 +189,8 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     refusals += block_refusals(link, context.block, axis.motor)
     refusals += buffer_refusals(read_head(link, context))
     refusals += double_corrections(axis, context, compensation)
+    if motors.read_motor(link, axis.motor).status.is_closed_loop:
+        refusals += jog_refusals(link, axis.motor)
     if route == "law":
         every = compensation.law.every_cycles
         refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)

@@ -24,6 +24,7 @@ STATIONARY_SPACING_s: Final = 0.02
 QUICK_SPACING_s: Final = 0.5 * STATIONARY_SPACING_s  # over a switch, if nothing seems to move
 PART_SPACING_s: Final = 0.125 * STATIONARY_SPACING_s  # of it before the switch, and again after it
 LONGEST_SPACING_s: Final = 0.1  # between two looks
+_SYSTEM_SHIFT: Final = 20  # bits 20-23 of the second status word: number less one
 
 
 class Word1(IntFlag):
@@ -131,6 +132,11 @@ class MotorStatus:
     def trips(self) -> tuple[str, ...]:
         """Faults that stopped the motor, in words."""
         return tuple(text for bit, text in _TRIPS.items() if bit in self.word2)
+
+    @property
+    def coordinate_system(self) -> int:
+        """Number of the coordinate system whose time base the motor obeys; 1 if it is in none."""
+        return (int(self.word2) >> _SYSTEM_SHIFT) + 1 if Word2.ASSIGNED in self.word2 else 1
 
     def names(self) -> list[str]:
         """Names of all bits that are set."""
@@ -385,9 +391,19 @@ def wait_in_position(
                 f"Motor #{motor} was not in position after {timeout_s:g} s "
                 f"(following error {reading.following_error_ct:.1f} counts).",
                 code="PC-MOT-002",
-                hint="Check Ixx28, the integrator and friction.",
+                hint=_late_hint(reading),
             )
         link.clock.sleep_s(POLL_s)
+
+
+def _late_hint(reading: MotorReading) -> str:
+    if reading.status.is_commanded_still:
+        return "Check Ixx28, the integrator and friction."
+    system = reading.status.coordinate_system
+    return (
+        "Its command had not arrived either. Look at the feed rate override: `pmac-comp terminal "
+        f"URL -c '&{system}%'` should say 100; and at the jog speed (Ixx22)."
+    )
 
 
 def move_to(
