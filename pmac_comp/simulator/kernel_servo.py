@@ -136,7 +136,7 @@ BACKGROUND_CYCLES = 10
 # operation of about two and a half instructions (fetches and jumps counted) takes 3 us at 80 MHz, a
 # compiled one 1 us (User Manual).
 PLC_INSTRUCTION_TIME = 48
-SERVO_INSTRUCTION_TIME = 20
+SERVO_INSTRUCTION_TIME = 16
 _INTERRUPT_TIME = 300
 _MOTOR_TIME = 500
 PLC_BUDGET = 20000

@@ -58,7 +58,11 @@ from pmac_comp.workflow.cam import (
 from pmac_comp.workflow.compensation_file import (
     Compensation,
 )
-from pmac_comp.workflow.law_cost import cost_refusals, require_time_left
+from pmac_comp.workflow.law_cost import (
+    cost_refusals,
+    require_time_left,
+    servo_cost_refusals,
+)
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -198,11 +202,22 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
         refusals += cost_refusals(axis.bench, compensation.law, load)
     if route == "servo":
         refusals += law_install.servo_refusals(link, context, axis.motor)
+        refusals += _busy_servo_refusals(axis, context, compensation)
     if route in TORQUE_ROUTES:
         parameters = law_parameters(compensation.law, axis.scales)
         clamp = _clamp_ct(axis, context, compensation)
         refusals += law_upload.standing_refusals(link, context, parameters, clamp)
     return refusals
+
+
+def _busy_servo_refusals(
+    axis: Axis, context: Context, compensation: Compensation
+) -> list[SafetyRefusal]:
+    """Refusal of a law for which the open servo has no time; where one is in it, it had."""
+    if law_state.read_law_head(axis.link, context.block).motor == axis.motor:
+        return []  # measured with the new one, before it is armed
+    load = read_load(axis.link, axis.bench.servo_period_s)
+    return servo_cost_refusals(axis.bench, compensation.law, load)
 
 
 def program_lines(axis: Axis, context: Context, route: str) -> list[str]:

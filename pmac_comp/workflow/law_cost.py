@@ -15,7 +15,7 @@ import numpy as np
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.law_cost import law_cost_cycles
+from pmac_comp.machine.controller.law_cost import law_cost_cycles, servo_cost_cycles
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.processor_load import ProcessorLoad, read_load
 from pmac_comp.physics.compensate.design import design_motions, model_loop, slower_law
@@ -33,9 +33,6 @@ CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws
 MOST_FRAC = 0.81
 BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
 _SLOWEST_CYCLES = 4
-# Of an interpreted operation a compiled one takes 1 us of 3 in floating point (User Manual), in
-# which the open servo is written; only fixed point would be a tenth and less.
-COMPILED_FRAC = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -63,8 +60,8 @@ def share_frac(bench: Bench, law: CompensationLaw) -> float:
     return _cost_us(bench, law) / (bench.servo_period_s * US_PER_S) / law.every_cycles
 
 
-def _cost_cycles(law: CompensationLaw) -> float:
-    """CPU cycles of a pass."""
+def _lacks(law: CompensationLaw) -> list[str]:
+    """Parts that a law does not have, by their names in the count of operations."""
     has = {
         "friction_per_turn": law.turn_friction_Nm != 0.0,
         "cogging": law.ripple_Nm != 0.0,
@@ -73,11 +70,16 @@ def _cost_cycles(law: CompensationLaw) -> float:
         "bed": law.bed_share > 0.0,
         "stribeck": law.has_stribeck,
     }
-    return law_cost_cycles([part for part in has if not has[part]])
+    return [part for part in has if not has[part]]
+
+
+def _cost_cycles(law: CompensationLaw) -> float:
+    """CPU cycles of a pass of PLC 0."""
+    return law_cost_cycles(_lacks(law))
 
 
 def _cost_us(bench: Bench, law: CompensationLaw) -> float:
-    """Time of a pass in us."""
+    """Time of a pass of PLC 0 in us."""
     return _cost_cycles(law) / bench.controller.cpu_clock_MHz
 
 
@@ -111,6 +113,32 @@ def cost_refusals(
             code="PC-LAW-043",
             hint=f"Compute it for fewer passes (`--every {fitting_cycles(bench, law, load)}` of "
             "`pmac-comp compensate`), or for the open servo (--route servo).",
+        )
+    ]
+
+
+def servo_cost_refusals(
+    bench: Bench, law: CompensationLaw, load: ProcessorLoad | None
+) -> list[SafetyRefusal]:
+    """Refusal of a law that would leave too little time in an open servo that has none yet.
+
+    By the task times of the card, in which the servo's own terms are, where they are known.
+    """
+    if load is None:
+        fits = _servo_frac(bench, law) <= MOST_FRAC
+    else:
+        taken_frac = load.share_frac(servo_cost_cycles(_lacks(law)), 1)
+        fits = load.foreground_frac + taken_frac <= BUSIEST_FRAC
+    if fits:
+        return []
+    beside = "" if load is None else f", which is busy already: {load_text(load)}"
+    return [
+        SafetyRefusal(
+            f"{_servo_cost_text(bench, law)}{beside}. Too little would be left for the background "
+            "tasks, which check limits and serve the watchdog.",
+            code="PC-LAW-045",
+            hint="Take other load off the card, or compute it for PLC 0 with fewer passes: "
+            f"{_seldom_text(bench, law)}.",
         )
     ]
 
@@ -167,8 +195,8 @@ def require_time_left(link: Link, bench: Bench, route: str) -> str:
 _LESS_BUSY: Final = {
     "law": "Compute the law for fewer passes (`--every 2` or `--every 4` of `pmac-comp "
     "compensate`), or for the open servo (--route servo).",
-    "servo": "An open servo runs in every servo cycle: take other load off the card, or use "
-    "--route table, cam or program, which cost it nothing.",
+    "servo": "An open servo runs in every servo cycle: take other load off the card, or compute "
+    "the law for PLC 0 with fewer passes (`--route law --every 2` or `--every 4`).",
 }
 
 
@@ -231,32 +259,48 @@ def cost_remarks(
     ways = ways or "no slower rhythm is left"
     fits = share_frac(bench, law) <= MOST_FRAC
     much = "more than a quarter" if fits else "more than it may, `upload` refuses it"
-    return [
-        f"{text}: {much}. Cheaper: {ways}; or --route servo, whose compiled form "
-        f"takes about {100 * _servo_frac(bench, law):.0f} % in each servo cycle"
-    ]
+    servo_frac = _servo_frac(bench, law)
+    if servo_frac < share_frac(bench, law):
+        ways += (
+            f"; or --route servo, whose compiled form takes about {100 * servo_frac:.0f} % in each "
+            "servo cycle"
+        )
+    return [f"{text}: {much}. Cheaper: {ways}"]
+
+
+def _servo_us(bench: Bench, law: CompensationLaw) -> float:
+    """Time in us that the law takes of the open servo in each servo cycle."""
+    return servo_cost_cycles(_lacks(law)) / bench.controller.cpu_clock_MHz
 
 
 def _servo_frac(bench: Bench, law: CompensationLaw) -> float:
     """Share of the processor's time that the law takes in the open servo, every servo cycle."""
-    return COMPILED_FRAC * _cost_us(bench, law) / (bench.servo_period_s * US_PER_S)
+    return _servo_us(bench, law) / (bench.servo_period_s * US_PER_S)
 
 
 def _servo_text(bench: Bench, law: CompensationLaw) -> str:
     """What the law costs in the open servo, and what is cheaper where that is much."""
-    share = _servo_frac(bench, law)
-    text = (
-        f"in the open servo the law takes about {COMPILED_FRAC * _cost_us(bench, law):.0f} us in "
-        f"each servo cycle, {100 * share:.0f} % of the processor's time at "
-        f"{bench.controller.cpu_clock_MHz:g} MHz, beside the loop's own terms"
-    )
-    seldom = share_frac(bench, replace(law, every_cycles=_SLOWEST_CYCLES))
-    if share <= CHEAP_FRAC:
+    text = f"{_servo_cost_text(bench, law)}, beside the loop's own terms"
+    text = text[0].lower() + text[1:]
+    if _servo_frac(bench, law) <= CHEAP_FRAC:
         return text
+    return f"{text}: more than a quarter. Cheaper: {_seldom_text(bench, law)}"
+
+
+def _servo_cost_text(bench: Bench, law: CompensationLaw) -> str:
     return (
-        f"{text}: more than a quarter. Cheaper: --route law with --every {_SLOWEST_CYCLES} "
-        f"({100 * seldom:.0f} %)"
+        f"In the open servo the law takes about {_servo_us(bench, law):.0f} us in each servo "
+        f"cycle, {100 * _servo_frac(bench, law):.0f} % of the processor's time at "
+        f"{bench.controller.cpu_clock_MHz:g} MHz"
     )
+
+
+def _seldom_text(bench: Bench, law: CompensationLaw) -> str:
+    """Rhythms of PLC 0 that take less than the open servo, the slowest if none does."""
+    shares = {n: share_frac(bench, replace(law, every_cycles=n)) for n in (2, _SLOWEST_CYCLES)}
+    less = [n for n, share in shares.items() if share < _servo_frac(bench, law)]
+    ways = [f"--every {n} ({100 * shares[n]:.0f} %)" for n in less or [_SLOWEST_CYCLES]]
+    return f"--route law with {' or '.join(ways)}"
 
 
 def _offer_text(offer: CheaperLaw, here: list[CheaperLaw]) -> str:

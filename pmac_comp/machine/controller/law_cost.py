@@ -1,9 +1,15 @@
-"""What one pass of PLC 0 costs the card, counted over its own statements."""
+"""What one pass of PLC 0 or of the open servo costs the card, counted over its own statements."""
 
 from collections.abc import Collection, Container, Sequence
+from typing import Final
 
+from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_install import law_program
+
+_INTERPRETED_us: Final = 3.0  # an operation at 80 MHz (User Manual)
+_COMPILED_us: Final = 1.0  # in floating point, in which the open servo is written
+_OF_MHz: Final = 80.0
 
 # What a law may lack, and the test by which a pass then leaves it out.
 _PARTS = {
@@ -76,4 +82,65 @@ def law_cost_cycles(lacks: Collection[str] = ()) -> float:
 
     ``lacks`` as in ``operation_count``.
     """
-    return 3.0 * 80.0 * operation_count(lacks)
+    return _INTERPRETED_us * _OF_MHz * operation_count(lacks)
+
+
+# The open servo: the same law, its bank read in place --------------------------------------------
+
+_SERVO_LAW = "IF(MTRNUM=P7007)"
+_SERVO_PARTS = {
+    "gap": "IF(P(P7144+26)>0)",
+    "bed": "IF(P(P7126)>0)",
+    "stribeck": "IF(P(P7126+6)>0)",
+}
+_SERVO_SKIPPED = (
+    "IF(F2=0 OR P7142>16 OR P7142=0)",
+    "IF(P7143!=P7001+1)",
+    "IF(P7005>0)",
+    "IF(P7005=0)",
+    "IF(P7003<P7002)",
+    "IF(P7003>P7002)",
+    "IF(ABS(P7153)>P7114)",
+    "IF(ABS(P7152)*P7150<1.5)",
+    "IF(P7120>99 AND P7119>0)",
+    "IF(ABS(P7154)>2*P(P7144+14))",
+    "IF(P7154>P(P7144+14))",
+    "IF(P7154<0-P(P7144+14))",
+    "IF(P7003=0)",
+    "IF(P7127>P7152+P7119)",
+    "IF(P7127<P7152-P7119)",
+    "IF(P7159<P(P7144+17))",
+    "IF(P7158>P7004)",
+    "IF(P7158<0-P7004)",
+    "IF(P7156>P(P7144+21))",
+    "IF(P7156<0-P(P7144+21))",
+)
+
+
+def servo_operation_count(lacks: Collection[str] = ()) -> int:
+    """Compiled operations that the law takes of the open servo in a servo cycle.
+
+    Counted as in ``operation_count``, over what the motor of the law takes more than another one:
+    the loop's own terms are the same for all. More than in PLC 0, which copies its bank, for the
+    addresses of the bank are computed. Friction by the turn, cogging and a load by place are
+    computed here in any case; leaving them out saves nothing.
+    """
+    skipped = {*_SERVO_SKIPPED, *(_SERVO_PARTS[k] for k in lacks if k in _SERVO_PARTS)}
+    lines = _servo_lines()
+    first = lines.index(_SERVO_LAW)
+    return sum(_operations(line) for line in _pass(lines[first : _servo_end(lines)], skipped))
+
+
+def _servo_lines() -> list[str]:
+    text = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    return [line for raw in text.splitlines() if (line := raw.partition(";")[0].strip())]
+
+
+def _servo_end(lines: Sequence[str]) -> int:
+    """Line behind the law: the one that tells the next cycle that the loop is closed."""
+    return lines.index("F2=1")
+
+
+def servo_cost_cycles(lacks: Collection[str] = ()) -> float:
+    """CPU cycles that the law takes of the open servo: an operation takes about 1 us at 80 MHz."""
+    return _COMPILED_us * _OF_MHz * servo_operation_count(lacks)

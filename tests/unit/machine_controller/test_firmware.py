@@ -24,6 +24,7 @@ from pmac_comp.machine.controller import (
 from pmac_comp.machine.controller.gather_plan import GatherPlan, GatherSource, bench_sources
 from pmac_comp.machine.controller.gather_samples import GatherResult
 from pmac_comp.machine.controller.law_bank import BankIndex, LawBlock, LawParameters, evaluate
+from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
     AXIS_LINES,
@@ -423,6 +424,35 @@ def test_cost_of_the_law_is_counted() -> None:
     # tasks.
     for has in ({"friction_per_turn", "cogging"}, {"gap"}, {"bed"}):
         assert law_cost.law_cost_cycles(parts - has) < 0.81 * period
+
+
+@pytest.mark.parametrize("parts", [frozenset(), frozenset({"gap", "bed", "stribeck"})])
+def test_cost_of_the_open_servo_is_what_the_card_takes(
+    tmp_path: Path, parts: frozenset[str]
+) -> None:
+    """Task times of a card whose law moves, over those of the same loop without a law."""
+    paper = load_bench("paper")
+    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
+    bench.link.command("I159=1")
+    bench.link.command("#1J/")
+    law_install.require_open_servo(bench.link, bench.context, 1)
+    zero = {"gap": {"GH": 0.0, "GW": 0.0}, "bed": {"BS": 0.0}, "stribeck": {"SS": 0.0}}
+    lacking = zero.keys() - parts
+    law = replace(LAW, **{k: v for part in lacking for k, v in zero[part].items()})
+    law_upload.upload_law(bench.link, bench.context, law)
+    law_arming.arm(bench.link, bench.context)
+    bench.link.command("#1J=20000")
+    bench.clock.sleep_s(0.1)
+    with_law = read_load(bench.link, paper.servo_period_s)
+    bench.link.command("P7007=0")
+    bench.clock.sleep_s(0.01)
+    without = read_load(bench.link, paper.servo_period_s)
+    assert with_law is not None
+    assert without is not None
+    counted = with_law.share_frac(law_cost.servo_cost_cycles(lacking), 1)
+    assert with_law.servo_frac - without.servo_frac == pytest.approx(counted, rel=0.15)
+    assert with_law.foreground_frac < 0.95  # with everything it fits
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
