@@ -136,7 +136,7 @@ def servo_cost_refusals(
         SafetyRefusal(
             f"{_servo_cost_text(bench, law)}{beside}. Too little would be left for the background "
             "tasks, which check limits and serve the watchdog.",
-            code="PC-LAW-045",
+            code="PC-LAW-053",
             hint="Take other load off the card, or compute it for PLC 0 with fewer passes: "
             f"{_seldom_text(bench, law)}.",
         )
