@@ -190,7 +190,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     """
     link, route = axis.link, compensation.route
     refusals = description_refusals(axis)
-    refusals += block_refusals(link, context.block, axis.motor)
+    refusals += block_refusals(link, context.block)
     refusals += buffer_refusals(read_head(link, context))
     refusals += double_corrections(axis, context, compensation)
     if motors.read_motor(link, axis.motor).status.is_closed_loop:

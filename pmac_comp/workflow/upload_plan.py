@@ -16,6 +16,7 @@ from pmac_comp.machine.controller import guard_install, motors
 from pmac_comp.machine.controller.comp_table import CompTable, Table
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import LawHead, read_law_head
+from pmac_comp.machine.controller.open_servos import scratch_remarks
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
@@ -127,6 +128,8 @@ def preview(
         parameters = law_parameters(compensation.law, axis.scales)
         head = read_law_head(axis.link, context.block)
         text += _law_lines(axis, compensation, head)
+        if compensation.route == "law":
+            text += [f"  {r}" for r in scratch_remarks(axis.link, context.block, axis.motor)]
         lines += program_lines(axis, context, compensation.route)
         idle = int(head.bank == 0)
         bank = [context.block.bank(idle, k) for k in range(len(parameters.values()))]

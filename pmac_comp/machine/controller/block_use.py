@@ -17,17 +17,18 @@ from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import MAGIC
 from pmac_comp.machine.controller.numbers import plain
-from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.open_servos import motors_in_open_servo
 
 _SHOWN: Final = 5
 
 
-def block_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusal]:
+def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
     """Refusal where the block holds values, and none of the marks that our changes leave.
 
     Marks are the signature of a law, the manifest of tables and the number of the last change.
     Left out is what may stand without them: the lease that a capture took, what motion programs use
-    at the end of the block, and what an open servo of a motor scribbles before it is set up.
+    at the end of the block, and what an open servo scribbles, for whichever motor, before it is set
+    up for ours.
     """
     texts = link.query(f"P{block.first}..{block.p(Index.MOTIONS) - 1}")
     values = [float(text) for text in texts]
@@ -37,7 +38,7 @@ def block_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusa
         or parse_number(texts[Index.CHANGE]) != 0
     )
     left_out = set(range(Index.LEASE, Index.CHANGE))
-    if int(read_one(link, f"I{motor}59")) & 1:
+    if motors_in_open_servo(link):
         left_out |= set(range(Index.WORK_SERVO, Index.COPY))
     used = {
         block.first + k: value

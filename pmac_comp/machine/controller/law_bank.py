@@ -117,6 +117,8 @@ class Index(IntEnum):
     BED_SERVO = 127
     WORK_SERVO = 130
     BED_PLC = 131
+    HANDED_OVER = 145  # to the open servo, for every motor that runs through it
+    SCRATCH_SERVO = 158  # of that, what PLC 0 does not use
     COPY = 160
 
 

@@ -46,6 +46,7 @@ from pmac_comp.machine.controller.law_state import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.open_servos import scratch_refusals
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import (
@@ -135,7 +136,9 @@ def install_law(
             and is_running(link, context.block, context.servo_period_s) is LawForm.PLC
         ):
             return done
-        refusals = _refusals(link, motor, head, goal) + _owners(context, motor, found)
+        refusals = _refusals(link, context.block, motor, head, goal) + _owners(
+            context, motor, found
+        )
         refusals += _of_another_axis(
             link, context.block, head, motor, stands=_holds_law(context, found)
         )
@@ -213,8 +216,11 @@ def follows(link: Link, motor: int) -> bool:
     return found[f"I{motor}05"] == MASTER_WORD_ADDRESS and bool(int(found[f"I{motor}06"]) & 1)
 
 
-def _refusals(link: Link, motor: int, head: LawHead, goal: Settings) -> list[SafetyRefusal]:
+def _refusals(
+    link: Link, block: LawBlock, motor: int, head: LawHead, goal: Settings
+) -> list[SafetyRefusal]:
     found = degree_refusals(link) + _in_open_servo(link, motor)
+    found += scratch_refusals(link, block, motor)
     if head.form is not LawForm.NONE and abs(head.gain) > GAIN_TOLERANCE:
         found.append(
             MotorNotSafe(
@@ -266,9 +272,10 @@ def law_refusals(
         head, found = read_law_head(link, context.block), _standing(link, motor)
         goal, _ = _missing(link, context, motor, head, found, DEFAULT_RAMP_s, every_cycles)
         if goal.is_empty:  # law and guard stand already: they stay
-            return degree_refusals(link) + _in_open_servo(link, motor)
+            running = _in_open_servo(link, motor) + scratch_refusals(link, context.block, motor)
+            return degree_refusals(link) + running
         return [
-            *_refusals(link, motor, head, goal),
+            *_refusals(link, context.block, motor, head, goal),
             *_owners(context, motor, found),
             *_of_another_axis(link, context.block, head, motor, stands=_holds_law(context, found)),
         ]

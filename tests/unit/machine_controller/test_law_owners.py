@@ -8,7 +8,14 @@ import pytest
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import firmware_path
-from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery
+from pmac_comp.machine.controller import (
+    block_use,
+    law_install,
+    law_state,
+    law_upload,
+    open_servos,
+    recovery,
+)
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.settings import Settings
@@ -106,6 +113,42 @@ def test_both_forms_on_one_block_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MotorNotSafe, match="come back beside the open servo"):
         recovery.rollback_last(bench.link, bench.context)
     law_install.require_open_servo(bench.link, bench.context, 1)
+
+
+@pytest.mark.parametrize("has_marks", [False, True], ids=["block free", "law stood before"])
+def test_plc_0_and_the_open_servo_of_another_motor_are_not_put_on_one_block(
+    tmp_path: Path, *, has_marks: bool
+) -> None:
+    """Every motor of the open servo writes its scratch, in what PLC 0 works with."""
+    paper = load_bench("paper")
+    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
+    if has_marks:
+        law_install.install_law(bench.link, bench.context, 1)
+        law_install.remove_law(bench.link, bench.context)
+    bench.link.write_buffer(["I300=1", "I359=1"])
+    block = bench.context.block
+    assert "motor #3 will run" in open_servos.scratch_remarks(bench.link, block, 1)[0]
+    assert open_servos.scratch_remarks(bench.link, block, 3) == ()
+    bench.link.command("#3J/")
+    bench.clock.sleep_s(0.01)
+    assert open_servos.scratch_remarks(bench.link, block, 1) == ()
+    assert block_use.block_refusals(bench.link, block) == []
+    before = [bench.link.query(text) for text in ("I106I8", "P7000..7009")]
+    told = law_install.law_refusals(bench.link, bench.context, 1)
+    assert [r.code for r in told] == ["PC-LAW-052"]
+    with pytest.raises(MotorNotSafe, match="open servo runs for motor #3"):
+        law_install.install_law(bench.link, bench.context, 1)
+    assert [bench.link.query(text) for text in ("I106I8", "P7000..7009")] == before
+    # Another block has none of it, nor has this one once that motor is out and it is cleared.
+    elsewhere = replace(bench.context, block=LawBlock(7200))
+    assert law_install.law_refusals(bench.link, elsewhere, 1) == []
+    bench.link.write_buffer(["I359=0", "P7158..7159=0"])
+    law_install.install_law(bench.link, bench.context, 1)
+    bench.link.command("I359=1")
+    bench.clock.sleep_s(0.01)
+    told = law_install.law_refusals(bench.link, bench.context, 1)
+    assert [r.code for r in told] == ["PC-LAW-052"]
 
 
 def test_a_law_of_another_motor_is_not_replaced(tmp_path: Path) -> None:
