@@ -1,7 +1,7 @@
 """Backup and restore of a whole controller, and the download of program files."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
 _SHOWN = 40
+_NAMED = 8
 _BACKGROUND_PLCS = 2  # bit of I5 (Software Reference Manual, I5)
 _LINE_SHOWN = 60
 _DEFINITION: Final = re.compile(r"M(\d+)\s*->\s*(\S.*)", re.I)
@@ -75,7 +76,8 @@ def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
         present = kept.read_backup(axis.link)
-    differing = kept.compare(present, stored)
+    live = kept.live_variables(stored)
+    differing = [d for d in kept.compare(present, stored) if d.item not in live]
     lines = [f"{d.item}: {_short(d.before)} -> {_short(d.after)}" for d in differing[:_SHOWN]]
     if len(differing) > _SHOWN:
         lines.append(f"... and {len(differing) - _SHOWN} more")
@@ -117,8 +119,18 @@ def restore_from_file(
     return {
         **result.as_dict(),
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],
-        "summary": f"restored; {len(left)} item(s) cannot be set or live on the card",
+        "summary": _restored_text([d.item for d in left]),
     }
+
+
+def _restored_text(left: Sequence[str]) -> str:
+    if not left:
+        return "restored, and read again: nothing differs"
+    more = f" and {len(left) - _NAMED} more" if len(left) > _NAMED else ""
+    return (
+        f"restored; {len(left)} item(s) cannot be set or live on the card: "
+        f"{', '.join(left[:_NAMED])}{more}"
+    )
 
 
 def _held_programs(axis: Axis, goal: Settings) -> str:

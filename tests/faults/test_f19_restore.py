@@ -7,11 +7,19 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, ForeignChange, LeaseHeld, PmacCompError
-from pmac_comp.machine.controller import backup, recovery, restore, upload
-from pmac_comp.machine.controller.law_bank import Index, LawBlock
+from pmac_comp.machine.controller import (
+    backup,
+    law_arming,
+    law_install,
+    law_upload,
+    recovery,
+    restore,
+    upload,
+)
+from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.machine.controller.table_status import read_head
 from tests.faults.upload_bench import new_table, old_table
-from tests.unit.machine_controller.card_bench import CardBench
+from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
@@ -158,3 +166,26 @@ def test_f29_backup_of_another_bench_file(tmp_path: Path, count_runs: Count) -> 
     for context in (bench.context, then):
         assert read_head(bench.link, context).lease.owner == 0
         upload.upload_tables(bench.link, context, [replace(old_table(40), motor=2)])
+
+
+def test_what_a_law_sends_is_no_setting_of_a_backup(tmp_path: Path) -> None:
+    """Its torque was written back, where it would push the axis, and told to differ afterwards."""
+    bench = make_plc_bench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(T0=300.0, T_LIMIT=4000.0))
+    law_arming.arm(bench.link, bench.context)
+    bench.clock.sleep_s(0.5)
+    stored = backup.read_backup(bench.link, p_range=(7000, 7199), with_q=False)
+    assert stored.ivariables[129] == "300"
+    assert "I129" in backup.live_variables(stored)
+    bench.link.command("#1K")
+    law_install.remove_law(bench.link, bench.context)
+    bare = backup.read_backup(bench.link, p_range=(7000, 7199), with_q=False)
+    _, left = restore.restore(bench.link, bench.context, stored)
+    assert left == ()
+    assert bench.link.query("I129") == ["0"]
+    # Without a program that writes it an offset is a setting like any other.
+    offset = replace(bare, ivariables={**bare.ivariables, 129: "-40"})
+    _, left = restore.restore(bench.link, bench.context, offset)
+    assert left == ()
+    assert bench.link.query("I129") == ["-40"]

@@ -4,6 +4,7 @@ What lives here: reading the whole configuration as text the card printed, a sea
 differences, restoring in an order the card takes. SAVE is never part of it.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sea
 from pmac_comp.machine.controller.settings import plc_runs, read_axes, read_body
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.wire.numbers import read_number
 
 VARIABLES: Final = 8192
 STEP: Final = 64
@@ -31,6 +33,7 @@ Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin w
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
 N_PROGRAMS: Final = 224
 SYSTEMS: Final = 16
+_ASSIGNED: Final = re.compile(r"^(I\d+)=")
 _WANTED: Final = "Give a file that `pmac-comp backup --out` wrote."
 FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 SUSPECT_SHARE: Final = 0.2
@@ -228,8 +231,14 @@ def _from_dict(data: Mapping[str, object]) -> Backup:
 
 
 def compare(before: Backup, after: Backup, *, with_p: bool = False) -> tuple[Difference, ...]:
-    """What differs between two backups; P and Q live and are compared only on request."""
-    found = list(_differences("I", before.ivariables, after.ivariables))
+    """What differs between two backups; P and Q live and are compared only on request.
+
+    So does what a program writes that runs in both: the torque of a law (Ixx29).
+    """
+    live = live_variables(before) & live_variables(after)
+    found = [
+        d for d in _differences("I", before.ivariables, after.ivariables) if d.item not in live
+    ]
     found += _differences("M", before.definitions, after.definitions, suffix="->")
     if with_p:
         found += _differences("P", before.pvariables, after.pvariables)
@@ -243,6 +252,23 @@ def compare(before: Backup, after: Backup, *, with_p: bool = False) -> tuple[Dif
         if a != b:
             found.append(Difference(f"{table.kind.value} #{table.motor}", a[:80], b[:80]))
     return tuple(dict.fromkeys(found))
+
+
+def live_variables(backup: Backup) -> frozenset[str]:
+    """Names of the I-variables that running PLCs of a backup write: outputs, no settings."""
+    return frozenset(
+        name
+        for program in backup.programs
+        if program.kind is ProgramKind.PLC and _runs(backup, program.number)
+        for line in program.lines
+        for name in _ASSIGNED.findall(line)
+    )
+
+
+def _runs(backup: Backup, plc: int) -> bool:
+    """Whether a PLC is enabled, and let go by I5: bit 0 for PLC 0, bit 1 for the others (p. 39)."""
+    i5 = int(read_number(backup.ivariables.get(5, "0")))
+    return plc in backup.running and bool(i5 >> (plc > 0) & 1)
 
 
 def _differences(

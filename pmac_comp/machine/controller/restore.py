@@ -11,6 +11,7 @@ from pmac_comp.machine.controller.backup import (
     Difference,
     Progress,
     compare,
+    live_variables,
     read_backup,
     silent,
 )
@@ -141,13 +142,19 @@ def _refuse_other_card(identity: Identity, backup: Backup) -> None:
 
 
 def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
-    """Everything that differs and may be set; I5 last, so that PLCs find the rest in place."""
+    """Everything that differs and may be set; I5 last, so that PLCs find the rest in place.
+
+    What the backup's programs write themselves is left to them: the torque that a law sent then
+    would push an axis that is enabled before its PLC runs.
+    """
+    live = live_variables(backup)
     ours = range(context.block.p(Index.MANIFEST), context.block.p(Index.RESTS))
     variables = {
         f"I{n}": v
         for n, v in backup.ivariables.items()
         if n not in NOT_RESTORED
         and n != 5
+        and f"I{n}" not in live
         and not describe(n).read_only
         and present.ivariables.get(n) != v
     }
