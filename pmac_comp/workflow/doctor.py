@@ -103,8 +103,10 @@ def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding
         yield from _law(axis, bench)
         yield from _processor(axis, bench)
         yield from _motors(axis)
+        yield from _override(axis)
         yield from _reference(axis, bench)
         yield from _compensation(axis)
+        yield from _claim(axis)
 
 
 def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
@@ -196,6 +198,16 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
     )
 
 
+def _override(axis: "Axis") -> Iterator[Finding]:
+    """Whether jogs and runs would go at the speed that they are meant for."""
+    from pmac_comp.machine.controller.feed_override import jog_refusals, run_refusals
+    from pmac_comp.workflow.as_described import RUN_SYSTEM
+
+    found = [*jog_refusals(axis.link, axis.motor), *run_refusals(axis.link, RUN_SYSTEM)]
+    for refusal in found[:1]:
+        yield Finding("note", "feed override", f"{refusal.message} {refusal.advice}")
+
+
 def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
     from pmac_comp.workflow.as_described import place_remarks
 
@@ -220,3 +232,21 @@ def _compensation(axis: "Axis") -> Iterator[Finding]:
         "compensation",
         f"tables {state.decision.state.value}: {state.decision.reason}",
     )
+
+
+def _claim(axis: "Axis") -> Iterator[Finding]:
+    """Whether bench files of other axes of this card see that something is changed."""
+    from pmac_comp.machine.controller.claim import FOREIGN, REGISTER, claim_refusal, read_claim
+    from pmac_comp.workflow.deploy import context_of
+
+    found = read_claim(axis.link)
+    other = claim_refusal(found, context_of(axis))
+    if other is not None:
+        yield Finding("note", "other axes", f"{other.message} {other.advice}")
+    if found == FOREIGN:
+        yield Finding(
+            "note",
+            "other axes",
+            f"L:${REGISTER:X} holds something that is not ours: bench files with another p_block "
+            "do not see from another host that this one changes the controller",
+        )

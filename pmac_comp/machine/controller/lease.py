@@ -1,5 +1,7 @@
 """One writer at a time: a lock file for this host, a lease in P-variables for all hosts.
 
+Bench files with another block are kept out by a register that all of them share (``claim``).
+
 Beside the lease stands the number of the last change, positive until it has ended: a lease runs
 out, but a change that nobody ended must still be seen from another folder or host, and one that
 somebody else began since must be seen by the one that is recovered.
@@ -20,6 +22,13 @@ from pmac_comp.base.errors import (
     LeaseHeld,
     RemoteProtocolError,
     SafetyRefusal,
+)
+from pmac_comp.machine.controller.claim import (
+    CLAIM_TEXT,
+    claim,
+    claim_refusal,
+    parse_claim,
+    release_claim,
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import require_folder, unwritable
@@ -129,6 +138,13 @@ def read_lease(link: Link, context: Context) -> Lease:
     return parse_lease(_lines(link.query(f"P{first}..{first + 1}"), 2))
 
 
+def is_lost(link: Link, context: Context, lease: Lease) -> bool:
+    """Whether our lease is gone, or somebody began a change with another block meanwhile."""
+    first = context.block.p(Index.LEASE)
+    *found, word = _lines(link.query(f"P{first}..{first + 1}{CLAIM_TEXT}"), 3)
+    return parse_lease(found) != lease or claim_refusal(parse_claim(word), context) is not None
+
+
 def take_lease(
     link: Link, context: Context, number: int, is_known: Callable[[int], bool]
 ) -> tuple[Lease, int]:
@@ -153,17 +169,22 @@ def take_lease(
     LeaseHeld
         Somebody else took it since the pre-flight.
     ForeignChange
-        Another writer was quicker, or one of another folder left a change unfinished.
+        Another writer was quicker, or one of another folder or with another block left a change
+        unfinished.
     """
     first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
-    *found, before, clock = _lines(link.query(f"P{first}..{first + 1}P{change}{CLOCK_TEXT}"), 4)
+    question = f"P{first}..{first + 1}P{change}{CLOCK_TEXT}{CLAIM_TEXT}"
+    *found, before, clock, word = _lines(link.query(question), 5)
+    claimed = parse_claim(word)
     now, last = parse_integer(clock), parse_number(before)
     refusal: SafetyRefusal | None = refuse_foreign_lease(parse_lease(found), context.owner, now)
     if refusal is None and last > 0 and not is_known(last):
         refusal = begun_elsewhere(last)
+    refusal = refusal or claim_refusal(claimed, context)
     if refusal is not None:
         refusal.left = ControllerState.OLD
         raise refusal
+    claim(link, context, claimed)
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
     lines = [*lease.lines(context.block), f"P{change}={number}"]
     *back, there = _lines(link.command(f"{' '.join(lines)} P{first}..{first + 1}P{change}"), 3)
@@ -191,9 +212,17 @@ def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Le
 
 
 def release_lease(link: Link, context: Context, *, number: int | None = None) -> None:
-    """Give the lease back; with a number also write it as that of the last change."""
+    """Give the lease back; with a number, which ends a change, also write that and end our claim.
+
+    The parts of an upload give the lease back between them, and keep the claim.
+    """
     said = "" if number is None else f" P{context.block.p(Index.CHANGE)}={number}"
-    link.command(f"P{context.block.p(Index.LEASE)}=0{said}")
+    free = f"P{context.block.p(Index.LEASE)}=0{said}"
+    if number is None:
+        link.command(free)
+        return
+    word = _lines(link.command(f"{free} {CLAIM_TEXT}"), 1)[0]
+    release_claim(link, context, parse_claim(word))
 
 
 def read_change(link: Link, context: Context) -> int:

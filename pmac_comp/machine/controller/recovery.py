@@ -21,6 +21,7 @@ from pmac_comp.base.errors import (
     StorageFull,
     VerifyMismatch,
 )
+from pmac_comp.machine.controller.claim import claim_refusal, read_claim, release_claim
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import (
@@ -119,7 +120,12 @@ def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
 def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
     """Refusals of a change while another one, of this folder or elsewhere, has not ended."""
     elsewhere = open_elsewhere(link, context)
-    return [*torn_refusals(context), *([begun_elsewhere(elsewhere)] if elsewhere else [])]
+    other = claim_refusal(read_claim(link), context)
+    return [
+        *torn_refusals(context),
+        *([begun_elsewhere(elsewhere)] if elsewhere else []),
+        *([other] if other else []),
+    ]
 
 
 def open_elsewhere(link: Link, context: Context) -> int:
@@ -277,6 +283,8 @@ def _end(link: Link, context: Context) -> None:
     number = read_change(link, context)
     own = number in own_numbers(context)
     release_lease(link, context, number=-number if own else None)
+    if not own:  # killed before the number was written
+        release_claim(link, context, read_claim(link))
 
 
 def _torn_groups(context: Context) -> list[Journal]:

@@ -34,6 +34,7 @@ from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
+    is_lost,
     read_lease,
     release_lease,
     renew_lease,
@@ -261,7 +262,7 @@ class Change:
         ForeignChange
             The lease is gone: what was written may be gone with it.
         """
-        if self._lease is not None and read_lease(self.link, self.context) != self._lease:
+        if self._lease is not None and is_lost(self.link, self.context, self._lease):
             raise ForeignChange(
                 "The lease is gone: the controller was reset meanwhile, or somebody took it.",
                 code="PC-TXN-009",

@@ -7,6 +7,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
 from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery
+from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
@@ -133,3 +134,86 @@ def test_tables_that_another_bench_file_put_on_are_not_foreign(tmp_path: Path) -
     with pytest.raises(ForeignChange):
         recovery.recover(bench.link, first)
     assert bench.i51 == 0
+
+
+def claimed(bench: CardBench) -> int:
+    return read_claim(bench.link)
+
+
+def test_a_change_with_another_block_is_seen_while_it_is_under_way(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    with recovery.grouped(bench.link, first, "table") as parts:
+        upload_tables(bench.link, parts, [table_of(1)])
+        # Between the parts too, where the lease is given back.
+        with pytest.raises(ForeignChange, match="p_block from P7000") as refused:
+            put_table(bench, second, 2)
+        assert refused.value.left is ControllerState.OLD
+        assert [r.code for r in recovery.waiting_refusals(bench.link, second)] == ["PC-TXN-013"]
+        with pytest.raises(ForeignChange, match="p_block from P7000"):
+            upload_tables(bench.link, second, [table_of(2)])
+    assert claimed(bench) == FREE
+    put_table(bench, second, 2)
+    assert standing(bench) == (1, list(ENTRIES), list(ENTRIES))
+    assert claimed(bench) == FREE
+
+
+def test_one_that_was_interrupted_anywhere_is_seen_until_it_is_settled(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    second = axis_of(bench, "second", 7200)
+    cut, seen, ended = 0, 0, False
+    while not ended:
+        first = axis_of(bench, f"first{cut}", 7000)
+        afresh(bench, Fault(FaultKind.CUT, Way.SEND, cut))
+        try:
+            put_table(bench, first, 1, 1 + cut % 3)
+            ended = True
+        except LinkLost:
+            afresh(bench)
+            if claimed(bench) == first.block.first:
+                seen += 1
+                with pytest.raises(ForeignChange, match="p_block from P7000"):
+                    put_table(bench, second, 2)
+            recovery.recover(bench.link, first)
+        afresh(bench)
+        assert claimed(bench) == FREE, cut
+        put_table(bench, second, 2)
+        cut += 60
+    assert seen > 5
+
+
+def test_one_whose_folder_is_lost_is_taken_as_it_stands(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    afresh(bench, Fault(FaultKind.CUT, Way.SEND, 900))
+    with pytest.raises(LinkLost):
+        put_table(bench, first, 1)
+    afresh(bench)
+    recovery.keep(bench.link, second)  # says nothing about the other's
+    with pytest.raises(ForeignChange, match="p_block from P7000"):
+        put_table(bench, second, 2)
+    recovery.keep(bench.link, axis_of(bench, "elsewhere", 7000))
+    put_table(bench, second, 2)
+
+
+def test_a_block_that_comes_at_the_same_moment_is_told_at_the_end(tmp_path: Path) -> None:
+    """Both read a free register; the later one's block stands in it."""
+    bench = CardBench(tmp_path)
+    memory = bench.card.memory
+
+    def written_over(_: int) -> None:
+        if memory.y[REGISTER] == 7000:
+            memory.y[REGISTER] = 7200
+
+    bench.on_request = written_over
+    with pytest.raises(ForeignChange):
+        put_table(bench, axis_of(bench, "first", 7000), 1)
+    assert bench.i51 == 0
+
+
+def test_a_register_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    bench.link.command("WL$10FF,$000000123456")
+    put_table(bench, axis_of(bench, "first", 7000), 1)
+    assert claimed(bench) == FOREIGN
+    assert bench.link.query("RL$10FF") == [str(0x123456)]
