@@ -18,6 +18,7 @@ from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError, StorageFull
 from pmac_comp.base.reading import why
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
+from pmac_comp.cli.progress import ProgressLines
 
 _INTERRUPTED = 130
 CHANGING = frozenset(
@@ -122,6 +123,7 @@ def _write_usage(error: BaseException | None) -> None:
 
 def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:
     """What an interruption left: what holds for the command, then what this one noted."""
+    ProgressLines.stop()
     output.say(_interrupted(words))
     cause: BaseException | None = ended
     while cause is not None:

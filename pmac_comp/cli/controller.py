@@ -19,7 +19,7 @@ from pmac_comp.cli.options import (
     UrlArgument,
     YesOption,
 )
-from pmac_comp.cli.output import ProgressLines
+from pmac_comp.cli.progress import ProgressLines
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 
 

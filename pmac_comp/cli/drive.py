@@ -16,7 +16,7 @@ from pmac_comp.cli.options import (
     ReportOption,
     ValidateOption,
 )
-from pmac_comp.cli.output import ProgressLines
+from pmac_comp.cli.progress import ProgressLines
 
 
 class FrictionChoice(StrEnum):

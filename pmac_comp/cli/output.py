@@ -1,24 +1,23 @@
 """What commands print: JSON, tables, progress and errors, all text escaped.
 
 What lives here: rendering only. Standard output carries the result (a table, or one JSON
-document), standard error carries progress and errors, so that results can be piped.
+document), standard error carries progress (``progress``) and errors, so that results can be piped.
 """
 
 import json
 import math
 import os
-import shutil
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 from pmac_comp.base.reading import why
+from pmac_comp.cli.progress import LOCK, ProgressLines, end_line, printable
 
 JSON_STDOUT = "--json=-"
 _WHOLE_BELOW = 1e7  # counts are shown to the last one
@@ -225,21 +224,16 @@ def finish_with_report(
 
 def say(text: str) -> None:
     """One line for people on standard error, below a progress line that stands there."""
-    if ProgressLines.is_open:
-        sys.stderr.write("\n")
-        ProgressLines.is_open = False
-    sys.stderr.write(safe(text) + "\n")
-    sys.stderr.flush()
-
-
-def safe(text: str) -> str:
-    """Text with control characters made visible, so that a controller cannot drive a terminal."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+    with LOCK:
+        if ProgressLines.is_open:
+            end_line()
+        sys.stderr.write(printable(text) + "\n")
+        sys.stderr.flush()
 
 
 def echo(text: str = "") -> None:
     """One line of the result on standard output."""
-    sys.stdout.write(safe(text) + "\n")
+    sys.stdout.write(printable(text) + "\n")
 
 
 def echo_all(lines: Iterable[str]) -> None:
@@ -256,7 +250,7 @@ def echo_now(lines: Iterable[str]) -> None:
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Plain aligned table on standard output; works in a pipe as in a terminal."""
-    cells = [[safe(_cell(value)) for value in row] for row in rows]
+    cells = [[printable(_cell(value)) for value in row] for row in rows]
     widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(columns)]
     if title:
         echo(title)
@@ -278,6 +272,7 @@ def _cell(value: Any) -> str:
 
 def show_error(error: PmacCompError, as_json: bool) -> None:
     """Error as what happened and what to do; as JSON on standard output where that was asked."""
+    ProgressLines.stop()
     say(f"error: {error}")
     for note in getattr(error, "__notes__", []):
         say(f"  {note}")
@@ -314,47 +309,3 @@ def describe_error(error: PmacCompError) -> dict[str, Any]:
     if isinstance(error, SafetyRefusal) and error.refusals:
         described["refusals"] = [describe_error(item) for item in error.refusals]
     return described
-
-
-class ProgressLines:
-    """Progress on standard error: one line that is rewritten on a terminal, plain lines elsewhere.
-
-    A call with the same step is shown at most every 0.1 s (terminal) or 5 s (elsewhere); a new
-    step is always shown.
-    """
-
-    is_open: ClassVar[bool] = False  # a line stands on the terminal and waits to be rewritten
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        self._quiet = quiet
-        self._terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-        self._step = ""
-        self._shown_s = 0.0
-        self._start_s = time.monotonic()
-
-    def __call__(self, step: str, fraction: float) -> None:
-        """Show a step and its fraction done (0..1; negative means not known)."""
-        now_s = time.monotonic()
-        new = step != self._step
-        pause_s = 0.1 if self._terminal else 5.0
-        if self._quiet or (not new and now_s - self._shown_s < pause_s and fraction < 1.0):
-            return
-        if new and self._terminal and self._step:
-            sys.stderr.write("\n")
-        if not new and fraction >= 1.0 and not self._terminal:
-            return
-        self._step, self._shown_s = step, now_s
-        share = f" {100.0 * fraction:3.0f} %" if fraction >= 0.0 else ""
-        line = f"[{now_s - self._start_s:6.1f} s] {safe(step)}{share}"
-        if self._terminal:  # a line that wraps would not be rewritten but repeated
-            line = "\r\x1b[K" + line[: shutil.get_terminal_size().columns - 1]
-        sys.stderr.write(line if self._terminal else line + "\n")
-        ProgressLines.is_open = self._terminal
-        sys.stderr.flush()
-
-    def close(self) -> None:
-        """End the line that is being rewritten."""
-        if self._terminal and self._step and not self._quiet:
-            sys.stderr.write("\n")
-            ProgressLines.is_open = False
-        self._step = ""

@@ -8,7 +8,7 @@ import typer
 
 from pmac_comp.cli import output
 from pmac_comp.cli.options import BenchOption, JsonOption, SeedOption
-from pmac_comp.cli.output import ProgressLines
+from pmac_comp.cli.progress import ProgressLines
 
 
 class DpramChoice(StrEnum):

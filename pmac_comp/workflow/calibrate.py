@@ -140,7 +140,7 @@ def run_to_files(
     """
     captures: list[Capture] = []
     for i, (motion, path) in enumerate(zip(motions, paths, strict=True)):
-        with _kept_meanwhile(axis, path, progress):
+        with _kept_meanwhile(axis, path):
             captures += run_all(axis, [motion], progress=progress, what=f"{i + 1}/{len(motions)}")
             write_capture(path, captures[-1])
     return captures
@@ -166,7 +166,7 @@ def motor_as_found(axis: Axis) -> Iterator[None]:
 
 
 @contextmanager
-def _kept_meanwhile(axis: Axis, path: Path, progress: Progress | None) -> Iterator[None]:
+def _kept_meanwhile(axis: Axis, path: Path) -> Iterator[None]:
     """Keep the samples of a run in a log until its file is whole; after an error, say where."""
     axis.run_log = new_log(path.parent, path.stem)
     try:
@@ -175,9 +175,9 @@ def _kept_meanwhile(axis: Axis, path: Path, progress: Progress | None) -> Iterat
         if said := axis.run_log.kept():
             error.add_note(said)
         raise
-    except KeyboardInterrupt:
-        if (said := axis.run_log.kept()) and progress is not None:
-            progress(said, -1.0)
+    except KeyboardInterrupt as stop:
+        if said := axis.run_log.kept():
+            stop.add_note(said)
         raise
     else:
         axis.run_log.drop()

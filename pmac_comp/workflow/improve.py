@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 JOURNAL = "journal"
+_MOST_STAGES = 8
 _RESULT = "improvement.json"
 _SAME = 0.02  # of an rms: below this two verifications tell nothing apart
 
@@ -196,27 +197,32 @@ def improve_axis(
     made without compensation. Where the grown model turns out no better, the first compensation
     is put back.
     """
+    told = _Stages(progress)
     motions = calibration_motions(axis.bench)
+    told.begin("runs")
     runs = run_to_files(
-        axis, [*motions, *lead_motions(axis.bench)], _run_paths(out, axis.bench), progress
+        axis, [*motions, *lead_motions(axis.bench)], _run_paths(out, axis.bench), told
     )
     captures, slow = runs[: len(motions)], tuple(runs[len(motions) :])
-    first, file = _first_model(captures, axis.bench, model, effects, progress)
+    told.begin("first model")
+    first, file = _first_model(captures, axis.bench, model, effects, told)
     write_model(out / "first_model.json", file)
-    steps = _Steps(axis, out, route, captures, slow, seed, progress)
+    steps = _Steps(axis, out, route, captures, slow, seed, told)
     compensation, before = steps.measured(first, "first")
+    told.begin("diagnosis")
     diagnosis = diagnose_captures(
         captures,
         axis.bench,
         validate=before.before,
         model=first,
         effects=effects,
-        progress=progress,
+        progress=told,
     )
     write_model(out / "grown_model.json", diagnosis.model)
     if not diagnosis.diagnosis.named:
         return Improvement(diagnosis, before, None, "first")
-    model_grown, file = reestimated(captures, axis.bench, diagnosis, progress)
+    told.begin("grown model")
+    model_grown, file = reestimated(captures, axis.bench, diagnosis, told)
     write_model(out / "grown_model.json", file)
     steps.off(compensation)
     grown, after = steps.measured(model_grown, "grown")
@@ -290,6 +296,23 @@ def reestimated(
     return as_found if model is None else (model, found.model_file)
 
 
+class _Stages:
+    """Progress with what of the whole it belongs to before each step."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._number, self._name = 0, ""
+
+    def begin(self, name: str) -> None:
+        """The next stage; there are fewer in all where the diagnosis names nothing."""
+        self._number, self._name = self._number + 1, name
+
+    def __call__(self, step: str, fraction: float) -> None:
+        """Pass progress on."""
+        if self._progress is not None:
+            self._progress(f"{self._number}/{_MOST_STAGES} {self._name}: {step}", fraction)
+
+
 class _Steps:
     """Compute, upload and verify for one model after another, on the same motions."""
 
@@ -301,15 +324,16 @@ class _Steps:
         captures: Sequence[Capture],
         slow: tuple[Capture, ...],
         seed: int,
-        progress: Progress | None,
+        told: _Stages,
     ) -> None:
-        self.context = context_of(axis, out / "journal", progress)
+        self.context = context_of(axis, out / "journal", told)
         self._axis, self._out, self._route = axis, out, route
-        self._captures, self._slow, self._progress = tuple(captures), slow, progress
+        self._captures, self._slow, self._told = tuple(captures), slow, told
         self._motions = verification_motions(axis.bench, seed)
 
     def measured(self, drive: "DriveModel", name: str) -> tuple[Compensation, Verification]:
         """Compensation of a model on the controller, with what it is measured to give."""
+        self._told.begin(f"{name} compensation")
         compensation = compute_compensation(
             self._axis.bench,
             drive,
@@ -317,11 +341,12 @@ class _Steps:
             slow=self._slow,
             captures=self._captures,
             provenance={"bench_digest": self._axis.bench.digest, "model": f"{name}_model.json"},
-            progress=self._progress,
+            progress=self._told,
         )
         folder = self._out / f"verification_{name}"
         write_compensation(self._out / f"compensation_{name}.json", compensation)
         deploy(self._axis, compensation, self.context)
+        self._told.begin(f"{name} verification")
         found = verify_axis(
             self._axis,
             self.context,
@@ -329,7 +354,7 @@ class _Steps:
             self._motions,
             drive=drive,
             keep=KeptRuns(folder).keep,
-            progress=self._progress,
+            progress=self._told,
         )
         store(found, folder)
         return compensation, found

@@ -41,10 +41,9 @@ def backup_to_file(
     VerifyMismatch
         The two readings differ: somebody writes to the controller.
     """
-    told = _steps(progress)
     with open_axis(url, bench) as axis:
-        first = kept.read_backup(axis.link, progress=told)
-        second = kept.read_backup(axis.link, progress=told)
+        first = kept.read_backup(axis.link, progress=_steps(progress, ", 1 of 2"))
+        second = kept.read_backup(axis.link, progress=_steps(progress, ", 2 of 2"))
     moving = kept.compare(first, second)
     if moving:
         raise VerifyMismatch(
@@ -190,9 +189,9 @@ def _short(value: object) -> str:
     return (first[:_LINE_SHOWN] + f" ... ({len(rest)} more lines)") if rest else first or "nothing"
 
 
-def _steps(progress: Progress | None) -> kept.Progress:
+def _steps(progress: Progress | None, time: str = "") -> kept.Progress:
     def told(step: str, done: int, total: int) -> None:
         if progress is not None:
-            progress(step, done / max(total, 1))
+            progress(step + time, done / max(total, 1))
 
     return told

@@ -408,24 +408,22 @@ def alternating(
     keep: Callable[[Capture], None] | None = None,
 ) -> Iterator[Pair]:
     """Captures without and with compensation of each motion, pair by pair; marks on the latter."""
-    total_s = sum(2.0 * n * motion.duration_s for motion, n in wanted)
-    done_s = 0.0
+    total, done = sum(2 * n for _, n in wanted), 0
     for motion, repeats in wanted:
         sides: Pair = ([], [])
         for pair in range(repeats):
             # The order changes from pair to pair: a drift over time falls on both alike.
             for on in (False, True) if pair % 2 == 0 else (True, False):
+                done += 1
                 if progress is not None:
-                    progress(
-                        f"verifying {motion.name}, {'with' if on else 'without'}", done_s / total_s
-                    )
+                    side_text = "with" if on else "without"
+                    progress(f"run {done} of {total}: {motion.name}, {side_text}", -1.0)
                 capture = runs.run(motion, on=on)
                 side = {"compensation": "on", **marks} if on else {"compensation": "off"}
                 capture = capture.with_attributes(**side)
                 if keep is not None:
                     keep(capture)
                 sides[on].append(capture)
-                done_s += motion.duration_s
         yield sides
 
 

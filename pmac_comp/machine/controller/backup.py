@@ -134,20 +134,22 @@ def read_backup(
     with_q : bool
         Whether Q-variables are read.
     progress : callable
-        Told of each part.
+        Told of each request: variables read, and variables in all.
     """
     identity = read_identity(link)
-    i_values = _read_range(link, "I", 0, VARIABLES - 1, "", progress)
-    p_values = _read_range(link, "P", *p_range, "", progress)
-    q_values = _read_range(link, Q_WINDOW, 0, VARIABLES - 1, "", progress) if with_q else {}
-    definitions = _read_range(link, "M", 0, VARIABLES - 1, "->", progress)
+    whole = range(VARIABLES)
+    wanted = {"I": whole, "P": range(p_range[0], p_range[1] + 1), "M": whole}
+    if with_q:
+        wanted[Q_WINDOW] = whole
+    values = _read_variables(link, wanted, progress)
+    i_values = values["I"]
     found = tuple(_read_programs(link))
     return Backup(
         identity=dict(identity.as_dict()),
         ivariables={n: v for n, v in i_values.items() if n not in TIMERS},
-        pvariables=p_values,
-        qvariables=q_values,
-        definitions=definitions,
+        pvariables=values["P"],
+        qvariables=values.get(Q_WINDOW, {}),
+        definitions=values["M"],
         axes=read_axes(link),
         programs=found,
         tables=read_tables(link),
@@ -158,18 +160,27 @@ def read_backup(
     )
 
 
-def _read_range(
-    link: Link, letter: str, first: int, last: int, suffix: str, progress: Progress
-) -> dict[int, str]:
-    values: dict[int, str] = {}
-    for start in range(first, last + 1, STEP):
-        end = min(start + STEP - 1, last)
-        lines = link.query(f"{letter}{start}..{end}{suffix}")
-        if len(lines) != end - start + 1:
-            raise RemoteProtocolError(f"{letter}{start}..{end} answered {len(lines)} lines.")
-        values.update(zip(range(start, end + 1), (x.strip() for x in lines), strict=True))
-        progress(f"reading {letter}", end - first + 1, last - first + 1)
+def _read_variables(
+    link: Link, wanted: Mapping[str, range], progress: Progress
+) -> dict[str, dict[int, str]]:
+    """Values by letter and number; of M-variables the definitions."""
+    in_all, done = sum(map(len, wanted.values())), 0
+    values: dict[str, dict[int, str]] = {letter: {} for letter in wanted}
+    for letter, numbers in wanted.items():
+        for start in range(numbers.start, numbers.stop, STEP):
+            group = range(start, min(start + STEP, numbers.stop))
+            values[letter].update(zip(group, _read_group(link, letter, group), strict=True))
+            done += len(group)
+            progress("reading variables", done, in_all)
     return values
+
+
+def _read_group(link: Link, letter: str, group: range) -> list[str]:
+    asked = f"{letter}{group.start}..{group.stop - 1}"
+    lines = link.query(asked + ("->" if letter == "M" else ""))
+    if len(lines) != len(group):
+        raise RemoteProtocolError(f"{asked} answered {len(lines)} lines.")
+    return [line.strip() for line in lines]
 
 
 def _read_programs(link: Link) -> Iterator[Program]:

@@ -162,31 +162,6 @@ def test_results_in_files_of_their_own_are_no_clash(
     assert "named twice" not in refused(words, capsys)
 
 
-def test_an_error_begins_on_a_line_of_its_own_below_the_progress(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    progress = output.ProgressLines()
-    progress("writing", 0.3)
-    output.say("error: link lost")
-    output.say("second")
-    shown = capsys.readouterr().err
-    assert shown.endswith(" 30 %\nerror: link lost\nsecond\n")
-
-
-def test_progress_fits_a_narrow_terminal_and_a_dumb_one_gets_plain_lines(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "30")
-    output.ProgressLines()("verifying sine 12.1 mm 2.45 Hz at 24 mm", 0.3)
-    assert len(capsys.readouterr().err.removeprefix("\r\x1b[K")) < 30
-    output.ProgressLines.is_open = False
-    monkeypatch.setenv("TERM", "dumb")
-    output.ProgressLines()("verifying", 0.3)
-    assert capsys.readouterr().err.endswith("verifying  30 %\n")
-
-
 def test_a_rounded_zero_has_no_sign(capsys: pytest.CaptureFixture[str]) -> None:
     output.table("", ("from mm",), [(-0.0,)])
     assert "-" not in capsys.readouterr().out.replace("from mm", "")
