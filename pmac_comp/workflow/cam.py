@@ -249,14 +249,21 @@ def reset_time(axis: Axis) -> None:
     if table is not None:
         turns = round(at_ct / table.span_ct)
         if abs(at_ct - turns * table.span_ct) > _AT_ZERO_ct:
-            _run_back(axis, turns * table.span_ct)
+            run_time_to(axis, turns * table.span_ct)
     # Feedback stands still: closing the loop anew makes the command equal to it, then zero.
     motors.kill(axis.link, number)
     motors.enable(axis.link, number)
     axis.link.command(f"#{number}HMZ")
 
 
-def _run_back(axis: Axis, target_ct: int) -> None:
+def run_time_to(axis: Axis, target_ct: int) -> None:
+    """Jog the time motor to a place of its table, so slowly that the axis follows the correction.
+
+    Raises
+    ------
+    ReplyTimeout
+        It does not arrive.
+    """
     number = axis.bench.controller.cam_motor_number
     way_ms = abs(_time_ct(axis) - target_ct) / _back_ct_per_ms(axis.bench)
     motors.jog_to(axis.link, number, float(target_ct))
@@ -264,7 +271,7 @@ def _run_back(axis: Axis, target_ct: int) -> None:
     while abs(_time_ct(axis) - target_ct) > _AT_ZERO_ct:
         if deadline.expired():
             raise ReplyTimeout(
-                f"Motor #{number}, which counts time, did not come back to zero.",
+                f"Motor #{number}, which counts time, did not come to {target_ct} counts.",
                 code="PC-DEP-053",
                 hint="Look at it with `pmac-comp status`; kill the axis before anything else.",
             )

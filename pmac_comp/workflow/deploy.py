@@ -66,7 +66,7 @@ from pmac_comp.workflow.law_cost import (
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
-from pmac_comp.workflow.sign_test import check_law_sign, check_table_sign
+from pmac_comp.workflow.sign_test import check_cam_sign, check_law_sign, check_table_sign
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
@@ -144,6 +144,7 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
             "counts its time"
         )
         notes += check_table_sign(axis, tables, context)
+        notes += check_cam_sign(axis, render_cam(compensation, axis.bench).table.table, context)
     elif tables or stale:
         context.progress("standing at the motor's zero", *UNKNOWN)
         stand_at_zero(axis)

@@ -6,6 +6,7 @@ stands in closed loop: for the law with a small slow offset, for tables where th
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,11 +19,16 @@ from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import reset_time, run_time_to
 
 SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
 _NOT_MOVED = "PC-SGN-005"
 _LEAST_um = 2.0  # a smaller correction says nothing beside the following error
 _CLEAR_FRAC = 0.5  # of the expected correction
+_LOOP_IS_OPEN = (
+    "the sign of the {} was not measured, as the motor's loop is open: upload again with the motor "
+    "enabled before {}"
+)
 _SETTLE_s = 0.6
 _PLACES = 1201
 
@@ -87,8 +93,10 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
     """
     table = next((t for t in tables if isinstance(t, CompTable) and t.motor == axis.motor), None)
     closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
-    if table is None or not closed:
+    if table is None:
         return []
+    if not closed:
+        return [_LOOP_IS_OPEN.format("tables", "the axis is used")]
     place_ct, expected_ct = _strongest(axis, table)
     to_um = axis.scales.motor_m_per_ct * UM_PER_M
     if abs(expected_ct) * to_um < _LEAST_um:
@@ -116,6 +124,65 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
         f"sign of the tables measured at {place_ct * to_um / 1e3:.1f} mm: "
         f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"
     ]
+
+
+def check_cam_sign(axis: Axis, table: CompTable, context: Context) -> list[str]:
+    """Guarded test of a cam: time is run slowly to where it corrects clearly, and back.
+
+    The axis stands at its zero meanwhile and goes as far as the cam's correction there.
+
+    Raises
+    ------
+    SafetyRefusal
+        The motor stands on the other side: tables are switched off.
+    """
+    if not motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
+        return [_LOOP_IS_OPEN.format("cam", "it is run")]
+    place_ct, expected_ct = _first_clear(axis, table)
+    to_um = axis.scales.motor_m_per_ct * UM_PER_M
+    if abs(expected_ct) * to_um < _LEAST_um:
+        return [f"the cam corrects less than {_LEAST_um:g} um: its sign was not measured"]
+    context.progress("measuring the sign of the cam: its time runs slowly", *UNKNOWN)
+    found_ct = _beside_its_time(axis, place_ct)
+    share = found_ct / expected_ct
+    said = f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"
+    if share < -_CLEAR_FRAC:
+        axis.link.command("I51=0")
+        raise SafetyRefusal(
+            f"Where the cam corrects first the motor stands on the other side ({said}): the sign "
+            "of the tables is reversed.",
+            code="PC-DEP-042",
+            hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
+            "and report this controller's firmware.",
+            left=ControllerState.DISABLED,
+        )
+    if share < _CLEAR_FRAC:
+        return [f"friction holds the motor against the cam ({said}): its sign was not measured"]
+    return [f"sign of the cam measured: {said}"]
+
+
+def _beside_its_time(axis: Axis, place_ct: int) -> float:
+    """Where the motor stands beside its command at a time of its cam, counts; time is put back."""
+    try:
+        run_time_to(axis, place_ct)
+        axis.link.clock.sleep_s(_SETTLE_s)
+        found_ct = _beyond_command(axis)
+    except (PmacCompError, KeyboardInterrupt):
+        with suppress(PmacCompError):
+            axis.link.flush()
+            reset_time(axis)
+        raise
+    reset_time(axis)
+    return found_ct
+
+
+def _first_clear(axis: Axis, table: CompTable) -> tuple[int, float]:
+    """First time of a cam at which it moves the motor clearly, and by how much; counts."""
+    places = np.rint(np.linspace(0.0, table.span_ct, len(table.entries) + 1))
+    values = table.correction_ct(places)
+    enough_ct = min(_offset_ct(axis, SIGN_OFFSETS_um[0]), 0.7 * float(np.max(np.abs(values))))
+    first = int(np.argmax(np.abs(values) >= enough_ct))
+    return int(places[first]), float(values[first])
 
 
 def _strongest(axis: Axis, table: CompTable) -> tuple[float, float]:

@@ -185,7 +185,7 @@ def _off_s(url: str, characters: int) -> float:
 def _motion_lines(axis: Axis, tables: Sequence[Table]) -> list[str]:
     reading = motors.read_motor(axis.link, axis.motor)
     if not reading.status.is_closed_loop:
-        return ["  the motor's loop is open: nothing moves"]
+        return ["  the motor's loop is open: nothing moves, and no sign is measured"]
     there = "  the axis moves to its zero first, where every table corrects nothing"
     tested = any(isinstance(table, CompTable) and table.motor == axis.motor for table in tables)
     most = ", and then to where the table corrects most, to measure its sign"
@@ -196,7 +196,10 @@ def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:
     cam = render_cam(compensation, axis.bench)
     table = cam.table.table
     largest_um = max(map(abs, table.entries)) / 16.0 * axis.scales.motor_m_per_ct * UM_PER_M
+    closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
+    tested = "its time is then run slowly to where it corrects clearly, to measure its sign"
     return [
+        *([f"  cam: {tested}"] if closed else []),
         f"  cam: motor #{table.motor} counts time at {cam.shape.ct_per_cycle} counts per servo "
         f"cycle, {len(table.entries)} entries, largest {largest_um:.2f} um, rounding "
         f"{cam.table.quantisation_um:.3f} um",

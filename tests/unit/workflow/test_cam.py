@@ -1,5 +1,6 @@
 """The electronic cam on the embedded card: exact table in time, better motion, gone by rollback."""
 
+import re
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -28,7 +29,7 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import simulated, upload_flow
+from pmac_comp.workflow import sign_test, simulated, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
@@ -167,9 +168,36 @@ def test_the_sign_of_the_lead_table_beside_a_cam_is_measured(
     axis.enable()
     told = preview(axis, context, compensation, "sim://").text
     done = deploy(axis, compensation, context)
-    assert any("to measure its sign" in line for line in told) is (lead is not None)
+    assert any("table corrects most, to measure" in line for line in told) is (lead is not None)
     measured = any("sign of the tables measured" in note for note in done.notes)
     assert measured is (lead is not None)
+
+
+def test_the_sign_of_a_cam_is_measured_before_it_is_run(axis: Axis, tmp_path: Path) -> None:
+    context = context_of(axis, tmp_path)
+    told = preview(axis, context, cam_of(BUMP), "sim://").text
+    assert any("its time is then run slowly" in line for line in told)
+    done = deploy(axis, cam_of(BUMP), context)
+    (said,) = [note for note in done.notes if "sign of the cam" in note]
+    meant_um, found_um = (float(text) for text in re.findall(r"([-+][\d.]+) um", said))
+    assert abs(meant_um) > 5.0
+    assert found_um == pytest.approx(meant_um, abs=1.5)
+    assert axis.link.query("#8P") == ["0"]
+    assert abs(motors.read_motor(axis.link, 1).position_ct) < 2.0
+    axis.kill()
+    done = deploy(axis, cam_of(1.1 * BUMP), context)
+    assert any("was not measured, as the motor's loop is open" in note for note in done.notes)
+
+
+def test_a_reversed_cam_is_switched_off_and_taken_back(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beyond = sign_test._beyond_command
+    monkeypatch.setattr(sign_test, "_beyond_command", lambda axis: -beyond(axis))
+    with pytest.raises(SafetyRefusal, match="sign of the tables is reversed"):
+        deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
+    assert len(read_tables(axis.link)) == 0
+    assert axis.link.query("I51") == ["0"]
 
 
 TIME_MOTOR = tuple(time_motor_variables(BENCH))
