@@ -21,6 +21,7 @@ _TICK_s: Final = 1.0  # by itself, so that somebody sees that it goes on
 _KEPT_s: Final = 3.0  # a step that lasted so long stays on the terminal
 _NEXT_LINE_s: Final = 10.0  # between lines elsewhere
 _SAME_LINE_s: Final = 30.0  # where nothing has changed
+_OF_ELAPSED: Final = 0.05  # and no less than this share of the time so far
 
 
 class ProgressLines:
@@ -84,9 +85,10 @@ class ProgressLines:
 
     def _write_if_due(self) -> None:
         text, now_s = self._text(), time.monotonic()
-        pause_s = _REWRITE_s if self._terminal else _NEXT_LINE_s
-        if not self._terminal and text == self._written:
-            pause_s = _SAME_LINE_s
+        pause_s = _REWRITE_s
+        if not self._terminal:
+            least_s = _SAME_LINE_s if text == self._written else _NEXT_LINE_s
+            pause_s = max(least_s, _OF_ELAPSED * (now_s - self._start_s))
         if now_s - self._written_s < pause_s:
             return
         self._written, self._written_s = text, now_s

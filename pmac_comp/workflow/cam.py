@@ -197,6 +197,18 @@ def cam_settings(bench: Bench, program: Program, present: AxisDefinitions) -> Se
     )
 
 
+def time_motor_off(axis: Axis) -> Settings:
+    """What switches a motor off that counts time as a cam has set it; empty where there is none."""
+    number = axis.bench.controller.cam_motor_number
+    wanted = time_motor_variables(axis.bench)
+    active = read_one(axis.link, f"I{number}00")
+    if not active or not _same(read_many(axis.link, list(wanted)), wanted):
+        return Settings()
+    present = read_axes(axis.link)
+    kept = tuple(a for a in present if a != (1, number, "Y"))
+    return Settings({f"I{number}00": "0"}, axes=None if kept == present else kept)
+
+
 def _time_motor_refusals(
     axis: Axis, wanted: dict[str, float], active: float
 ) -> list[SafetyRefusal]:
@@ -224,11 +236,15 @@ def _require_free_number(axis: Axis) -> None:
         )
 
 
+def has_cam(axis: Axis) -> bool:
+    """Whether the card has the table of a cam for the axis."""
+    table = read_table(axis.link, TableKind.COMP, axis.bench.controller.cam_motor_number)
+    return isinstance(table, CompTable) and table.target == axis.motor
+
+
 def rest_time_motor(axis: Axis) -> None:
     """Bring the time motor to zero if the card has a cam; a card without one is left alone."""
-    number = axis.bench.controller.cam_motor_number
-    table = read_table(axis.link, TableKind.COMP, number)
-    if isinstance(table, CompTable) and table.target == axis.motor:
+    if has_cam(axis):
         reset_time(axis)
 
 

@@ -1,40 +1,61 @@
 """Compensation of an axis taken off a controller, whoever put it on: no journal of it is needed.
 
 What lives here: what of this tool stands on the card for an axis, and taking all of it off as one
-upload that ``rollback`` brings back. What may not: the transactions (``machine.controller``).
+upload that ``rollback`` brings back. Settings that uploads of this folder have replaced come back
+with it; of those of another folder what stood before is not known, and they stay. What may not: the
+transactions (``machine.controller``).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.machine.controller import law_arming, law_install, law_state, temporary
+from pmac_comp.machine.controller import (
+    guard_install,
+    law_arming,
+    law_install,
+    law_state,
+    motors,
+    programs,
+    temporary,
+)
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.leftovers import REMOVAL, before_uploads, merged
+from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
+from pmac_comp.machine.controller.settings_upload import SettingsUpload
 from pmac_comp.machine.controller.table_set import Key, read_tables
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import rest_time_motor
+from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off
 from pmac_comp.workflow.deploy import Progress, context_of, stand_at_zero
+from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.upload_flow import rollback_command
 
 
 @dataclass(frozen=True)
 class Standing:
-    """What compensates an axis now: tables by kind and motor, and the form of the law."""
+    """What compensates an axis now: tables by kind and motor, and the form of the law.
+
+    ``beside`` brings what is known without a journal to the state without it: time motor and
+    programs of known motions, guard, definitions of the law.
+    """
 
     tables: tuple[Key, ...]
     law: LawForm
+    beside: Settings = field(default_factory=Settings)
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing stands."""
-        return not self.tables and self.law is LawForm.NONE
+        return not self.tables and self.law is LawForm.NONE and self.beside.is_empty
 
     def lines(self) -> list[str]:
         """For people."""
@@ -43,6 +64,9 @@ class Standing:
             said.append("the law in PLC 0, with following and torque offset of its motor")
         if self.law is LawForm.SERVO:
             said.append("the law in the open servo: faded out; the servo itself stays (Ixx59)")
+        said += [f"{kind.value} {number}" for kind, number in self.beside.programs]
+        said += [f"motor #{name[1:-2]}, which counts time" for name in self.beside.variables]
+        said += ["M-variables of law or guard"] if self.beside.definitions else []
         return said or ["nothing of a compensation stands for this axis"]
 
 
@@ -50,7 +74,44 @@ def standing_on(axis: Axis) -> Standing:
     """Tables of the bench's motors and the law of its motor; nothing is changed."""
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
-    return Standing(tables, _form_of_law(axis))
+    return Standing(tables, _form_of_law(axis), _beside(axis))
+
+
+def _beside(axis: Axis) -> Settings:
+    """What of ours stands beside tables and law, switched off, emptied or undefined."""
+    link, guard = axis.link, guard_install.guard_program(_block(axis)).tokens
+    motions = [(ProgramKind.PROG, number) for number in (CAM_PROGRAM, COMPENSATED_PROGRAM)]
+    defined = law_install.definitions(axis.motor)
+    asked = Settings(
+        definitions=defined, programs=dict.fromkeys([*motions, guard_install.GUARD], ())
+    )
+    found = read_settings(link, asked)
+    ours = [key for key in motions if programs.is_sealed_motion(found.programs[key])]
+    if programs.canonical(found.programs[guard_install.GUARD]) == guard:
+        ours.append(guard_install.GUARD)
+    free = {n: "*" for n, text in defined.items() if same_definition(text, found.definitions[n])}
+    goal = merged(
+        Settings(definitions=free, programs=dict.fromkeys(ours, ())), time_motor_off(axis)
+    )
+    return _not_of_others(axis, goal)
+
+
+def _not_of_others(axis: Axis, goal: Settings) -> Settings:
+    """Without what law and guard of another axis use as well, where one of them stands."""
+    places = Settings(programs={law_install.LAW: (), guard_install.GUARD: ()})
+    found = read_settings(axis.link, places).programs
+    guard = guard_install.guard_program(_block(axis)).tokens
+    kept = dict(goal.definitions)
+    if found[law_install.LAW]:
+        kept = {n: text for n, text in kept.items() if n == guard_install.GUARD_DEFINITION}
+        goal = replace(goal, variables={k: v for k, v in goal.variables.items() if k != "I8"})
+    if programs.canonical(found[guard_install.GUARD]) not in {(), guard}:
+        kept.pop(guard_install.GUARD_DEFINITION, None)
+    return replace(goal, definitions=kept)
+
+
+def _block(axis: Axis) -> LawBlock:
+    return LawBlock.from_p_block(axis.bench.controller.p_block)
 
 
 def _form_of_law(axis: Axis) -> LawForm:
@@ -98,11 +159,33 @@ def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadRe
     rest_time_motor(axis)
     stand_at_zero(axis)
     results: list[UploadResult] = []
-    with grouped(axis.link, context, "remove") as inner:
+    with grouped(axis.link, context, REMOVAL) as inner:
         if found.law is LawForm.PLC:
             results.append(law_install.remove_law(axis.link, inner))
         if found.law is LawForm.SERVO:
             law_arming.disarm(axis.link, inner)
         if found.tables:
             results.append(remove_tables(axis.link, inner, found.tables))
+        results += _remove_beside(axis, inner)
     return tuple(results)
+
+
+def _remove_beside(axis: Axis, context: Context) -> list[UploadResult]:
+    """What is left beside tables and law, as it stood before where this folder knows that."""
+    with untouched():
+        goal = _not_of_others(axis, merged(_beside(axis), before_uploads(axis.link, context)))
+    if goal.is_empty:
+        return []
+    off = [int(name[1:-2]) for name, text in goal.variables.items() if _is_off(name, text)]
+
+    def kill() -> None:
+        for motor in off:
+            motors.kill(axis.link, motor)
+
+    with SettingsUpload(axis.link, context, goal, route=REMOVAL, motors=[axis.motor]) as upload:
+        upload.write(first=kill)
+        return [upload.finish()]
+
+
+def _is_off(name: str, text: str) -> bool:
+    return name.endswith("00") and len(name) > len("I00") and text.strip() == "0"

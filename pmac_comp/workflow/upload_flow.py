@@ -18,7 +18,7 @@ from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor
+from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy, stand_at_zero
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
@@ -131,7 +131,7 @@ def _save(
 ) -> None:
     """SAVE what stands, with the axis and a cam's time motor killed, and see it again."""
     axis.kill()
-    if route == "cam":
+    if has_cam(axis):
         motors.kill(axis.link, axis.bench.controller.cam_motor_number)
     try:
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
@@ -191,9 +191,9 @@ def rollback_upload(
         rest_time_motor(axis)
         stand_at_zero(axis)
         result = recovery.rollback_last(axis.link, context)
+        rest_time_motor(axis)  # of a cam that came back
         said = _FLASH
         if persist:
-            # The time motor of a cam went with the upload; what is left of it is not enabled.
             _save(axis, context, result.route, ControllerState.OLD)
             said = f"motor #{axis.motor} was killed, all of it saved to flash and read again"
     told = [*result.notes, said]

@@ -118,6 +118,11 @@ def sealed_motion(number: int, lines: Sequence[str]) -> Program:
     return Program(ProgramKind.PROG, number, text)
 
 
+def is_sealed_motion(lines: Sequence[str]) -> bool:
+    """Whether a motion program is one of ``sealed_motion``, by how it begins."""
+    return canonical(lines)[:2] == ("GOT2", "N1")
+
+
 @dataclass(frozen=True)
 class Source:
     """A file of on-line commands and at most a few programs, in order.

@@ -192,6 +192,11 @@ def plain_axes(axes: AxisDefinitions) -> set[tuple[int, int, str]]:
     }
 
 
+def same_definition(first: str, second: str) -> bool:
+    """Whether two M-variable definitions mean the same, however they are spelled."""
+    return _plain_definition(first) == _plain_definition(second)
+
+
 def _same_number(found: str | None, meant: str) -> bool:
     return found is not None and same_value(float(read_number(found)), float(read_number(meant)))
 

@@ -4,12 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from pmac_comp.machine.controller import law_state, motors
+from pmac_comp.machine.controller import law_install, law_state, motors
+from pmac_comp.machine.controller.backup import Backup, compare, read_backup
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.recovery import rollback_last
+from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
@@ -44,6 +49,66 @@ def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Pa
     rollback_last(axis.link, context)
     assert read_tables(axis.link) == before
     assert standing_on(axis).law is LawForm.PLC
+
+
+def whole(axis: Axis) -> Backup:
+    """All but the block, whose marks stay, as long as nothing is enabled."""
+    axis.kill()
+    axis.link.clock.sleep_s(0.3)
+    found = read_backup(axis.link, p_range=(0, 6999), with_q=False)
+    axis.enable()
+    return found
+
+
+def put_on(axis: Axis, route: str, folder: Path) -> None:
+    bump = 20e-6 * np.sin(np.linspace(0.0, np.pi, MOTION.position_m.size)) ** 4
+    moves = (MOTION.trajectory.time_s, MOTION.position_m, bump)
+    known = moves if route in {"cam", "program"} else (None, None, None)
+    law = LAW if route == "law" else CompensationLaw()
+    deploy(axis, Compensation(route, law, LEAD, *known), context_of(axis, folder))
+
+
+@pytest.mark.parametrize("route", ["table", "law", "cam", "program"])
+def test_nothing_of_a_route_is_left_behind(axis: Axis, tmp_path: Path, route: str) -> None:
+    axis.link.write_buffer(["I8=3", "I186=0.5", "I819=0.7", "&1#1->500X", "&2#8->Z"])
+    before = whole(axis)
+    put_on(axis, route, tmp_path)
+    put_on(axis, route, tmp_path)  # a second one does not make the first what stood before
+    found = standing_on(axis)
+    assert compare(before, whole(axis))
+    context = context_of(axis, tmp_path)
+    remove_from(axis, context, found)
+    assert compare(before, whole(axis)) == ()
+    assert standing_on(axis).is_empty
+    rollback_last(axis.link, context)
+    assert standing_on(axis) == found
+
+
+def test_what_was_set_after_an_upload_stays_set(axis: Axis, tmp_path: Path) -> None:
+    put_on(axis, "law", tmp_path)
+    axis.link.command("I8=2")
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    assert axis.link.query("I8I105") == ["2", "$35C0"]
+
+
+def test_a_cam_of_another_folder_is_off_and_its_program_gone(axis: Axis, tmp_path: Path) -> None:
+    put_on(axis, "cam", tmp_path / "there")
+    found = standing_on(axis)
+    assert {"PROG 705", "PLC 1", "motor #8, which counts time"} <= set(found.lines())
+    remove_from(axis, context_of(axis, tmp_path / "here"), found)
+    assert axis.link.query("I800") == ["0"]
+    assert (1, 8, "Y") not in read_axes(axis.link)
+    assert standing_on(axis).is_empty
+    axis.run(MOTION)
+
+
+def test_what_the_law_of_another_axis_needs_stays(axis: Axis, tmp_path: Path) -> None:
+    put_on(axis, "table", tmp_path)
+    axis.link.command("I8=1")
+    other = replace(context_of(axis, tmp_path / "other"), block=LawBlock(7200))
+    law_install.install_law(axis.link, other, 2)
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    assert axis.link.query("M7000->M7001->I8") == ["X:$0,24", "D:$108", "0"]
 
 
 def test_a_law_that_pushes_at_rest_comes_back(axis: Axis, tmp_path: Path) -> None:
