@@ -93,7 +93,8 @@ def check_master_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> Sig
             f"Motor #{motor} does not follow the master word "
             f"(I{motor}05 = {int(source)}, I{motor}06 = {int(mode)}).",
             code="PC-SGN-002",
-            hint="Somebody changed the following that the law set up; upload again.",
+            hint="The controller was reset, or somebody changed the following that the law set up; "
+            "upload again.",
         )
     if parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0]) != 0:
         raise MotorNotSafe(

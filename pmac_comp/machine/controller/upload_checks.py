@@ -62,8 +62,9 @@ def buffer_refusals(head: Head) -> list[SafetyRefusal]:
             SafetyRefusal(
                 "Data gathering is running.",
                 code="PC-UPL-021",
-                hint="Somebody may be measuring: while `pmac-comp status` shows a lease that is "
-                "held, wait for its end. Where nobody is, stop it (ENDGATHER).",
+                hint="Somebody is measuring, or was killed at it: wait for its end, or run "
+                "`pmac-comp recover` where it was started, which gives back what that run borrowed. "
+                "Where nobody is, stop it (ENDGATHER).",
             )
         )
     return refusals
