@@ -52,8 +52,8 @@ def claim_refusal(found: int, context: Context) -> ForeignChange | None:
     if found in {FREE, FOREIGN, context.block.first}:
         return None
     return ForeignChange(
-        f"A change with the bench file of another axis (p_block from P{found}) is under way on "
-        "this controller, or was interrupted.",
+        f"A change or measurement with the bench file of another axis (p_block from P{found}) is "
+        "under way on this controller, or was interrupted.",
         code="PC-TXN-013",
         hint="Wait for it; if it was interrupted run `pmac-comp recover` with that bench file "
         "where it was started. If that folder is lost, `pmac-comp recover --keep` with that bench "

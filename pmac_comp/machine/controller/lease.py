@@ -216,13 +216,25 @@ def release_lease(link: Link, context: Context, *, number: int | None = None) ->
 
     The parts of an upload give the lease back between them, and keep the claim.
     """
-    said = "" if number is None else f" P{context.block.p(Index.CHANGE)}={number}"
-    free = f"P{context.block.p(Index.LEASE)}=0{said}"
     if number is None:
-        link.command(free)
+        link.command(_free(context))
         return
-    word = _lines(link.command(f"{free} {CLAIM_TEXT}"), 1)[0]
+    free = f"{_free(context)} {_numbered(context, number)} {CLAIM_TEXT}"
+    word = _lines(link.command(free), 1)[0]
     release_claim(link, context, parse_claim(word))
+
+
+def pause_lease(link: Link, context: Context, number: int) -> None:
+    """Give the lease back and keep the claim: what was put on for a measurement is of the card."""
+    link.command(f"{_free(context)} {_numbered(context, number)}")
+
+
+def _free(context: Context) -> str:
+    return f"P{context.block.p(Index.LEASE)}=0"
+
+
+def _numbered(context: Context, number: int) -> str:
+    return f"P{context.block.p(Index.CHANGE)}={number}"
 
 
 def read_change(link: Link, context: Context) -> int:

@@ -1,8 +1,9 @@
 """Settings that stand only while something is measured: journalled when put on, taken off after.
 
 The lock and the lease are given back once they stand, because uploads may lie between; the journal
-stays open. After a kill ``recover`` takes them off, and so does the next session that puts the
-same settings on. Never a part of an upload: ``recover`` looks at them apart.
+stays open, and so does the claim that keeps bench files of other axes out. After a kill ``recover``
+takes them off, and so does the next session that puts the same settings on. Never a part of an
+upload: ``recover`` looks at them apart.
 """
 
 import re
@@ -11,6 +12,7 @@ from typing import Final
 
 from pmac_comp.base.errors import ControllerState, ForeignChange
 from pmac_comp.machine.controller import gather, programs
+from pmac_comp.machine.controller.claim import read_claim, release_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import host_lock
@@ -99,6 +101,8 @@ def take_off(link: Link, context: Context, *, whatever_stands: bool = False) -> 
             _put_back(link, found)
             found.journal.write(ROLLED_BACK)
         notes.append("axis definitions, units and motion program are as before the measurement")
+    if notes:
+        release_claim(link, context, read_claim(link))
     return tuple(notes)
 
 

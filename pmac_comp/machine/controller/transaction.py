@@ -35,6 +35,7 @@ from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
     is_lost,
+    pause_lease,
     read_lease,
     release_lease,
     renew_lease,
@@ -290,7 +291,7 @@ class Change:
         self.left = self._ended = verdict
         if self._leased_at_s is not None:
             # For what compensates an axis the change before is still the last one.
-            release_lease(self.link, self.context, number=self._found)
+            pause_lease(self.link, self.context, self._found)
             self._leased_at_s = None
 
     @contextmanager

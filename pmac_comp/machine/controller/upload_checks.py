@@ -63,7 +63,7 @@ def buffer_refusals(head: Head) -> list[SafetyRefusal]:
                 "Data gathering is running.",
                 code="PC-UPL-021",
                 hint="Somebody is measuring, or was killed at it: wait for its end, or run "
-                "`pmac-comp recover` where it was started, which gives back what that run borrowed. "
+                "`pmac-comp recover` where it was started, which gives back what it borrowed. "
                 "Where nobody is, stop it (ENDGATHER).",
             )
         )

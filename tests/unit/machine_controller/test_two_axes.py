@@ -6,11 +6,13 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
-from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery
+from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery, temporary
 from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.lease import read_lease
+from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.unit.machine_controller.card_bench import CardBench
@@ -217,3 +219,24 @@ def test_a_register_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     put_table(bench, axis_of(bench, "first", 7000), 1)
     assert claimed(bench) == FOREIGN
     assert bench.link.query("RL$10FF") == [str(0x123456)]
+
+
+def test_a_measurement_of_another_axis_keeps_changes_and_measurements_out(tmp_path: Path) -> None:
+    """Coordinate system 1, its motion program and gathering are of the whole card."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    borrowed = Settings({"I5113": "7"}, axes=((1, 1, "X"),))
+    temporary.put_on(bench.link, first, borrowed)
+    assert read_lease(bench.link, first).is_free
+    for act in (
+        lambda: put_table(bench, second, 2),
+        lambda: temporary.put_on(bench.link, second, Settings(axes=((1, 2, "X"),))),
+    ):
+        with pytest.raises(ForeignChange, match="p_block from P7000"):
+            act()
+    put_table(bench, first, 1)  # of the same axis it takes what was borrowed off first
+    assert claimed(bench) == FREE
+    temporary.put_on(bench.link, first, borrowed)
+    temporary.take_off(bench.link, first)
+    assert claimed(bench) == FREE
+    put_table(bench, second, 2)
