@@ -242,6 +242,12 @@ def read_change(link: Link, context: Context) -> int:
     return parse_number(_lines(link.query(f"P{context.block.p(Index.CHANGE)}"), 1)[0])
 
 
+def read_change_and_claim(link: Link, context: Context) -> tuple[int, int]:
+    """The same, and the block of a change under way (``claim.read_claim``), by one question."""
+    number, word = _lines(link.query(f"P{context.block.p(Index.CHANGE)}{CLAIM_TEXT}"), 2)
+    return parse_number(number), parse_claim(word)
+
+
 def parse_number(text: str) -> int:
     """Number of a change; what cannot be one counts as none."""
     value = float(text)

@@ -28,6 +28,7 @@ from pmac_comp.machine.controller.lease import (
     begun_elsewhere,
     host_lock,
     read_change,
+    read_change_and_claim,
     read_lease,
     release_lease,
 )
@@ -119,8 +120,9 @@ def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
 
 def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
     """Refusals of a change while another one, of this folder or elsewhere, has not ended."""
-    elsewhere = open_elsewhere(link, context)
-    other = claim_refusal(read_claim(link), context)
+    number, claimed = read_change_and_claim(link, context)
+    elsewhere = _of_elsewhere(number, context)
+    other = claim_refusal(claimed, context)
     return [
         *torn_refusals(context),
         *([begun_elsewhere(elsewhere)] if elsewhere else []),
@@ -130,7 +132,10 @@ def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
 
 def open_elsewhere(link: Link, context: Context) -> int:
     """Number of a change that another folder or host began and did not end, 0 for none."""
-    number = read_change(link, context)
+    return _of_elsewhere(read_change(link, context), context)
+
+
+def _of_elsewhere(number: int, context: Context) -> int:
     return number if number > 0 and number not in own_numbers(context) else 0
 
 
