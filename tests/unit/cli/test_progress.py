@@ -57,7 +57,7 @@ def test_it_fits_a_narrow_terminal_and_a_dumb_one_gets_plain_lines(
     monkeypatch.setenv("COLUMNS", "30")
     on_a_terminal(monkeypatch)("verifying sine 12.1 mm 2.45 Hz at 24 mm", 0.3)
     assert len(capsys.readouterr().err.removeprefix("\r\x1b[K")) < 30
-    ProgressLines.is_open = False
+    ProgressLines.stop()
     monkeypatch.setenv("TERM", "dumb")
     ProgressLines()("verifying", 0.3)
     assert capsys.readouterr().err.endswith("verifying\n")
