@@ -23,6 +23,8 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     torque = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
              + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
+With an m below zero the wave TR is a second cogging, added without ``t``.
+
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
 terms (ballscrew facts 2.8).
@@ -140,7 +142,7 @@ class CompensationLaw:
         TR, m and PR: friction that changes m times per turn. With a negative m it is no friction
         but a second order of cogging, which pushes whichever way the screw turns.
     ripple_Nm, ripple_order, ripple_phase_rad : float
-        TH, n, PH: cogging, the strongest order of it.
+        TH, n, PH: cogging.
     stribeck_m, torque_stribeck_Nm, stribeck_speed_m_per_s : float
         SS, TS and VS: friction at rest beyond that in motion, and the speed that takes it away.
     bed_share, bed_damping_per_s, bed_stiffness_per_s2 : float

@@ -202,6 +202,16 @@ def test_a_pass_that_is_late_sees_the_same_motion(tmp_path: Path) -> None:
     assert np.max(np.abs(left)) < 0.05
 
 
+def make_servo_bench(tmp_path: Path) -> CardBench:
+    """A card whose motor 1 runs through the open servo."""
+    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
+    bench = CardBench(tmp_path, card=Card(load_bench("paper"), servo_source=servo))
+    bench.link.command("I159=1")
+    bench.link.command("#1J/")
+    law_install.require_open_servo(bench.link, bench.context, 1)
+    return bench
+
+
 PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction by the turn
 
 
@@ -242,12 +252,7 @@ def stepped_motion(bench: CardBench, first: int) -> tuple[np.ndarray, np.ndarray
 
 @pytest.mark.parametrize("law", [LAW, PUSHING], ids=["friction by the turn", "second cogging"])
 def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
-    paper = load_bench("paper")
-    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
-    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
-    bench.link.command("I159=1")
-    bench.link.command("#1J/")
-    law_install.require_open_servo(bench.link, bench.context, 1)
+    bench = make_servo_bench(tmp_path)
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
     commanded, (correction, torque) = stepped_motion(bench, 7139)
@@ -431,12 +436,7 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
     tmp_path: Path, parts: frozenset[str]
 ) -> None:
     """Task times of a card whose law moves, over those of the same loop without a law."""
-    paper = load_bench("paper")
-    servo = firmware_path("feedforward_servo.txt").read_text(encoding="utf-8")
-    bench = CardBench(tmp_path, card=Card(paper, servo_source=servo))
-    bench.link.command("I159=1")
-    bench.link.command("#1J/")
-    law_install.require_open_servo(bench.link, bench.context, 1)
+    bench = make_servo_bench(tmp_path)
     zero = {"gap": {"GH": 0.0, "GW": 0.0}, "bed": {"BS": 0.0}, "stribeck": {"SS": 0.0}}
     lacking = zero.keys() - parts
     law = replace(LAW, **{k: v for part in lacking for k, v in zero[part].items()})
@@ -444,10 +444,10 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
     law_arming.arm(bench.link, bench.context)
     bench.link.command("#1J=20000")
     bench.clock.sleep_s(0.1)
-    with_law = read_load(bench.link, paper.servo_period_s)
+    with_law = read_load(bench.link, bench.bench.servo_period_s)
     bench.link.command("P7007=0")
     bench.clock.sleep_s(0.01)
-    without = read_load(bench.link, paper.servo_period_s)
+    without = read_load(bench.link, bench.bench.servo_period_s)
     assert with_law is not None
     assert without is not None
     counted = with_law.share_frac(law_cost.servo_cost_cycles(lacking), 1)
