@@ -106,10 +106,11 @@ def turn_torque(
     rests = [_rest(law, loop, capture) for capture in captures]
     rest = np.concatenate([r[::_DECIMATION] for r in rests])
     orders = cogging_orders(captures, [r[:, _MOTOR] for r in rests], law.turn_m)
+    plain = [loop(capture.commanded_position_m, None, None) for capture in captures]
 
     def wave(order: int, *, pushes: bool) -> _Wave:
         shapes = [_shapes(law, c, order, drive_delay_s, pushes=pushes) for c in captures]
-        return _Wave(order, pushes, _responses(loop, captures, shapes))
+        return _Wave(order, pushes, _responses(loop, captures, plain, shapes))
 
     once = wave(1, pushes=False)
     coggings = [wave(order, pushes=True) for order in orders]
@@ -117,7 +118,7 @@ def turn_torque(
     for first in coggings:
         others = [other for other in coggings if other is not first]
         pairs += [(first, second) for second in (once, wave(first.order, pushes=False), *others)]
-    steady = _responses(loop, captures, [_steady_shapes(law, c) for c in captures])
+    steady = _responses(loop, captures, plain, [_steady_shapes(law, c) for c in captures])
     tried = [(*pair, np.hstack([*(one.responses for one in pair), steady])) for pair in pairs]
     first, second, responses = min(tried, key=lambda one: float(_missed(one[2], rest).sum()))
     found = _regression(responses[:, :, _MOTOR], rest[:, _MOTOR])
@@ -269,16 +270,21 @@ def _state(law: CompensationLaw, capture: Capture) -> FloatArray:
 
 
 def _responses(
-    loop: LoopRunner, captures: Sequence[Capture], shapes: Sequence[Sequence[FloatArray]]
+    loop: LoopRunner,
+    captures: Sequence[Capture],
+    plain: Sequence[LoopSignals],
+    shapes: Sequence[Sequence[FloatArray]],
 ) -> FloatArray:
-    """Motor and table minus motor in m per N m of torque shapes, shape (n, shapes, 2)."""
+    """Motor and table minus motor in m per N m of torque shapes, shape (n, shapes, 2).
+
+    ``plain`` are the loop's signals without them.
+    """
     parts = []
-    for capture, own in zip(captures, shapes, strict=True):
+    for capture, without, own in zip(captures, plain, shapes, strict=True):
         r = capture.commanded_position_m
-        plain = loop(r, None, None)
         moved = [loop(r, None, -_PROBE_Nm * shape) for shape in own]
-        motor = [m.motor_position_m - plain.motor_position_m for m in moved]
-        error = [_error(m) - _error(plain) for m in moved]
+        motor = [m.motor_position_m - without.motor_position_m for m in moved]
+        error = [_error(m) - _error(without) for m in moved]
         both = np.stack([np.column_stack(motor), np.column_stack(error)], axis=2)
         parts.append(both[::_DECIMATION] / _PROBE_Nm)
     return np.concatenate(parts)
