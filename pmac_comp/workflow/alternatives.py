@@ -29,6 +29,7 @@ from pmac_comp.physics.compensate.design import (
 )
 from pmac_comp.physics.compensate.exact import exact_correction
 from pmac_comp.physics.compensate.law import evaluate_law
+from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import split_name
@@ -345,13 +346,15 @@ def _learning(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeR
 def _law(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
     period = plant.bench.servo_period_s
     delay_s = drive_delay_s(plant)
+    loop = model_loop(plant)
     law = design_law(
         plant.bench,
-        model_loop(plant),
+        loop,
         delay_s=delay_s,
         latency_cycles=0,
         load_Nm=load_torque_Nm(plant),
     )
+    law = with_unwinding(law, loop, plant.bench, latency_cycles=0)
     way = Way(
         plant,
         correction_m=lambda r: evaluate_law(law, r, period).correction_m,

@@ -368,6 +368,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     out["friction torque Nm"] = law.torque_coulomb_Nm
     out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
     out["friction torque fades at rest 1/s"] = law.rest_fade_per_s
+    out["friction offset fades at rest 1/s"] = law.rest_unwind_per_s
     out["look-ahead ms"] = law.lookahead_s * 1e3
     if law.torque_impulse_Nm_s3_per_m != 0.0:
         # By a step of the jerk as a move of 5 m/s2 with an S-curve of 15 ms begins with.

@@ -69,6 +69,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         GL=pass_s / (law.gap_lag_s + pass_s),
         GB=zero * law.gap_load_m * K,
         RF=law.rest_fade_per_s * T,
+        UF=law.rest_unwind_per_s * T,
         TG=law.gap_torque_Nm / q,
         BS=zero * law.inertia_s2 * law.bed_share / T**2,
         BD=law.bed_damping_per_s * pass_s,

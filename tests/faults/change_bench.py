@@ -9,7 +9,7 @@ from pathlib import Path
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import BANK_SIZE, BankIndex, Index, LawBlock
+from pmac_comp.machine.controller.law_bank import BANK_VALUES, BankIndex, Index, LawBlock
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
@@ -42,7 +42,7 @@ def standing(bench: CardBench) -> Standing:
     """What stands on the card, from its own memory and not through the wire."""
     card, block = bench.card, LawBlock()
     bank = int(bench.p(block.p(Index.BANK)))
-    values = tuple(bench.p(block.bank(bank, k)) for k in range(BANK_SIZE))
+    values = tuple(bench.p(block.bank(bank, k)) for k in range(BANK_VALUES))
     tables = [bench.values("COMP", motor) for motor in (1, 8)]
     return Standing(
         tuple(float(card.variables.read_i(n)) for n in WATCHED_I),

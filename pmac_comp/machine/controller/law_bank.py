@@ -22,8 +22,9 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..157 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 (115
-              and 116 jerk, 127..129 bed)
+              134..157 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 but
+              116 (115 jerk, 127..129 bed)
+    106  last value of bank 0   116  of bank 1: of the working variables what no form uses
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law
 
@@ -57,8 +58,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
 step at a reversal arrives with the axis in spite of latency, delay and current loop. Over the first
-100 cycles of a rest t fades by RF and s by 0.004 a cycle; PLC 0 and the open servo look at what
-the output holds over a rest and begin the next motion from there (``feedforward_law.plc0``).
+100 cycles of a rest t fades by RF and s by UF a cycle; PLC 0 and the open servo look at what the
+output holds over a rest and begin the next motion from there (``feedforward_law.plc0``).
 """
 
 import zlib
@@ -78,14 +79,15 @@ SIGNATURE_SERVO: Final = 20262
 SEAL: Final = 1 << 28  # a seal is a checksum with this bit: nine digits, never by chance
 BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands elsewhere
 REST_SIZE: Final = 8
+BANK_VALUES: Final = BANK_SIZE + REST_SIZE + 1  # the last one stands by itself
+_LAST_APART: Final = 10  # in bank 1 so many variables later than in bank 0
 BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
-UNWIND_PER_CYCLE: Final = 0.004  # that of the table
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 7  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 8  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
@@ -111,6 +113,7 @@ class Index(IntEnum):
     CHANGE = 83  # number of the last change: positive under way, negative ended, 0 none
     RESTS = 84
     WORK_PLC = 100
+    LAST = 106
     STEP_SERVO = 114  # largest acceleration of the command that is a motion, counts/SC^2; where
     STEP_PLC = 152  # the other form works, as no place is left that neither uses
     MOTIONS = 190  # homing and other motion programs
@@ -131,7 +134,7 @@ class WorkIndex(IntEnum):
     ACCELERATION = 3  # a, counts/SC^2
     STATE = 4  # s
     TORQUE_STATE = 5  # t
-    SPARE6 = 6
+    JERK = 6  # open servo: the jerk two cycles ago; PLC 0 keeps a bank's last value there
     FLANK = 7  # g
     ANSWERS_JERK = 8  # open servo: whether the torque answers the jerk
     CORRECTION = 9  # what was sent, counts
@@ -182,6 +185,7 @@ class BankIndex(IntEnum):
     TX = 35  # DAC units, friction torque at rest beyond TC
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
     TP = 37  # DAC units per count, load that changes along the travel
+    UF = 38  # 1/SC, share of the table's friction state that fades in a cycle of rest
 
 
 @dataclass(frozen=True)
@@ -223,6 +227,8 @@ class LawBlock:
         """Number of the P-variable at an offset of bank 0 or 1."""
         if bank not in {0, 1}:
             raise ConfigError(f"There is no bank {bank}.", code="PC-LAW-003")
+        if offset == BANK_VALUES - 1:
+            return self.first + Index.LAST + _LAST_APART * bank
         if offset >= BANK_SIZE:
             return self.first + Index.RESTS + REST_SIZE * bank + offset - BANK_SIZE
         return self.first + Index.BANKS + BANK_SIZE * bank + offset
@@ -230,7 +236,8 @@ class LawBlock:
     def bank_text(self, bank: int) -> str:
         """Question for all values of bank 0 or 1, in their order."""
         first, rest = self.bank(bank), self.bank(bank, BANK_SIZE)
-        return f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}"
+        last = self.bank(bank, BANK_VALUES - 1)
+        return f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}P{last}"
 
 
 def bank_seal(values: Sequence[float]) -> int:
@@ -276,6 +283,7 @@ class LawParameters:
     GL: float = 1.0
     GB: float = 0.0
     RF: float = 0.01
+    UF: float = 0.004
     TG: float = 0.0
     BS: float = 0.0
     BD: float = 0.0
@@ -306,9 +314,9 @@ class LawParameters:
                 "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
                 code="PC-LAW-006",
             )
-        if not 0.0 <= self.RF <= 1.0:
+        if not (0.0 <= self.RF <= 1.0 and 0.0 <= self.UF <= 1.0):
             raise ConfigError(
-                f"RF = {self.RF} is not a share of the friction torque from 0 to 1.",
+                f"RF = {self.RF} or UF = {self.UF} is not a share of friction from 0 to 1.",
                 code="PC-LAW-008",
             )
         if not 0.0 < self.GL <= 1.0:
@@ -319,7 +327,7 @@ class LawParameters:
 
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """All values of a bank, with its seal unless ``sealed`` is False."""
-        bank = [0.0] * (BANK_SIZE + REST_SIZE)
+        bank = [0.0] * BANK_VALUES
         for item in fields(self):
             bank[BankIndex[item.name]] = getattr(self, item.name)
         if sealed:
@@ -335,7 +343,7 @@ class LawParameters:
         VerifyMismatch
             The bank is not sealed or its checksum does not fit.
         """
-        if len(values) != BANK_SIZE + REST_SIZE or values[BankIndex.SEALED] < SEAL:
+        if len(values) != BANK_VALUES or values[BankIndex.SEALED] < SEAL:
             raise VerifyMismatch("The bank is not sealed.", code="PC-LAW-010")
         if int(values[BankIndex.SEALED]) != bank_seal(values):
             raise VerifyMismatch(
@@ -418,7 +426,7 @@ def evaluate(
     a, j, answered = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
     start = dict(start_state or {})
     way = v + p.L1 * (a + 0.5 * (p.L1 + 1.0) * j)
-    s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), UNWIND_PER_CYCLE)
+    s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), p.UF)
     t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), p.RF)
     angle = r + p.L1 * v
     slowness = (way * p.SS) ** 2

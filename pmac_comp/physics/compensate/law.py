@@ -49,10 +49,11 @@ just what breaks the motor loose: with what the integrator holds beside it, and 
 encoder keep the drive ringing, a motor whose bearings slide into their friction creeps on by
 micrometres (10 um of 20 mm pitch). Were nothing left, it would creep back by its presliding
 distance, and leave the table behind; so how fast it fades (RF) is fitted. As the torque fades the
-screw unwinds a little and the table comes along: ``s`` fades to 0.67. In closed-loop simulation
-with Coulomb friction, and with presliding at guide, nut, motor or all of them, 0.57 to 0.73 of the
-table's lag are left, and stay over the first half second of a dwell. A card starts ``t`` at zero
-when the law is armed.
+screw unwinds a little and the table comes along: ``s`` fades too (UF, fitted), to 0.67 where
+nothing else is known. In closed-loop simulation with Coulomb friction, and with presliding at
+guide, nut, motor or all of them, 0.57 to 0.73 of the table's lag are left, with play and a load
+0.35, and stay over the first half second of a dwell. A card starts ``t`` at zero when the law is
+armed.
 
 At rest nothing accelerates: what the output holds beside bias and cogging is friction. The card
 therefore looks at its own output while the command rests. What that has beyond the law's torque, of
@@ -97,7 +98,7 @@ from pmac_comp.base.errors import ModelError
 
 REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
 REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
-UNWIND_PER_CYCLE = 0.004  # of the table's: 0.67 is left
+REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
@@ -134,8 +135,9 @@ class CompensationLaw:
         TC, TE, T0.
     torque_place_Nm_per_m : float
         TP, load that changes along the travel: a spring, a cable.
-    rest_fade_per_s : float
-        RF, how fast the friction torque fades over the first 100 servo cycles of a rest.
+    rest_fade_per_s, rest_unwind_per_s : float
+        RF and UF, how fast the friction torque and the table's friction state fade over the first
+        100 servo cycles of a rest.
     turn_m : float
         Travel of one screw turn.
     turn_friction_Nm, turn_order, turn_phase_rad : float
@@ -185,6 +187,7 @@ class CompensationLaw:
     torque_place_Nm_per_m: float = 0.0
     torque_breakaway_m: float = 10e-6
     rest_fade_per_s: float = REST_FADE_per_s
+    rest_unwind_per_s: float = REST_UNWIND_per_s
     turn_m: float = 10e-3
     turn_friction_Nm: float = 0.0
     turn_order: float = 1.0
@@ -237,7 +240,8 @@ class CompensationLaw:
                 hint="Compute the compensation again from a model.",
             )
         bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
-        not_negative = ("rest_fade_per_s", "stribeck_m", "torque_stribeck_Nm", *bed)
+        stribeck = ("stribeck_m", "torque_stribeck_Nm")
+        not_negative = ("rest_fade_per_s", "rest_unwind_per_s", *stribeck, *bed)
         small += [name for name in not_negative if getattr(self, name) < 0.0]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
@@ -499,9 +503,9 @@ def _evaluate(
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
-    torque_constant, torque_place, torque_breakaway, rest_fade = p[13:17]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[24:32]
-    bed_share, torque_bed, origin = p[32], p[35], p[36]
+    torque_constant, torque_place, torque_breakaway, rest_fade, rest_unwind = p[13:18]
+    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[25:33]
+    bed_share, torque_bed, origin = p[33], p[36], p[37]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = j = j1 = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
@@ -520,7 +524,7 @@ def _evaluate(
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
             if rest < REST_CYCLES:
                 t *= 1.0 - rest_fade * period
-                s *= 1.0 - UNWIND_PER_CYCLE * every
+                s *= 1.0 - rest_unwind * period
         else:
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
@@ -528,7 +532,7 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging = _by_turn(p[17:24], r[k] + lookahead * v)
+        wave, cogging = _by_turn(p[18:25], r[k] + lookahead * v)
         sent = (
             torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2) + torque_viscous * v
         )
@@ -537,7 +541,7 @@ def _evaluate(
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(p[32:35], a, bed_speed, bed, period)
+            swing, bed_speed, bed = _swung(p[33:36], a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s

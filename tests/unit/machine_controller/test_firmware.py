@@ -23,7 +23,14 @@ from pmac_comp.machine.controller import (
 )
 from pmac_comp.machine.controller.gather_plan import GatherPlan, GatherSource, bench_sources
 from pmac_comp.machine.controller.gather_samples import GatherResult
-from pmac_comp.machine.controller.law_bank import BankIndex, LawBlock, LawParameters, evaluate
+from pmac_comp.machine.controller.law_bank import (
+    BankIndex,
+    Index,
+    LawBlock,
+    LawParameters,
+    WorkIndex,
+    evaluate,
+)
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
@@ -105,7 +112,7 @@ LAW = LawParameters(
     A0=11.3, V0=0.0087, S0=0.93, RF=0.004, C1=3e-6, S_INV=0.05, NR=0.072, GL=0.3, TG=-35.0,
     TJ=2.0, TK=0.7, TB=0.31, TC=400.0, J0=3.0, L1=2.5, JL=0.003, T_INV=0.1, T0=5.0,
     GH=2.5, TE=0.9, T_LIMIT=9000.0, GB=0.4, GW=1.5, TR=60.0, PR=25.0, TH=40.0, NH=0.72, PH=-70.0,
-    BS=1.4, BD=0.003, BO=0.004, BT=45.0, SX=0.8, TX=150.0, SS=0.13, TP=0.02, TI=-1.5,
+    BS=1.4, BD=0.003, BO=0.004, BT=45.0, SX=0.8, TX=150.0, SS=0.13, TP=0.02, TI=-1.5, UF=0.007,
 )  # fmt: skip
 
 
@@ -156,7 +163,7 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
 def in_passes(law: LawParameters, n: int) -> LawParameters:
     """The law as it reads where a pass of n servo cycles is the unit of time."""
     powers = {"A0": 2, "V0": 1, "J0": 3, "L1": 1, "JL": -3, "TJ": 2, "TK": 3, "TI": 3, "TB": 1,
-              "TE": 2, "RF": -1, "BS": 2}  # fmt: skip
+              "TE": 2, "RF": -1, "UF": -1, "BS": 2}  # fmt: skip
     return replace(law, **{k: getattr(law, k) / n**power for k, power in powers.items()})
 
 
@@ -228,6 +235,30 @@ def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawPara
     shift = min(range(3), key=lambda k: off(torque, expected, k, moving))
     assert off(torque, expected, shift, moving) < 2.0
     assert off(torque, other, shift, moving) > 20.0
+
+
+@pytest.mark.parametrize("form", ["law", "servo"])
+def test_the_table_s_friction_fades_at_rest_as_its_bank_says(tmp_path: Path, form: str) -> None:
+    if form == "law":
+        bench, work = make_plc_bench(tmp_path), Index.WORK_PLC
+        law_install.install_law(bench.link, bench.context, 1)
+    else:
+        bench, work = make_servo_bench(tmp_path), Index.WORK_SERVO
+    used = set()
+    for fade, way in ((0.002, 3000), (0.012, -3000)):
+        law_upload.upload_law(bench.link, bench.context, replace(LAW, UF=fade))
+        law_arming.arm(bench.link, bench.context)
+        used.add(law_state.read_law_head(bench.link, bench.context.block).bank_in_use)
+        bench.link.command(f"#1J:{way}")
+        states = []
+        for _ in range(1200):
+            bench.card.run_cycles(1)
+            states.append(abs(bench.p(7000 + work + WorkIndex.STATE)))
+        # A hundred cycles; at first the acceleration that the law follows still comes to rest.
+        last = int(np.flatnonzero(np.diff(states))[-1])
+        assert states[last] == pytest.approx(states[last - 40] * (1.0 - fade) ** 40, rel=1e-6)
+        assert 0.1 < states[-1] < 0.999 * max(states)
+    assert used == {0, 1}
 
 
 def off(sent: np.ndarray, expected: np.ndarray, shift: int, use: slice) -> float:

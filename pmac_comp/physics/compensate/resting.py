@@ -1,0 +1,100 @@
+"""What is left of the table's lag while the command rests, from a drive model.
+
+What lives here: moves with rests, and the regression of the lag that the model leaves there on what
+the law would hold. What may not: captures, counts. Imports ``physics.signals``, ``files`` and
+``base`` beside the law.
+
+As a drive comes to rest the screw unwinds and the table comes along, at once or within some
+hundredths of a second. How far hangs on every figure of a move where a nut has play (0.4 to 0.7 in
+the same drive), so the fit's few moves do not tell the mean, and the fit would trade it for
+something else. In simulation on cards the mean over such moves is met within a tenth where the nut
+has no play; runs without compensation tell a tenth to a half more than is left with it.
+"""
+
+import numpy as np
+
+from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.units import MM_PER_M
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.exact import moving_of, rests_of
+from pmac_comp.physics.compensate.law import REST_CYCLES, CompensationLaw, evaluate_law
+from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
+
+_N_MOVES = 24
+_S_CURVE_s = 0.015
+_DWELL_CYCLES = 250  # of those the last ones count, once friction has faded
+_COUNTED_CYCLES = 100
+_LEAST_LEFT_FRAC = 0.05
+
+
+def resting_moves(bench: Bench) -> tuple[Trajectory, ...]:
+    """Jerk-limited moves there and back, of a bench's usual distances, speeds and places."""
+    from scipy.stats.qmc import Halton
+
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    span, fastest = high - low, bench.usable_speed_m_per_s
+    hardest = min(5.0, bench.safety.max_acceleration_m_per_s2)
+    drawn = Halton(4, scramble=False).random(_N_MOVES)
+    return tuple(
+        trapezoid(
+            period_s=bench.servo_period_s,
+            distance_m=(0.05 + 0.15 * distance) * span,
+            speed_m_per_s=(0.2 + 0.6 * speed) * fastest,
+            acceleration_m_per_s2=(0.3 + 0.7 * hard) * hardest,
+            s_curve_s=_S_CURVE_s,
+            start_m=low + (0.05 + 0.7 * place) * span,
+            dwell_s=_DWELL_CYCLES * bench.servo_period_s,
+        )
+        for distance, speed, hard, place in drawn
+    )
+
+
+def with_unwinding(
+    law: CompensationLaw, loop: LoopRunner, bench: Bench, latency_cycles: int
+) -> CompensationLaw:
+    """The law with the fading of the table's friction at rest that the model shows on average.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        With all its other coefficients.
+    loop : LoopRunner
+        Closed loop of the model.
+    bench : Bench
+        Travel, limits, period.
+    latency_cycles : int
+        Servo cycles by which the door delivers late.
+    """
+    runs = [_lags(law, loop, motion, latency_cycles) for motion in resting_moves(bench)]
+    held, left = (np.concatenate(column) for column in zip(*runs, strict=True))
+    held, left = held - held.mean(), left - left.mean()
+    square = float(held @ held)
+    if square == 0.0:
+        return law
+    share = min(max(float(held @ left) / square, _LEAST_LEFT_FRAC), 1.0)
+    fade = 1.0 - share ** (1.0 / (REST_CYCLES - 1.0))
+    return law.with_values(rest_unwind_per_s=fade / bench.servo_period_s)
+
+
+def _lags(
+    law: CompensationLaw, loop: LoopRunner, motion: Trajectory, latency: int
+) -> tuple[FloatArray, FloatArray]:
+    """At each rest of a move, in m: the lag by friction if it were held, and what is left of it."""
+    r, period_s = motion.position_m, motion.sample_period_s
+
+    def correction_m(law: CompensationLaw) -> FloatArray:
+        return evaluate_law(law, r, period_s, latency_cycles=latency).correction_m
+
+    sent = evaluate_law(law, r, period_s, latency_cycles=latency)
+    signals = loop(r, r + sent.correction_m, sent.torque_Nm)
+    held_m = correction_m(law.with_values(rest_unwind_per_s=0.0))
+    at_once = 1.0 / (law.every_cycles * period_s)
+    friction_m = held_m - correction_m(law.with_values(rest_unwind_per_s=at_once))
+    # What held friction would leave of the error; in motion, on average, nothing.
+    error_m = signals.table_position_m - signals.motor_position_m + held_m
+    rests = rests_of(r, period_s)
+    error_m = error_m - error_m[moving_of(r.size, rests)].mean()
+    ends = [slice(rest.stop - _COUNTED_CYCLES, rest.stop) for rest in rests[1:]]
+    held = np.array([friction_m[end].mean() for end in ends])
+    return held, held - np.array([error_m[end].mean() for end in ends])
