@@ -450,7 +450,7 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
         needed_um = compensation.law.provenance.get("exact", {}).get("needed_um")
         if needed_um is not None:
-            cut += f", uncut it would take up to {needed_um:.0f} um"
+            cut += f", uncut it would take up to {needed_um:.3g} um"
         return [cut] if share else []
     law = compensation.law
     largest = law.largest_correction_m * UM_PER_M

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from pmac_comp.base.threads import working
 from pmac_comp.files.bench import Bench, Known, SiControl, load_bench
 from pmac_comp.physics.diagnose import Diagnosis, diagnose
 from pmac_comp.physics.diagnose.records import prepare
-from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -57,7 +58,7 @@ def test_what_rounding_does_at_rest_is_told_apart_from_the_gap(found):
 
 def test_rests_and_what_settles_after_them_are_left_out_as_unruly(captures, found):
     records = prepare(captures, BENCH, prefix="capture")
-    with processors() as executor:
+    with working() as executor:
         bench = Workbench(records, split(records, []), executor)
         unruly = bench.unruly(found.model, bench.rounded(found.model))
     speeds = [np.abs(np.gradient(r.coarsen(r.desired_m), r.coarse_period_s)) for r in records]
@@ -74,7 +75,7 @@ def test_a_bench_that_rounding_rules_everywhere_leaves_nothing_out():
         BENCH,
         prefix="capture",
     )
-    with processors() as executor:
+    with working() as executor:
         bench = Workbench(record, split(record, []), executor)
         wild = [np.full((record[0].usable.size, 2), 1e-9)]
         wild[0][::2] = 1e-4

@@ -28,6 +28,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import constant_torque
@@ -229,16 +230,18 @@ def _fit(model: "DriveModel", runs: Sequence[_Run], start: Sequence[float], extr
     def residual(point: FloatArray) -> FloatArray:
         return _rest_um(_moved(model, point, extra), runs)
 
-    solved = least_squares(
-        residual,
-        np.clip(start, lower + 1e-3, upper - 1e-3),
-        bounds=(lower, upper),
-        x_scale=[*_SCALES, *(1.0 for _ in extra)],
-        diff_step=[1e-2],
-        max_nfev=_MOST_STEPS,
-        xtol=1e-3,
-        ftol=1e-3,
-    )
+    with working() as threads:
+        solved = least_squares(
+            residual,
+            np.clip(start, lower + 1e-3, upper - 1e-3),
+            bounds=(lower, upper),
+            x_scale=[*_SCALES, *(1.0 for _ in extra)],
+            diff_step=[1e-2],
+            max_nfev=_MOST_STEPS,
+            xtol=1e-3,
+            ftol=1e-3,
+            workers=threads.map,
+        )
     return _Fit(solved.x, extra, math.sqrt(2.0 * solved.cost / len(runs)))
 
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
@@ -32,6 +33,8 @@ from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
@@ -76,6 +79,7 @@ _STEP_FRAC = 0.5  # of the largest jerk within a sample: that of a sinusoid is s
 _JERK_ROOM = 1.02
 _MOST_STEPS = 20
 _FEW_STEPS = 4  # from a start that is nearly right
+_USUAL_STEPS = 8.0
 _DECIMATION = 4  # residual samples per servo cycle that enter the fit
 
 # Free coefficients with the size of a typical change.
@@ -567,26 +571,29 @@ def _refined(
     first = np.array([getattr(start, name) for name in names]) / size
     lowest = np.array([lower.get(name, -np.inf) for name in names]) / size
     aims = [_aims(loop, motion) for motion in motions]
-    count = 0
 
     def residual(point: FloatArray) -> FloatArray:
-        nonlocal count
-        count += 1
-        if progress is not None:
-            progress("computing the law", min(0.99, count / (8.0 * len(names))))
         law = _with_values(start, names, point * size)
         parts = zip(motions, aims, strict=True)
         return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
 
-    solved = least_squares(
-        residual,
-        np.maximum(first, lowest + 0.05),
-        bounds=(lowest, np.inf),
-        diff_step=[1e-3],
-        max_nfev=most,
-        xtol=1e-4,
-        ftol=1e-3,
-    )
+    def told(intermediate_result: "OptimizeResult") -> None:
+        say("computing the law", min(0.99, intermediate_result.nit / _USUAL_STEPS))
+
+    say = progress or (lambda _step, _frac: None)
+    say("computing the law", 0.0)
+    with working() as threads:
+        solved = least_squares(
+            residual,
+            np.maximum(first, lowest + 0.05),
+            bounds=(lowest, np.inf),
+            diff_step=[1e-3],
+            max_nfev=most,
+            xtol=1e-4,
+            ftol=1e-3,
+            workers=threads.map,
+            callback=told,
+        )
     return _with_values(start, names, solved.x * size)
 
 

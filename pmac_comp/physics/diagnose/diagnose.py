@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.threads import working
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.by_run import told_by_run
@@ -45,7 +46,7 @@ from pmac_comp.physics.diagnose.simpler import single_cause, stretched
 from pmac_comp.physics.diagnose.statistics import sign_flip_p
 from pmac_comp.physics.diagnose.torque_place import told_by_torque
 from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
-from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
@@ -112,7 +113,7 @@ def diagnose(
     library = _candidates(effects, start)
     fit = prepare([*captures, *validate], bench, prefix="capture")
     records, judges = fit[: len(captures)], fit[len(captures) :]
-    with processors() as executor:
+    with working() as executor:
         workbench = Workbench(fit, split(records, judges), executor)
         _refuse_unjudged(workbench)
         grown = grow(workbench, start, library, rules, tell)

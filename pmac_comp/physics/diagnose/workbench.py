@@ -4,9 +4,8 @@ What lives here: the numerical work that every stage of the diagnosis shares. No
 import ``records``, ``gram``, ``statistics`` and ``physics.model``.
 """
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -454,8 +453,3 @@ def _stretches(fitting: BoolArray) -> list[tuple[int, int, bool]]:
     """First sample, end and kind of the stretches that are all fitted or all judged."""
     ends = [0, *(np.flatnonzero(np.diff(fitting)) + 1).tolist(), fitting.size]
     return [(a, b, bool(fitting[a])) for a, b in pairwise(ends)]
-
-
-def processors() -> ThreadPoolExecutor:
-    """One thread per core."""
-    return ThreadPoolExecutor(max_workers=max(1, os.cpu_count() or 1))

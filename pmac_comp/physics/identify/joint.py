@@ -14,6 +14,7 @@ from scipy.stats import t as student
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -30,7 +31,7 @@ from pmac_comp.physics.identify.identifiability import (
 from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.identify.output_error import Fit, Stages, refine, require_converged
 from pmac_comp.physics.identify.plausibility import require_plausible
-from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors, working
+from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.regression import Regression
 from pmac_comp.physics.identify.result import (
     CaptureResiduals,

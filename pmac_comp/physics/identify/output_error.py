@@ -14,6 +14,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
+from pmac_comp.base.threads import working
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.identify.covariance import uncertainty_of
 from pmac_comp.physics.identify.normal_equations import (
@@ -24,7 +25,7 @@ from pmac_comp.physics.identify.normal_equations import (
     white_filters,
     without_nuisances,
 )
-from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of, working
+from pmac_comp.physics.identify.problem import Problem, jacobian, problem_of
 from pmac_comp.physics.identify.records import Record
 from pmac_comp.physics.identify.rounding import (
     QUANTISED_GAINS,

@@ -4,10 +4,8 @@ What lives here: scaled parameters with bounds and prior, residuals of the simul
 their derivatives. What may not: weights, steps. Imports ``physics.model`` and ``records``.
 """
 
-import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,16 +29,6 @@ _STEP_FRAC = 2e-3
 # Rounding inside the loop dithers friction and shifts what the loop does on average; the last
 # rounds compare with the mean of rounding simulations at several places of the count.
 _DITHERS = 4
-
-
-@contextmanager
-def working(executor: Executor | None) -> Iterator[Executor]:
-    """The executor that was handed in, or threads on all cores of our own."""
-    if executor is not None:
-        yield executor
-        return
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 2) as own:
-        yield own
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import CaptureError, NotIdentifiable
+from pmac_comp.base.threads import working
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import diagnose
 from pmac_comp.physics.diagnose.growth import first_noise
 from pmac_comp.physics.diagnose.records import Record, prepare
 from pmac_comp.physics.diagnose.refit import evaluate, linearised
-from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.start import Start
@@ -126,7 +127,7 @@ def test_columns_of_a_model_serve_again_until_it_moves(flickering, monkeypatch):
 
     monkeypatch.setattr(Record, "simulated_m", counted)
     records = prepare([flickering], BENCH, prefix="capture")
-    with processors() as executor:
+    with working() as executor:
         bench = Workbench(records, split(records, []), executor)
         bench = first_noise(bench, DriveModel.base(BENCH))
         point = evaluate(bench, DriveModel.base(BENCH))

@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 
+from pmac_comp.base.threads import working
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.diagnose.growth import Grown, first_noise
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.result import Finding
 from pmac_comp.physics.diagnose.simpler import _at_an_end, _unknown, single_cause, stretched
-from pmac_comp.physics.diagnose.workbench import Workbench, processors, split
+from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
@@ -34,7 +35,7 @@ def _runs() -> list[Any]:
 
 def test_the_quantity_that_is_off_is_found_alone_with_its_value() -> None:
     fit = prepare(_runs(), BENCH, prefix="run")
-    with processors() as executor:
+    with working() as executor:
         bench = Workbench(fit, split(fit[:3], fit[3:]), executor)
         start = DriveModel.base(BENCH)
         bench = first_noise(bench, start)

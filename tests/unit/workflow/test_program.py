@@ -138,4 +138,4 @@ def test_a_correction_that_is_cut_tells_what_it_would_take() -> None:
     assert nothing == []
     cut_um, (said,) = limited(0.8 * needed_um)
     assert cut_um == pytest.approx(0.8 * needed_um)
-    assert f"uncut it would take up to {needed_um:.0f} um" in said
+    assert f"uncut it would take up to {needed_um:.3g} um" in said
