@@ -347,14 +347,9 @@ def _law(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
     period = plant.bench.servo_period_s
     delay_s = drive_delay_s(plant)
     loop = model_loop(plant)
-    law = design_law(
-        plant.bench,
-        loop,
-        delay_s=delay_s,
-        latency_cycles=0,
-        load_Nm=load_torque_Nm(plant),
-    )
-    law = with_unwinding(law, loop, plant.bench, latency_cycles=0)
+    load_Nm = load_torque_Nm(plant)
+    law = design_law(plant.bench, loop, delay_s=delay_s, latency_cycles=0, load_Nm=load_Nm)
+    law = with_unwinding(law, loop, plant.bench, 0, load_Nm)
     way = Way(
         plant,
         correction_m=lambda r: evaluate_law(law, r, period).correction_m,

@@ -17,11 +17,12 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import model_loop
+from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
 from pmac_comp.workflow.approach import approach
@@ -60,7 +61,7 @@ from pmac_comp.workflow.motions import Motion, is_allowed, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.promises import Promiser, worse_remarks
 from pmac_comp.workflow.repeated import with_offset
-from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
 from pmac_comp.workflow.tables import tables_of
@@ -158,6 +159,9 @@ def compute_compensation(
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
+    loop = model_loop(without_turn(model))
+    law = with_unwinding(law, loop, bench, LATENCY_CYCLES[route], load_torque_Nm(model))
+    if captures:
         law = with_unmodelled(bench, law, model, captures, lead)
     backlash = _takes_up(model, law, route, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)

@@ -42,7 +42,6 @@ from pmac_comp.physics.compensate.grip import (
 )
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.unmodelled import only_turn, unmodelled
 from pmac_comp.physics.model import slots
@@ -90,7 +89,7 @@ def dynamic_law(
     loop = model_loop(without_turn(model))
 
     def designed(model: "DriveModel", loop: LoopRunner, noted: dict[str, Any]) -> CompensationLaw:
-        law = design_law(
+        return design_law(
             bench,
             loop,
             delay_s=drive_delay_s(model),
@@ -104,7 +103,6 @@ def dynamic_law(
             provenance={**(provenance or {}), **noted},
             progress=progress,
         )
-        return with_unwinding(law, loop, bench, LATENCY_CYCLES[route])
 
     law = designed(model, loop, {})
     if not captures:

@@ -51,7 +51,11 @@ def resting_moves(bench: Bench) -> tuple[Trajectory, ...]:
 
 
 def with_unwinding(
-    law: CompensationLaw, loop: LoopRunner, bench: Bench, latency_cycles: int
+    law: CompensationLaw,
+    loop: LoopRunner,
+    bench: Bench,
+    latency_cycles: int,
+    load_Nm: float = 0.0,
 ) -> CompensationLaw:
     """The law with the fading of the table's friction at rest that the model shows on average.
 
@@ -60,13 +64,22 @@ def with_unwinding(
     law : CompensationLaw
         With all its other coefficients.
     loop : LoopRunner
-        Closed loop of the model.
+        Closed loop of the model, without what it has by the turn.
     bench : Bench
         Travel, limits, period.
     latency_cycles : int
         Servo cycles by which the door delivers late.
+    load_Nm : float
+        Torque that holds the constant load of the model.
     """
-    runs = [_lags(law, loop, motion, latency_cycles) for motion in resting_moves(bench)]
+    # Torque for what captures show beyond the model would push the model about.
+    own = law.with_values(
+        ripple_Nm=0.0,
+        turn_friction_Nm=0.0,
+        torque_place_Nm_per_m=0.0,
+        torque_constant_Nm=load_Nm,
+    )
+    runs = [_lags(own, loop, motion, latency_cycles) for motion in resting_moves(bench)]
     held, left = (np.concatenate(column) for column in zip(*runs, strict=True))
     held, left = held - held.mean(), left - left.mean()
     square = float(held @ held)

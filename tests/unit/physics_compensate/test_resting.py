@@ -55,7 +55,7 @@ def test_other_moves_rest_nearer_to_their_command(effect: str | None) -> None:
     few = design_motions(BENCH)[5:7]
     load_Nm = load_torque_Nm(model)
     fitted = design_law(BENCH, loop, gap=nut_gap(model), load_Nm=load_Nm, motions=few)
-    law = with_unwinding(fitted, loop, BENCH, latency_cycles=1)
+    law = with_unwinding(fitted, loop, BENCH, 1, load_Nm)
     moves = [m.trajectory for m in verification_motions(BENCH, 11, n_sine=1, n_move=8)[1:]]
 
     def left_um(law: CompensationLaw) -> float:
