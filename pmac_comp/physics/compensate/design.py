@@ -577,11 +577,12 @@ def _refined(
         parts = zip(motions, aims, strict=True)
         return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
 
-    def told(intermediate_result: "OptimizeResult") -> None:
-        say("computing the law", min(0.99, intermediate_result.nit / _USUAL_STEPS))
+    tell = progress or (lambda _text, _fraction: None)
 
-    say = progress or (lambda _step, _frac: None)
-    say("computing the law", 0.0)
+    def stepped(intermediate_result: "OptimizeResult") -> None:
+        tell("computing the law", min(0.99, intermediate_result.nit / _USUAL_STEPS))
+
+    tell("computing the law", 0.0)
     with working() as threads:
         solved = least_squares(
             residual,
@@ -592,7 +593,7 @@ def _refined(
             xtol=1e-4,
             ftol=1e-3,
             workers=threads.map,
-            callback=told,
+            callback=stepped,
         )
     return _with_values(start, names, solved.x * size)
 

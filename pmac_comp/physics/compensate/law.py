@@ -49,11 +49,10 @@ just what breaks the motor loose: with what the integrator holds beside it, and 
 encoder keep the drive ringing, a motor whose bearings slide into their friction creeps on by
 micrometres (10 um of 20 mm pitch). Were nothing left, it would creep back by its presliding
 distance, and leave the table behind; so how fast it fades (RF) is fitted. As the torque fades the
-screw unwinds a little and the table comes along: ``s`` fades too (UF, fitted), to 0.67 where
-nothing else is known. In closed-loop simulation with Coulomb friction, and with presliding at
-guide, nut, motor or all of them, 0.57 to 0.73 of the table's lag are left, with play and a load
-0.35, and stay over the first half second of a dwell. A card starts ``t`` at zero when the law is
-armed.
+screw unwinds a little and the table comes along: ``s`` fades too (UF, of the model: ``resting``),
+to 0.67 where nothing else is known. In closed-loop simulation with Coulomb friction, and with
+presliding at guide, nut, motor or all of them, 0.57 to 0.73 of the table's lag are left, and stay
+over the first half second of a dwell. A card starts ``t`` at zero when the law is armed.
 
 At rest nothing accelerates: what the output holds beside bias and cogging is friction. The card
 therefore looks at its own output while the command rests. What that has beyond the law's torque, of
