@@ -57,6 +57,7 @@ from pmac_comp.workflow.law_cost import (
     fitting_cycles,
     share_frac,
 )
+from pmac_comp.workflow.loose_nut import flank_remarks
 from pmac_comp.workflow.motions import Motion, is_allowed, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.promises import Promiser, worse_remarks
@@ -324,6 +325,7 @@ def compensate_files(
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
+            *(flank_remarks(law) if route != "table" else ()),
             *shown_remarks(law),
             *loop_remarks(loaded, drive),
             *_expected_worse(loaded, compensation, drive),

@@ -63,3 +63,19 @@ def clearance_remarks(law: CompensationLaw) -> list[str]:
         f"{found.with_um:.2f} um rms of the mechanical error of the runs stay, without it "
         f"{found.without_um:.2f}. The law takes it up; `pmac-comp diagnose` tells what it is"
     ]
+
+
+def flank_remarks(law: CompensationLaw) -> list[str]:
+    """At which accelerations a loaded nut changes its flank: what a law knows least, for people."""
+    if law.gap_half_m == 0.0 or law.gap_load_m == 0.0:
+        return []
+    load, friction = abs(law.gap_load_m), abs(law.coulomb_m)
+    against = -1.0 if law.gap_load_m > 0.0 else 1.0
+    edges = [load - friction, load + friction] if load > friction else [load + friction]
+    at = " and ".join(f"{against * edge / law.inertia_s2:+.2f}" for edge in edges)
+    return [
+        f"the load on the nut and friction let it change its flank at accelerations of {at} m/s2. "
+        "On a motion whose peak comes within a tenth of that the law may take the gap up where the "
+        "drive does not, or not where it does, and leave a part of the gap as error: `pmac-comp "
+        "verify` such a motion before you rely on it, or accelerate a little more or less"
+    ]

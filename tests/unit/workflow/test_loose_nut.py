@@ -13,6 +13,7 @@ from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.loose_nut import (
     clearance_note,
     clearance_remarks,
+    flank_remarks,
     found_clearance,
     loosened,
 )
@@ -68,3 +69,26 @@ def test_load_that_presses_the_nut_stays_with_the_law_and_is_said() -> None:
     assert gap is not None
     mass_kg = MODEL.kernel_vector()[slots.M_TABLE]
     assert gap.load_m_per_s2 == pytest.approx(-60.0 / mass_kg)
+
+
+def test_accelerations_at_which_a_loaded_nut_changes_its_flank_are_said() -> None:
+    law = CompensationLaw(
+        inertia_s2=2e-6, coulomb_m=1e-6, gap_half_m=2e-6, gap_width_m=1e-7, gap_load_m=3e-6
+    )
+    (text,) = flank_remarks(law)
+    assert "accelerations of -1.00 and -2.00 m/s2" in text
+    (text,) = flank_remarks(law.with_values(gap_load_m=-3e-6))
+    assert "accelerations of +1.00 and +2.00 m/s2" in text
+
+
+def test_small_load_leaves_one_acceleration_as_friction_turns_the_nut_at_the_other() -> None:
+    law = CompensationLaw(
+        inertia_s2=2e-6, coulomb_m=2e-6, gap_half_m=2e-6, gap_width_m=1e-7, gap_load_m=1e-6
+    )
+    (text,) = flank_remarks(law)
+    assert "accelerations of -1.50 m/s2" in text
+
+
+def test_nut_without_load_or_without_gap_has_nothing_said_of_its_flank() -> None:
+    assert flank_remarks(CompensationLaw(gap_load_m=3e-6)) == []
+    assert flank_remarks(CompensationLaw(coulomb_m=1e-6, gap_half_m=2e-6, gap_width_m=1e-7)) == []
