@@ -67,11 +67,11 @@ def clearance_remarks(law: CompensationLaw) -> list[str]:
 
 def flank_remarks(law: CompensationLaw) -> list[str]:
     """At which accelerations a loaded nut changes its flank: what a law knows least, for people."""
-    if law.gap_half_m == 0.0 or law.gap_load_m == 0.0:
+    if law.gap_half_m == 0.0 or law.gap_load_m == 0.0 or law.inertia_s2 <= 0.0:
         return []
     load, friction = abs(law.gap_load_m), abs(law.coulomb_m)
     against = -1.0 if law.gap_load_m > 0.0 else 1.0
-    edges = [load - friction, load + friction] if load > friction else [load + friction]
+    edges = [edge for edge in (load - friction, load + friction) if edge > 0.0]
     at = " and ".join(f"{against * edge / law.inertia_s2:+.2f}" for edge in edges)
     return [
         f"the load on the nut and friction let it change its flank at accelerations of {at} m/s2. "

@@ -92,3 +92,9 @@ def test_small_load_leaves_one_acceleration_as_friction_turns_the_nut_at_the_oth
 def test_nut_without_load_or_without_gap_has_nothing_said_of_its_flank() -> None:
     assert flank_remarks(CompensationLaw(gap_load_m=3e-6)) == []
     assert flank_remarks(CompensationLaw(coulomb_m=1e-6, gap_half_m=2e-6, gap_width_m=1e-7)) == []
+
+
+def test_law_that_knows_no_inertia_has_no_acceleration_to_tell() -> None:
+    law = CompensationLaw(coulomb_m=1e-6, gap_half_m=2e-6, gap_width_m=1e-7, gap_load_m=3e-6)
+    assert law.inertia_s2 == 0.0
+    assert flank_remarks(law) == []
