@@ -30,7 +30,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync
+from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync, is_open
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
@@ -179,15 +179,21 @@ class Change:
     def journal(self) -> Journal:
         """Journal of this change, named when it is first needed."""
         if self._journal is None:
-            self._journal = Journal(_next_path(self.context, self.transaction))
+            name = _next_name(self.context, self._names_before, self.transaction)
+            self._journal = Journal(self.context.store / name)
             self._stack.enter_context(self._journal.kept_open())
         return self._journal
+
+    @cached_property
+    def _names_before(self) -> list[str]:
+        """Names of the journals before this one; the lock of this host keeps them."""
+        return _names(self.context)
 
     @cached_property
     def _earlier(self) -> list[SafetyRefusal]:
         """What waits for ``recover``; the lock of this host keeps it as it was found."""
         goes_on = self.context.group or not self._is_new
-        return [] if goes_on else torn_refusals(self.context)
+        return [] if goes_on else torn_refusals(self.context, self._names_before)
 
     def look_into_folder(self) -> None:
         """Name the journal and look for earlier changes: work for while the controller answers."""
@@ -338,7 +344,7 @@ def open_group(context: Context, name: str) -> tuple[Journal, Context]:
     with host_lock(context):
         require_settled(context)
         number = new_transaction_id()
-        journal = Journal(_next_path(context, number))
+        journal = Journal(context.store / _next_name(context, _names(context), number))
         data = {"kind": ChangeKind.GROUP.value, "group": number, "name": name}
         journal.write("begin", {**data, FIRST_P: context.block.first})
     return journal, replace(context, group=number)
@@ -351,7 +357,7 @@ def new_transaction_id() -> int:
 
 def journals(context: Context) -> list[Journal]:
     """Journals of this controller in this folder, oldest first."""
-    return [Journal(path) for path in _paths(context)]
+    return [Journal(context.store / name) for name in _names(context)]
 
 
 def own_numbers(context: Context) -> set[int]:
@@ -413,14 +419,26 @@ def require_settled(context: Context) -> None:
         raise refusal
 
 
-def torn_refusals(context: Context) -> list[SafetyRefusal]:
+def torn_refusals(context: Context, names: Sequence[str] | None = None) -> list[SafetyRefusal]:
     """Refusal of a change while an interrupted one of this folder waits for ``recover``.
 
     Its backup is what stood before: a change on top would be lost when that is written back.
     What a measurement borrowed stands open without being half-changed, and is taken off apart.
+
+    Parameters
+    ----------
+    context : Context
+        Folder and name of the controller.
+    names : sequence of str, optional
+        Names of the journals, oldest first, if they have been listed already.
     """
-    torn = [j for j in journals(context) if is_torn(j) and not is_temporary(j)]
-    if context.settling or not torn:
+    if context.settling:
+        return []
+    folder = f"{context.store}{os.sep}"
+    names = _names(context) if names is None else names
+    still_open = [Journal(context.store / n) for n in names if is_open(folder + n)]
+    torn = [j for j in still_open if is_torn(j) and not is_temporary(j)]
+    if not torn:
         return []
     begin = torn[-1].first()
     data = {} if begin is None else begin.data
@@ -450,14 +468,9 @@ def _names(context: Context) -> list[str]:
     return sorted(filter(name.fullmatch, found))
 
 
-def _paths(context: Context) -> list[Path]:
-    return [context.store / text for text in _names(context)]
-
-
-def _next_path(context: Context, transaction: int) -> Path:
-    names = _names(context)
+def _next_name(context: Context, names: Sequence[str], transaction: int) -> str:
     count = int(names[-1].rsplit("-", 2)[1]) + 1 if names else 1
-    return context.store / f"{context.controller}-{count:06d}-{transaction:010d}.journal"
+    return f"{context.controller}-{count:06d}-{transaction:010d}.journal"
 
 
 @contextmanager
