@@ -63,9 +63,11 @@ def host_lock(context: Context, scope: str = "") -> Iterator[None]:
         release = _lock(path)
     except (Timeout, BlockingIOError) as error:
         raise LeaseHeld(
-            f"Another pmac-comp on this host measures or changes {context.controller}.",
+            f"Another pmac-comp on this host measures or changes {context.controller}: it holds "
+            f"{path}.",
             code="PC-TXN-001",
-            hint="Wait until it has ended, or end it there with Ctrl-C.",
+            hint="Wait until it has ended, or end it there with Ctrl-C. Cards that answer alike "
+            "(simulated ones do) count as one: give each a folder of its own to work in.",
             context={"lock": str(path)},
             left=ControllerState.OLD,
         ) from error
