@@ -365,8 +365,8 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         "change along the travel %/m": 100.0 * law.compliance_slope_per_m,
         "largest correction um": law.largest_correction_m * UM_PER_M,
         "clamp um": law.amplitude_limit_m * UM_PER_M,
-        "valid to m/s": law.valid_speed_m_per_s,
-        "valid to m/s2": law.valid_acceleration_m_per_s2,
+        "fitted on motions up to m/s": law.valid_speed_m_per_s,
+        "fitted on motions up to m/s2": law.valid_acceleration_m_per_s2,
     }
     explained = law.provenance.get("trim_explained", 0.0)
     if explained:
@@ -376,6 +376,13 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     out["friction torque fades at rest 1/s"] = law.rest_fade_per_s
     out["friction offset fades at rest 1/s"] = law.rest_unwind_per_s
     out["look-ahead ms"] = law.lookahead_s * 1e3
+    if law.ripple_Nm != 0.0:
+        out[f"cogging {law.ripple_order:.0f} times a turn, amplitude Nm"] = law.ripple_Nm
+    if law.turn_friction_Nm != 0.0:
+        # Below zero the order is one of cogging: such a torque pushes whichever way it turns.
+        what = "cogging" if law.turn_order < 0.0 else "friction that changes"
+        times = f"{abs(law.turn_order):.0f} times a turn"
+        out[f"{what} {times}, amplitude Nm"] = law.turn_friction_Nm
     if law.torque_impulse_Nm_s3_per_m != 0.0:
         # By a step of the jerk as a move of 5 m/s2 with an S-curve of 15 ms begins with.
         kick_Nm = law.torque_impulse_Nm_s3_per_m * 5.0 / 0.015

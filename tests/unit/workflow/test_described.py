@@ -96,6 +96,17 @@ def test_clearance_that_a_law_takes_up_is_told() -> None:
     assert more[largest] == pytest.approx(told[largest] + 1.2)
 
 
+def test_torque_per_turn_that_a_law_sends_is_told_with_its_order() -> None:
+    law = friction_law()
+    assert not any("a turn" in name for name in describe(BENCH, Compensation("law", law, None)))
+    waves = law.with_values(ripple_Nm=0.043, ripple_order=10.0, turn_friction_Nm=0.018)
+    for order, what in ((-12.0, "cogging 12"), (1.0, "friction that changes 1")):
+        second = waves.with_values(turn_order=order)
+        told = describe(BENCH, Compensation("servo", second, None))
+        assert told["cogging 10 times a turn, amplitude Nm"] == pytest.approx(0.043)
+        assert told[f"{what} times a turn, amplitude Nm"] == pytest.approx(0.018)
+
+
 def test_only_what_either_law_has_stands_in_the_difference() -> None:
     scales = Scales.of(BENCH)
     axis: Any = SimpleNamespace(scales=scales)
