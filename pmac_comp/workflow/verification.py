@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
@@ -11,8 +11,12 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.outcome import WORSE, MotionOutcome, Ratio, Spread, grown_text
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
-from pmac_comp.workflow.routes import MOTION_ROUTES
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.static_check import Approaches, StaticOutcome
+
+# What a law is meant to leave at the table: this share of the mechanical error, or so little.
+_MEANT_FRAC: Final = 0.10
+_MEANT_um: Final = 0.15
 
 _MOSTLY = 0.7  # share of the repeatability that is the motor's own
 _GREW = 1.2  # the reversal value of so few targets scatters
@@ -135,7 +139,20 @@ class Verification:
                 f"the model's promise (with its interval and these steps) was kept on "
                 f"{kept.count(True)} of {len(kept)} motions"
             )
-        return out
+        return [*out, *self._left()]
+
+    def _left(self) -> list[str]:
+        """On which motions a route with torque leaves more of e than it is meant to, for people."""
+        if self.route not in TORQUE_ROUTES:
+            return []
+        left = [text for m in self.motions if (text := _left_text(m, self.floor_um))]
+        if not left:
+            return []
+        return [
+            f"more than a tenth of e stays on {len(left)} of {len(self.motions)} motions, the "
+            f"sensors' steps taken out: {'; '.join(left)}. Where the model expects less, "
+            "`pmac-comp diagnose` on the runs before tells what it lacks"
+        ]
 
     def lines(self) -> list[str]:
         """Table and remarks for people."""
@@ -184,6 +201,17 @@ def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
     if outcome.rounding_um > 0.0:
         texts.append(f"of e_r {outcome.rounding_um:.2f} um are rounding that the loop feeds back")
     return texts
+
+
+def _left_text(outcome: MotionOutcome, floor_um: float) -> str:
+    """Share of e that stays, measured and by the model; empty where it is as little as meant."""
+    e_um, left_um = outcome.e_before.value, outcome.e_r_beyond_um(floor_um)
+    if left_um <= max(_MEANT_FRAC * e_um, _MEANT_um, floor_um):
+        return ""
+    told = ""
+    if outcome.promise is not None:
+        told = f", {outcome.promise['e_r_after_um'] / outcome.promise['e_before_um']:.2f} expected"
+    return f"{outcome.name} {left_um / e_um:.2f}{told}"
 
 
 def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:

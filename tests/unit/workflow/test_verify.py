@@ -102,6 +102,25 @@ def test_a_person_reads_what_the_sensors_make_and_whether_the_promise_was_kept()
     assert Verification((), floor_um=0.3, simulated=True).judged() == []
 
 
+def test_what_a_law_leaves_beyond_a_tenth_is_said_with_what_the_model_expected() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    little, much = ([run(correction_um=-3.0, e_um=e_um, control_um=1.0)] for e_um in (3.2, 3.6))
+    promise = {"e_before_um": 3.0, "e_r_after_um": 0.45}
+    motions = (
+        outcome_of("a", before, little, promise=promise),
+        outcome_of("b", before, much, promise=promise),
+        outcome_of("c", before, much),
+    )
+    law = Verification(motions, floor_um=0.1, simulated=True, route="law")
+    (said,) = [text for text in law.judged() if "more than a tenth" in text]
+    # 0.6 um are left, the steps make 0.1 of it: 0.59 of 3.0 um.
+    assert "2 of 3 motions" in said
+    assert "b 0.20, 0.15 expected; c 0.20." in said
+    assert "pmac-comp diagnose" in said
+    for other in (replace(law, motions=motions[:1]), replace(law, route="table")):
+        assert not any("more than a tenth" in text for text in other.judged())
+
+
 def test_a_miss_is_said_with_its_motion_and_figures_and_points_to_diagnose() -> None:
     before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
     after = [run(correction_um=-3.0, e_um=3.5, control_um=1.0)]
