@@ -23,6 +23,7 @@ from pmac_comp.workflow.backlash import backlash_table, forward_part
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
 
 _VERSION = 1
+_MOTION = ("motion_time_s", "motion_position_m", "motion_correction_m")
 ROUTES = ("table", "law", "servo", "cam", "program")
 _DIGEST, _ROUTE = "compensation_digest", "compensation_route"  # attributes of runs with it
 
@@ -159,6 +160,8 @@ def read_compensation(path: Path) -> Compensation:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _bad(path, why(error)) from error
+    except RecursionError as error:
+        raise _bad(path, "its values are nested without end") from error
     if not isinstance(data, dict) or data.get("compensation_version") != _VERSION:
         raise _bad(path, "it has no compensation_version 1")
     try:
@@ -247,22 +250,38 @@ def _from_mapping(data: dict[str, Any]) -> Compensation:
     if unknown:
         raise ValueError(f"unknown law coefficient(s) {sorted(unknown)}")
     lead = data.get("lead")
+    motion = {name: _array(data, name) for name in _MOTION}
+    _same_size({name: values for name, values in motion.items() if values is not None})
     return Compensation(
         route=str(data["route"]),
         law=CompensationLaw(**data["law"]),
-        lead=None
-        if lead is None
-        else LeadMap(
-            finite_array("lead position", lead["position_m"], min_size=2),
-            finite_array("lead error", lead["error_m"], min_size=2),
-            finite_array("lead reversal", lead["reversal_m"], min_size=2),
-            _finite(lead["noise_m"]),
-        ),
-        motion_time_s=_array(data, "motion_time_s"),
-        motion_position_m=_array(data, "motion_position_m"),
-        motion_correction_m=_array(data, "motion_correction_m"),
+        lead=None if lead is None else _lead(lead),
+        **motion,
         backlash=data.get("backlash", False) is True,
     )
+
+
+def _lead(data: dict[str, Any]) -> LeadMap:
+    position_m, error_m, reversal_m = (
+        finite_array(f"lead {name[:-2]}", data[name], min_size=2)
+        for name in ("position_m", "error_m", "reversal_m")
+    )
+    _same_size({"position_m": position_m, "error_m": error_m, "reversal_m": reversal_m})
+    _rising("lead position_m", position_m)
+    return LeadMap(position_m, error_m, reversal_m, _finite(data["noise_m"]))
+
+
+def _same_size(arrays: Mapping[str, FloatArray]) -> None:
+    if len({values.size for values in arrays.values()}) > 1:
+        sizes = ", ".join(f"{name} {values.size}" for name, values in arrays.items())
+        raise ValueError(f"values that belong together differ in number ({sizes})")
+
+
+def _rising(name: str, values: FloatArray) -> None:
+    steps = np.diff(values)
+    if np.any(steps <= 0.0):
+        where = int(np.argmax(steps <= 0.0)) + 1
+        raise ValueError(f"{name} does not rise at index {where} ({values[where]:.9g})")
 
 
 def _array(data: dict[str, Any], name: str) -> FloatArray | None:

@@ -14,9 +14,7 @@ from pmac_comp.base.errors import (
     ConfigError,
     ControllerState,
     ForeignChange,
-    LinkError,
     PmacCompError,
-    ProtocolError,
     SafetyRefusal,
     StorageFull,
     VerifyMismatch,
@@ -58,6 +56,7 @@ from pmac_comp.machine.controller.transaction import (
     is_temporary,
     is_torn,
     journals,
+    link_is_lost,
     mark_left,
     open_group,
     own_numbers,
@@ -152,7 +151,7 @@ def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterat
         _take_back_after(link, context, group, error)
         raise error from stop
     except PmacCompError as error:
-        if not isinstance(error, LinkError | ProtocolError):
+        if not link_is_lost(error):
             _take_back_after(link, context, group, error)
         elif error.left is None or _done_before(context, group):
             # What a part says of itself is not true of an upload whose first parts stand.
@@ -230,8 +229,7 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
             return _recover(link, replace(context, settling=True), resume=resume)
     except PmacCompError as error:
         if error.left is None:
-            lost = isinstance(error, LinkError | ProtocolError)
-            mark_left(error, ControllerState.DISABLED, confirmed=not lost)
+            mark_left(error, ControllerState.DISABLED, confirmed=not link_is_lost(error))
         raise
 
 

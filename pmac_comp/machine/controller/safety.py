@@ -5,7 +5,7 @@ controller.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import AmplitudeExceeded, MotorNotSafe, SafetyRefusal, SlopeExceeded
 from pmac_comp.machine.controller.comp_table import CompTable, Table, TorqueTable
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
+from pmac_comp.machine.controller.numbers import MANTISSA_LIMIT
 
 
 @dataclass(frozen=True)
@@ -163,6 +164,25 @@ def quiet_place(table: CompTable, limits: Limits) -> float | None:
     return float(grid[best]) if values[best] <= limits.max_step_ct else None
 
 
+def _register_refusals(parameters: LawParameters) -> list[SafetyRefusal]:
+    wide = [
+        f"{name} = {value:.6g}"
+        for name, value in asdict(parameters).items()
+        if abs(value) >= MANTISSA_LIMIT
+    ]
+    if not wide:
+        return []
+    return [
+        SafetyRefusal(
+            f"The law has coefficients that no register holds: {', '.join(wide)} (counts and servo "
+            "cycles).",
+            code="PC-SAF-009",
+            hint="No drive has such a law: look at what was changed in the compensation file, or "
+            "run `pmac-comp compensate` again.",
+        )
+    ]
+
+
 def check_law(
     parameters: LawParameters,
     clamp_ct: float,
@@ -170,6 +190,8 @@ def check_law(
     position_ct: FloatArray | None = None,
 ) -> list[SafetyRefusal]:
     """What forbids a law: clamp above the amplitude limit, or a motion that meets the clamp.
+
+    Or a coefficient that no register takes, which would show only as the bank is written.
 
     Parameters
     ----------
@@ -180,7 +202,7 @@ def check_law(
     position_ct : FloatArray, optional
         A commanded motion at every servo cycle: its correction is checked against the clamp.
     """
-    refusals: list[SafetyRefusal] = []
+    refusals = _register_refusals(parameters)
     if not 0.0 < clamp_ct <= limits.max_correction_ct:
         refusals.append(
             AmplitudeExceeded(

@@ -24,6 +24,7 @@ from pmac_comp.base.errors import (
     ControllerState,
     ForeignChange,
     LinkError,
+    LocalProtocolError,
     PmacCompError,
     ProtocolError,
     SafetyRefusal,
@@ -306,7 +307,7 @@ class Change:
         try:
             yield
         except PmacCompError as error:
-            lost = isinstance(error, LinkError | ProtocolError)
+            lost = link_is_lost(error)
             if not lost and self.settle is not None:
                 self._settle(error, self.settle)
             elif error.left is None:
@@ -482,6 +483,16 @@ def untouched() -> Iterator[None]:
         if error.left is None:
             mark_left(error, ControllerState.OLD, confirmed=True)
         raise
+
+
+def link_is_lost(error: PmacCompError) -> bool:
+    """Whether nobody can tell what the controller did, nor tell it anything.
+
+    What could not be put in words for it was never sent, and the link lives.
+    """
+    if isinstance(error, LocalProtocolError):
+        return False
+    return isinstance(error, LinkError | ProtocolError)
 
 
 def mark_left(error: PmacCompError, left: ControllerState, *, confirmed: bool) -> None:

@@ -11,6 +11,7 @@ from pmac_comp.base.errors import (
     ChangeInterrupted,
     ConfigError,
     ControllerState,
+    LocalProtocolError,
     MotorNotSafe,
     SafetyRefusal,
     TableStateError,
@@ -140,6 +141,68 @@ def test_bad_compensation_files_are_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError):
         read_compensation(path)
+
+
+@pytest.mark.parametrize("nested", ["[" * 100_000, '{"a":' * 100_000])
+def test_a_file_that_is_nested_without_end_is_none(tmp_path: Path, nested: str) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(nested)
+    with pytest.raises(ConfigError, match="nested without end"):
+        read_compensation(path)
+
+
+def test_a_compensation_whose_values_do_not_belong_together_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    time_s = np.arange(20) * BENCH.servo_period_s
+    whole = Compensation("cam", LAW, LEAD, time_s, 1e-3 * time_s, 1e-6 * time_s)
+    write_compensation(path, whole)
+    read_compensation(path)
+    for short in ("motion_time_s", "motion_position_m", "motion_correction_m"):
+        write_compensation(path, replace(whole, **{short: getattr(whole, short)[:10]}))
+        with pytest.raises(ConfigError, match=f"differ in number .*{short} 10"):
+            read_compensation(path)
+    for short in ("position_m", "error_m", "reversal_m"):
+        lead = replace(LEAD, **{short: getattr(LEAD, short)[:-1]})
+        write_compensation(path, Compensation("table", LAW, lead))
+        with pytest.raises(ConfigError, match="differ in number"):
+            read_compensation(path)
+    mixed = LEAD.position_m.copy()
+    mixed[5] = mixed[3]
+    write_compensation(path, Compensation("table", LAW, replace(LEAD, position_m=mixed)))
+    with pytest.raises(ConfigError, match="does not rise at index 5"):
+        read_compensation(path)
+
+
+def test_a_coefficient_that_no_register_holds_is_refused_before_anything_is_changed(
+    axis: Axis, tmp_path: Path
+) -> None:
+    asked = "I106 I8 I129 I51 RX$10F8"
+    before = axis.link.query(asked)
+    huge = Compensation("law", LAW.with_values(inertia_s2=1e6), LEAD)
+    with pytest.raises(SafetyRefusal, match=r"no register holds: .*A0 = ") as refused:
+        deploy(axis, huge, context_of(axis, tmp_path))
+    assert refused.value.left is ControllerState.OLD
+    assert axis.link.query(asked) == before
+    assert len(read_tables(axis.link)) == 0
+    assert not plc_runs(axis.link, 0)
+
+
+def test_a_value_that_cannot_be_said_is_no_lost_link(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What stood before is put back at once, and said to be confirmed."""
+
+    def unsayable(*_: object) -> None:
+        raise LocalProtocolError("A value has more digits than a register holds.")
+
+    monkeypatch.setattr("pmac_comp.machine.controller.law_upload.fill_bank", unsayable)
+    with pytest.raises(LocalProtocolError) as refused:
+        deploy(axis, Compensation("law", LAW, LEAD), context_of(axis, tmp_path))
+    assert refused.value.left is ControllerState.OLD
+    assert refused.value.context["confirmed"]
+    assert len(read_tables(axis.link)) == 0
+    assert axis.link.query("I51") == ["0"]
+    assert recovery.left_open(context_of(axis, tmp_path)) == ()
 
 
 def test_cost_is_stated_and_a_cheaper_way_offered() -> None:
