@@ -1,5 +1,6 @@
 """Where and within which limits a change of a controller is made."""
 
+import os
 import socket
 import zlib
 from collections.abc import Callable
@@ -68,4 +69,5 @@ class Context:
     def owner(self) -> int:
         """Number that stands for this host and folder in the lease, never 0."""
         text = f"{socket.gethostname()}:{self.store.resolve()}"
-        return (zlib.crc32(text.encode()) & 0x7FFFFFFF) or 1
+        # The bytes of the name: where the locale knows no umlauts, a folder may still have them.
+        return (zlib.crc32(os.fsencode(text)) & 0x7FFFFFFF) or 1

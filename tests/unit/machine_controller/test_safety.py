@@ -1,6 +1,11 @@
 """What forbids to switch a table where the axes stand, and where they might stand instead."""
 
+import os
+from pathlib import Path
+
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.safety import Limits, check_step
 
 LIMITS = Limits(
@@ -33,3 +38,11 @@ def test_no_place_is_named_where_there_is_none() -> None:
 def test_a_killed_motor_follows_without_a_step() -> None:
     table = CompTable(1, (160, 0), 2000, wrap=True)
     assert check_step([table], [], {1: 1000.0}, {1: False}, LIMITS) == []
+
+
+def test_a_folder_has_one_owner_in_every_locale() -> None:
+    name = "/bench/für Achse 1"
+    # What Python makes of these bytes where the locale is ASCII.
+    other = name.encode().decode("ascii", "surrogateescape")
+    owners = {Context(LawBlock(), LIMITS, Path(n), 442e-6).owner for n in (name, other)}
+    assert len(owners) == (1 if os.fsencode("ü") == "ü".encode() else 2)
