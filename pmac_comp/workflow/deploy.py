@@ -19,6 +19,7 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.base.units import UM_PER_M
+from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
     guard_install,
@@ -205,10 +206,26 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
         refusals += law_install.servo_refusals(link, context, axis.motor)
         refusals += _busy_servo_refusals(axis, context, compensation)
     if route in TORQUE_ROUTES:
+        refusals += _torque_refusals(axis.bench, compensation)
         parameters = law_parameters(compensation.law, axis.scales)
         clamp = _clamp_ct(axis, context, compensation)
         refusals += law_upload.standing_refusals(link, context, parameters, clamp)
     return refusals
+
+
+def _torque_refusals(bench: Bench, compensation: Compensation) -> list[SafetyRefusal]:
+    """Refusal of a law that may add more torque than the bench file allows the drive."""
+    asked_Nm, most_Nm = compensation.law.torque_limit_Nm, bench.drive.torque_limit_Nm
+    if asked_Nm <= most_Nm:
+        return []
+    return [
+        SafetyRefusal(
+            f"The law may add up to {asked_Nm:.4g} N m; torque_limit_Nm of the bench file is "
+            f"{most_Nm:.4g}.",
+            code="PC-DEP-062",
+            hint="Run `pmac-comp compensate` again: somebody changed the compensation file.",
+        )
+    ]
 
 
 def _busy_servo_refusals(

@@ -187,6 +187,16 @@ def test_a_coefficient_that_no_register_holds_is_refused_before_anything_is_chan
     assert not plc_runs(axis.link, 0)
 
 
+def test_a_law_with_more_torque_than_the_drive_may_have_is_refused(
+    axis: Axis, tmp_path: Path
+) -> None:
+    strong = Compensation("law", LAW.with_values(torque_limit_Nm=20.0))
+    with pytest.raises(SafetyRefusal, match=r"up to 20 N m; .* is 19.11") as refused:
+        deploy(axis, strong, context_of(axis, tmp_path))
+    assert refused.value.left is ControllerState.OLD
+    assert not plc_runs(axis.link, 0)
+
+
 def test_a_value_that_cannot_be_said_is_no_lost_link(
     axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
