@@ -210,8 +210,14 @@ def _left_text(outcome: MotionOutcome, floor_um: float) -> str:
         return ""
     told = ""
     if outcome.promise is not None:
-        told = f", {outcome.promise['e_r_after_um'] / outcome.promise['e_before_um']:.2f} expected"
-    return f"{outcome.name} {left_um / e_um:.2f}{told}"
+        promised = _share_text(outcome.promise["e_r_after_um"], outcome.promise["e_before_um"])
+        told = f", {promised} expected"
+    return f"{outcome.name} {_share_text(left_um, e_um)}{told}"
+
+
+def _share_text(left_um: float, e_um: float) -> str:
+    """Share of an error that stays; a rigid model expects none of which there could be one."""
+    return f"{left_um / e_um:.2f}" if e_um > 0.0 else f"{left_um:.2f} um of none"
 
 
 def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:

@@ -117,6 +117,8 @@ def test_what_a_law_leaves_beyond_a_tenth_is_said_with_what_the_model_expected()
     assert "2 of 3 motions" in said
     assert "b 0.20, 0.15 expected; c 0.20." in said
     assert "pmac-comp diagnose" in said
+    rigid = outcome_of("d", before, much, promise={"e_before_um": 0.0, "e_r_after_um": 0.0})
+    assert "d 0.20, 0.00 um of none expected." in replace(law, motions=(rigid,)).judged()[-1]
     for other in (replace(law, motions=motions[:1]), replace(law, route="table")):
         assert not any("more than a tenth" in text for text in other.judged())
 
