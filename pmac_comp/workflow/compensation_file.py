@@ -263,7 +263,7 @@ def _from_mapping(data: dict[str, Any]) -> Compensation:
 
 def _lead(data: dict[str, Any]) -> LeadMap:
     position_m, error_m, reversal_m = (
-        finite_array(f"lead {name[:-2]}", data[name], min_size=2)
+        finite_array(f"lead {name.removesuffix('_m')}", data[name], min_size=2)
         for name in ("position_m", "error_m", "reversal_m")
     )
     _same_size({"position_m": position_m, "error_m": error_m, "reversal_m": reversal_m})

@@ -100,7 +100,26 @@ class Journal:
 
     def entries(self) -> list[Entry]:
         """Intact entries in order; reading stops at the first damaged line."""
-        return [_entry(body) for body in _intact_bodies(self.path)]
+        return [_entry(body) for body in self._intact_bodies()]
+
+    def _intact_bodies(self) -> list[bytes]:
+        """JSON of the lines before the first damaged one."""
+        try:
+            # Bare calls of the system take half the time of a file object.
+            fd = os.open(self.path, os.O_RDONLY | BINARY)
+        except FileNotFoundError:
+            return []
+        try:
+            content = os.read(fd, os.fstat(fd).st_size)
+        finally:
+            os.close(fd)
+        found: list[bytes] = []
+        for line in content.split(b"\n"):
+            crc, _, body = line.partition(b" ")
+            if not body or crc != b"%08x" % zlib.crc32(body):
+                break
+            found.append(body)
+        return found
 
     def last(self, step: str) -> Entry | None:
         """Latest entry of a step."""
@@ -124,37 +143,12 @@ class Journal:
 
     @property
     def is_open(self) -> bool:
-        """Whether a transaction was begun and neither finished nor rolled back."""
-        return is_open(self.path)
+        """Whether a transaction was begun and neither finished nor rolled back.
 
-
-def is_open(path: str | Path) -> bool:
-    """Whether the journal in a file is open; see ``Journal.is_open``.
-
-    Every change asks it of all journals before it: only the last line is taken apart.
-    """
-    bodies = _intact_bodies(path)
-    return bool(bodies) and _entry(bodies[-1]).step not in CLOSING
-
-
-def _intact_bodies(path: str | Path) -> list[bytes]:
-    """JSON of the lines before the first damaged one."""
-    try:
-        # Bare calls of the system take half the time of a file object.
-        fd = os.open(path, os.O_RDONLY | BINARY)
-    except FileNotFoundError:
-        return []
-    try:
-        content = os.read(fd, os.fstat(fd).st_size)
-    finally:
-        os.close(fd)
-    found: list[bytes] = []
-    for line in content.split(b"\n"):
-        crc, _, body = line.partition(b" ")
-        if not body or crc != b"%08x" % zlib.crc32(body):
-            break
-        found.append(body)
-    return found
+        Every change asks it of all journals before it: only the last line is taken apart.
+        """
+        bodies = self._intact_bodies()
+        return bool(bodies) and _entry(bodies[-1]).step not in CLOSING
 
 
 def _entry(body: bytes) -> Entry:

@@ -36,8 +36,6 @@ class TableSet:
     tables: tuple[Table, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.tables) <= 1:
-            return
         ordered = tuple(sorted(self.tables, key=lambda t: _rank((t.kind, t.motor))))
         keys = [(t.kind, t.motor) for t in ordered]
         if len(set(keys)) != len(keys):

@@ -31,7 +31,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync, is_open
+from pmac_comp.machine.controller.journal import CLOSING, Journal, Sync
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
     host_lock,
@@ -180,21 +180,20 @@ class Change:
     def journal(self) -> Journal:
         """Journal of this change, named when it is first needed."""
         if self._journal is None:
-            name = _next_name(self.context, self._names_before, self.transaction)
-            self._journal = Journal(self.context.store / name)
+            self._journal = _next_journal(self.context, self._before, self.transaction)
             self._stack.enter_context(self._journal.kept_open())
         return self._journal
 
     @cached_property
-    def _names_before(self) -> list[str]:
-        """Names of the journals before this one; the lock of this host keeps them."""
-        return _names(self.context)
+    def _before(self) -> list[Journal]:
+        """Journals before this one; the lock of this host keeps them."""
+        return journals(self.context)
 
     @cached_property
     def _earlier(self) -> list[SafetyRefusal]:
         """What waits for ``recover``; the lock of this host keeps it as it was found."""
         goes_on = self.context.group or not self._is_new
-        return [] if goes_on else torn_refusals(self.context, self._names_before)
+        return [] if goes_on else torn_refusals(self.context, self._before)
 
     def look_into_folder(self) -> None:
         """Name the journal and look for earlier changes: work for while the controller answers."""
@@ -345,7 +344,7 @@ def open_group(context: Context, name: str) -> tuple[Journal, Context]:
     with host_lock(context):
         require_settled(context)
         number = new_transaction_id()
-        journal = Journal(context.store / _next_name(context, _names(context), number))
+        journal = _next_journal(context, journals(context), number)
         data = {"kind": ChangeKind.GROUP.value, "group": number, "name": name}
         journal.write("begin", {**data, FIRST_P: context.block.first})
     return journal, replace(context, group=number)
@@ -420,7 +419,7 @@ def require_settled(context: Context) -> None:
         raise refusal
 
 
-def torn_refusals(context: Context, names: Sequence[str] | None = None) -> list[SafetyRefusal]:
+def torn_refusals(context: Context, before: Sequence[Journal] | None = None) -> list[SafetyRefusal]:
     """Refusal of a change while an interrupted one of this folder waits for ``recover``.
 
     Its backup is what stood before: a change on top would be lost when that is written back.
@@ -430,15 +429,13 @@ def torn_refusals(context: Context, names: Sequence[str] | None = None) -> list[
     ----------
     context : Context
         Folder and name of the controller.
-    names : sequence of str, optional
-        Names of the journals, oldest first, if they have been listed already.
+    before : sequence of Journal, optional
+        The journals, oldest first, if they have been listed already.
     """
     if context.settling:
         return []
-    folder = f"{context.store}{os.sep}"
-    names = _names(context) if names is None else names
-    still_open = [Journal(context.store / n) for n in names if is_open(folder + n)]
-    torn = [j for j in still_open if is_torn(j) and not is_temporary(j)]
+    before = journals(context) if before is None else before
+    torn = [j for j in before if is_torn(j) and not is_temporary(j)]
     if not torn:
         return []
     begin = torn[-1].first()
@@ -469,9 +466,10 @@ def _names(context: Context) -> list[str]:
     return sorted(filter(name.fullmatch, found))
 
 
-def _next_name(context: Context, names: Sequence[str], transaction: int) -> str:
-    count = int(names[-1].rsplit("-", 2)[1]) + 1 if names else 1
-    return f"{context.controller}-{count:06d}-{transaction:010d}.journal"
+def _next_journal(context: Context, before: Sequence[Journal], transaction: int) -> Journal:
+    count = int(before[-1].path.name.rsplit("-", 2)[1]) + 1 if before else 1
+    name = f"{context.controller}-{count:06d}-{transaction:010d}.journal"
+    return Journal(context.store / name)
 
 
 @contextmanager
