@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,8 @@ class Compensation:
         The one motion of ``cam`` and ``program``.
     motion_correction_m : ndarray or None
         Its exact correction from the model.
+    edited : bool
+        Whether the file held another digest than its values have.
     """
 
     route: str
@@ -55,6 +57,7 @@ class Compensation:
     motion_position_m: FloatArray | None = None
     motion_correction_m: FloatArray | None = None
     backlash: bool = False
+    edited: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         check_route(self.route)
@@ -110,7 +113,8 @@ def check_route(route: str) -> str:
 
 def write_compensation(path: Path, compensation: Compensation) -> None:
     """Write a compensation file, whole or not at all."""
-    atomic_write_text(path, json.dumps(_document(compensation), indent=1) + "\n")
+    document = {**_document(compensation), "digest": compensation.digest}
+    atomic_write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def _document(compensation: Compensation) -> dict[str, Any]:
@@ -165,13 +169,24 @@ def read_compensation(path: Path) -> Compensation:
     if not isinstance(data, dict) or data.get("compensation_version") != _VERSION:
         raise _bad(path, "it has no compensation_version 1")
     try:
-        return _from_mapping(data)
+        found = _from_mapping(data)
+        return replace(found, edited=data.get("digest", found.digest) != found.digest)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise _bad(path, f"{type(error).__name__}: {error}") from error
     except ConfigError:
         raise
     except PmacCompError as error:
         raise _bad(path, error.message) from error
+
+
+def edited_remarks(compensation: Compensation) -> list[str]:
+    """That a file was changed by hand, for people; its values are taken as they stand."""
+    if not compensation.edited:
+        return []
+    return [
+        "the compensation file was changed after `pmac-comp compensate` wrote it: what it says of "
+        "its range, its errors and its cost holds for what was computed, not for what it holds now"
+    ]
 
 
 def check_bench(path: Path, bench: str) -> None:
@@ -250,13 +265,16 @@ def _from_mapping(data: dict[str, Any]) -> Compensation:
     if unknown:
         raise ValueError(f"unknown law coefficient(s) {sorted(unknown)}")
     lead = data.get("lead")
-    motion = {name: _array(data, name) for name in _MOTION}
-    _same_size({name: values for name, values in motion.items() if values is not None})
+    motion = [_array(data, name) for name in _MOTION]
+    given = zip(_MOTION, motion, strict=True)
+    _same_size({name: values for name, values in given if values is not None})
     return Compensation(
         route=str(data["route"]),
         law=CompensationLaw(**data["law"]),
         lead=None if lead is None else _lead(lead),
-        **motion,
+        motion_time_s=motion[0],
+        motion_position_m=motion[1],
+        motion_correction_m=motion[2],
         backlash=data.get("backlash", False) is True,
     )
 

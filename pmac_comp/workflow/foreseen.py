@@ -17,6 +17,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import design_motions, model_loop, start_law
 from pmac_comp.physics.compensate.exact import Aim, LEARNING_CUTOFF_Hz, zero_phase
 from pmac_comp.workflow.dynamic_law import without_turn
+from pmac_comp.workflow.late_scale import in_time
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.rendering import cam_shape
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
@@ -117,6 +118,7 @@ def check_amplitude(
     AmplitudeExceeded
         What the model does without compensation asks for it.
     """
+    model = in_time(model, {})
     if route in MOTION_ROUTES:
         largest_um = _largest_of_motion_um(bench, model, require_motion(route, motion), aim)
     elif route in TORQUE_ROUTES:

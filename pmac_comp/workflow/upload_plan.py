@@ -26,7 +26,7 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
-from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.compensation_file import Compensation, edited_remarks, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,
     program_lines,
@@ -105,7 +105,7 @@ def preview(
     refusals += route_refusals(axis, context, compensation)
     change = difference_on(axis, context, compensation)
     text = [f"plan for {url}, route {compensation.route}:"]
-    text += [f"  {line}" for line in change.lines()]
+    text += [f"  {line}" for line in (*edited_remarks(compensation), *change.lines())]
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
     if tables or stale:

@@ -25,6 +25,7 @@ from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, ver
 from pmac_comp.workflow.compensation_file import (
     Compensation,
     check_acted,
+    edited_remarks,
     named_compensation,
     read_compensation,
     write_compensation,
@@ -460,7 +461,9 @@ def summed_up(
     age_s = _age_s(compensation)
     first = [[error_signals(c, lead, None, age_s) for c in pair[0]] for pair in groups]
     second = [[error_signals(c, lead, table, age_s) for c in pair[1]] for pair in groups]
-    late = [] if compensation is None else scale_remarks(compensation.law)
+    late: list[str] = []
+    if compensation is not None:
+        late = [*scale_remarks(compensation.law), *edited_remarks(compensation)]
 
     def together(which: str) -> Ratio | None:
         if not first or not second:

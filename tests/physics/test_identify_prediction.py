@@ -125,6 +125,41 @@ def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) 
     assert distance_m * (2.0 if form == "presliding_gms" else 1.0) == pytest.approx(20e-6, rel=0.2)
 
 
+def test_presliding_is_found_although_the_bed_swings_slowly() -> None:
+    # What the bed leaves scatters the blocks more than what friction leaves: 7.5 Hz, on wheels.
+    effects = {
+        "presliding": {"distance_um": 12.0, "place": "guide"},
+        "base_mode": {"frequency_Hz": 7.5, "mass_ratio": 0.11, "damping_ratio": 0.05},
+    }
+    found = identify_with_friction(some_runs(BENCH, effects, 3), BENCH)
+    assert found.model is not None
+    assert any(name.startswith("presliding") for name in found.model.effects)
+    assert found.parameters["presliding.distance_m"].value == pytest.approx(12e-6, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "time_us", [221.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (12.0, -60.0, 442.0))]
+)
+def test_a_scale_that_is_read_much_too_late_is_no_friction(time_us: float) -> None:
+    # Once all of the lag went into viscous friction, which the motor then lacked by 80 um.
+    late = {"channel_skew": {"time_us": time_us}}
+    found = identify_with_friction(some_runs(BENCH, late, 7), BENCH)
+    age = found.parameters["channel_skew.time_s"]
+    assert age.value == pytest.approx(1e-6 * time_us, abs=2e-6)
+    assert f"{abs(1e6 * age.value):.1f} us" in found.statements[0]
+    assert found.parameters["viscous.guide_Ns_per_m"].value < 400.0
+    noise = found.noise
+    assert noise.motor_m is not None
+    assert noise.motor_m < 0.5e-6
+
+
+def test_a_guide_with_much_viscous_friction_has_no_late_scale() -> None:
+    stiff = {"viscous": {"guide_Ns_per_m": 700.0}}
+    found = identify_with_friction(some_runs(BENCH, stiff, 7), BENCH)
+    assert "channel_skew.time_s" not in found.parameters
+    assert found.parameters["viscous.guide_Ns_per_m"].value == pytest.approx(700.0, rel=0.15)
+
+
 def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> None:
     # Around reversals the base model leaves no more over elsewhere than Coulomb friction would.
     bench = load_bench("paper")

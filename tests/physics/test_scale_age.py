@@ -17,7 +17,9 @@ from tests.physics.identified import SLOW, identified
 BENCH = load_bench("paper_x4")
 
 
-@pytest.mark.parametrize("time_us", [5.0, pytest.param(-2.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "time_us", [5.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (-2.0, 14.0))]
+)
 def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float) -> None:
     runs, model = identified(BENCH, {"channel_skew": {"time_us": time_us}}, seed=7, without=SLOW)
     found = measured_scale_age(runs, BENCH, model)

@@ -22,8 +22,9 @@ BENCH = load_bench("paper_x4")
             marks=pytest.mark.slow,
         ),
         (46, 0.06, {}),
+        (7.5, 0.1, {}),
     ],
-    ids=["slow-and-ripple", "fast"],
+    ids=["slow-and-ripple", "fast", "on-wheels"],
 )
 def test_a_bed_is_found_with_its_frequency_and_mass(
     frequency_Hz: float, ratio: float, beside: PlantEffects

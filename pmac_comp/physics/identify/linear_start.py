@@ -28,6 +28,7 @@ from pmac_comp.physics.identify.rigid import actuator_lag_s
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 
+SKEW_TIME = "channel_skew.time_s"
 SIX = ("alpha0", "alpha1", "beta0", "beta1", "gamma0", "gamma1")
 _BLOCK_s = 0.25
 _LEAST_SPEED_m_per_s = 2e-3  # below it the direction of the friction force is not known
@@ -82,44 +83,91 @@ def starting_model(captures: Sequence[Capture], bench: Bench, model: DriveModel)
         The captures hold no motion, one direction or one speed only.
     """
     rows = _gathered(captures, bench)
-    mass = model.parameters["chain.table_mass_kg"]
-    table_m = rows.x_m - bench.screw_position_m(0.0)
-    c = compliance_m_per_N(model, table_m)
-    static = _static_columns(rows, bench)
-    guide = regress(
-        ("acceleration", "speed", "direction", *(f"static{i}" for i in range(len(static)))),
-        np.column_stack([-c * rows.a, -c * rows.v, -c * rows.s, *static]),
-        rows.e_m,
-        block=_block(captures[0]),
-        advice=_ADVICE,
-    )
-    # C M comes out with the error of C: friction is scaled to the stated mass.
-    scale = mass / max(guide.value("acceleration"), 0.1 * mass)
-    values = {
-        "viscous.guide_Ns_per_m": max(scale * guide.value("speed"), 0.0),
-        "coulomb.guide_N": max(scale * guide.value("direction"), 0.0),
-    }
-    if rows.torque_Nm is not None:
-        values |= _rotary(rows, rows.torque_Nm, bench, model, values)
+    guide, compliance = _guide(rows, bench, model)
+    speed = guide["viscous.guide_Ns_per_m"]
+    shaft = None if rows.torque_Nm is None else _shaft(rows, rows.torque_Nm, bench)
+    values = {name: max(value, 0.0) for name, value in guide.items()}
+    if shaft is not None and SKEW_TIME in model.parameters:
+        values["viscous.guide_Ns_per_m"] = _paid_for(speed, shaft, bench) * _guides_share(model)
+        values[SKEW_TIME] = compliance * (speed - values["viscous.guide_Ns_per_m"])
+    if shaft is not None:
+        values |= _rotary(shaft, bench, model, values)
     known = {spec.name for spec in model.specs}
     return model.with_parameters({k: v for k, v in values.items() if k in known})
 
 
-def _rotary(
-    rows: _Rows, torque_Nm: FloatArray, bench: Bench, model: DriveModel, guide: dict[str, float]
-) -> dict[str, float]:
-    rho = bench.lead_m_per_rad
+def lag_by_speed_s(captures: Sequence[Capture], bench: Bench, model: DriveModel) -> float:
+    """Time by which the table lags in proportion to speed, s; viscous friction, or a late scale.
+
+    Raises
+    ------
+    NotIdentifiable
+        As ``starting_model``.
+
+    Source
+    ------
+    Ballscrew facts 2.9 and 3, sample skew between channels.
+    """
+    guide, compliance = _guide(_gathered(captures, bench), bench, model)
+    return compliance * guide["viscous.guide_Ns_per_m"]
+
+
+def _guide(rows: _Rows, bench: Bench, model: DriveModel) -> tuple[dict[str, float], float]:
+    """Friction at the guide by (R1), which may come out negative, and the mean compliance."""
+    mass = model.parameters["chain.table_mass_kg"]
+    table_m = rows.x_m - bench.screw_position_m(0.0)
+    c = compliance_m_per_N(model, table_m)
+    static = _static_columns(rows, bench)
     fit = regress(
+        ("acceleration", "speed", "direction", *(f"static{i}" for i in range(len(static)))),
+        np.column_stack([-c * rows.a, -c * rows.v, -c * rows.s, *static]),
+        rows.e_m,
+        block=max(round(_BLOCK_s * CUTOFF_Hz), 1),
+        advice=_ADVICE,
+    )
+    # C M comes out with the error of C: friction is scaled to the stated mass.
+    scale = mass / max(fit.value("acceleration"), 0.1 * mass)
+    friction = {
+        "viscous.guide_Ns_per_m": scale * fit.value("speed"),
+        "coulomb.guide_N": scale * fit.value("direction"),
+    }
+    return friction, float(np.mean(c)) / scale
+
+
+def _shaft(rows: _Rows, torque_Nm: FloatArray, bench: Bench) -> Regression:
+    """(R2), all of the drive as the motor feels it."""
+    rho = bench.lead_m_per_rad
+    return regress(
         ("acceleration", "speed", "direction", "bias"),
         np.column_stack([rows.a / rho, rows.v / rho, rows.s, np.ones_like(rows.a)]),
         torque_Nm,
         block=max(round(_BLOCK_s * CUTOFF_Hz), 1),
         advice=_ADVICE,
     )
+
+
+def _paid_for(speed_Ns_per_m: float, shaft: Regression, bench: Bench) -> float:
+    """What of a viscous friction at the guide the torque pays for, at most all of the torque's."""
+    most = max(shaft.value("speed"), 0.0) / bench.lead_m_per_rad**2
+    return float(np.clip(speed_Ns_per_m, 0.0, most))
+
+
+def _guides_share(model: DriveModel) -> float:
+    """The guide's share of all viscous friction that the torque pays for, in the present values."""
+    own, lead = model.parameters, model.bench.lead_m_per_rad
+    guide = own["viscous.guide_Ns_per_m"] * lead**2
+    turning = own["viscous.nut_Nms_per_rad"] + own["viscous.motor_Nms_per_rad"]
+    return guide / (guide + turning) if guide > 0.0 else 0.0
+
+
+def _rotary(
+    shaft: Regression, bench: Bench, model: DriveModel, guide: dict[str, float]
+) -> dict[str, float]:
+    rho = bench.lead_m_per_rad
     # What both directions share: gravity on a tilted axis is far beyond what a fit finds from none.
-    load_N = fit.value("bias") / rho
-    level = max(fit.value("direction") - rho * guide["coulomb.guide_N"], 0.0)
-    slope = max(fit.value("speed") - rho**2 * guide["viscous.guide_Ns_per_m"], 0.0)
+    load_N = shaft.value("bias") / rho
+    level = max(shaft.value("direction") - rho * guide["coulomb.guide_N"], 0.0)
+    slope = max(shaft.value("speed") - rho**2 * guide["viscous.guide_Ns_per_m"], 0.0)
     return {
         "bias_force.force_N": load_N,
         **_shared(model, "coulomb.nut_Nm", "coulomb.motor_Nm", level),

@@ -12,14 +12,19 @@ alike; but it costs torque, and what it makes grows along the screw.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 
 SKEW = "channel_skew"
 _TIME = f"{SKEW}.time_s"
+_GUIDE, _MOTOR = "viscous.guide_Ns_per_m", "viscous.motor_Nms_per_rad"
 _LEAST_s = 0.4e-6
+_MUCH_s = 4e-6
 _SIGNIFICANT = 5.0  # standard deviations
 _CLEARLY = 3.0  # standard errors of the mean over blocks
 
@@ -66,7 +71,7 @@ def measured_scale_age(
     if model.is_rigid or bench.scale is None or not captures:
         return None
     trial = Trial(captures, bench)
-    found = trial.settled(model.with_effect(SKEW, {"time_s": 0.0}))
+    found = trial.settled(_begun(model))
     if found is None or found.model is None:
         return None
     age = found.parameters[_TIME]
@@ -80,3 +85,21 @@ def measured_scale_age(
         return None
     values = dict(found.model.without_effect(SKEW).parameters)
     return ScaleAge(age.value, age.std, values, rms_um(before), rms_um(after))
+
+
+def _begun(model: DriveModel) -> DriveModel:
+    """Model with an age of zero, or of the lag that viscous friction beyond the usual makes.
+
+    A fit without it puts all of the lag into viscous friction of the guide and takes its torque
+    from nut and motor. Where that is much, nothing leads back along that valley step by step: it is
+    begun at its other end.
+    """
+    own, usual = model.parameters, model.spec(_GUIDE).nominal
+    beyond = own[_GUIDE] - usual
+    age_s = beyond * float(np.mean(compliance_m_per_N(model, 0.0)))
+    if age_s < _MUCH_s:
+        return model.with_effect(SKEW, {"time_s": 0.0})
+    turning = own[_MOTOR] + beyond * model.bench.lead_m_per_rad**2
+    return model.with_parameters({_GUIDE: usual, _MOTOR: turning}).with_effect(
+        SKEW, {"time_s": age_s}
+    )

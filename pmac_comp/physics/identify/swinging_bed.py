@@ -5,8 +5,9 @@ parameters, and whether held-out samples bear it out. What may not: what a law m
 (``compensate``), names of other causes (``diagnose``). Imports this package and the model.
 
 The force that accelerates the table shakes the bed, and on a bed that swings the table feels its
-own mass: table minus motor and torque ring at 20 to 60 Hz after each change of the acceleration
-(ballscrew facts 3). Positions are relative to the bed, so no sensor shows it directly.
+own mass: table minus motor and torque ring after each change of the acceleration, at 20 to 60 Hz on
+feet (ballscrew facts 3), at 5 to 15 Hz on isolators or wheels. Positions are relative to the bed,
+so no sensor shows it directly.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,8 @@ from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel, simulate_many
 
 BED = "base_mode"
-_FREQUENCIES_Hz = tuple(np.geomspace(15.0, 80.0, 20).tolist())  # 9 % apart: what is looked for
+# From isolators to stiff feet, 9 % apart: what is looked for.
+_FREQUENCIES_Hz = tuple(np.geomspace(5.0, 80.0, 33).tolist())
 _NEAR = np.linspace(0.92, 1.08, 9)  # of the one that fits best: where the fit begins
 _PROBE_RATIO = 0.02
 _PROBE_DAMPING = 0.03

@@ -83,6 +83,8 @@ class Trial:
         names: list[str] | None,
         held_out: Sequence[BoolArray] | None,
         stages: Stages,
+        *,
+        warm: bool = True,
     ) -> Identification:
         """A fit with the captures and the tools of this trial; raises as ``identify`` does."""
         return identify(
@@ -90,7 +92,7 @@ class Trial:
             self.bench,
             model=start,
             names=names,
-            warm=start is not None,
+            warm=warm and start is not None,
             held_out=held_out,
             stages=stages,
             progress=self.progress,

@@ -1,5 +1,6 @@
 """The bridge on the embedded card: what was meant is what the servo receives, and can be undone."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import (
     Compensation,
+    edited_remarks,
     read_compensation,
     write_compensation,
 )
@@ -141,6 +143,26 @@ def test_bad_compensation_files_are_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError):
         read_compensation(path)
+
+
+def test_a_file_that_was_changed_by_hand_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    write_compensation(path, Compensation("law", LAW, LEAD))
+    written = json.loads(path.read_text())
+    assert not edited_remarks(read_compensation(path))
+    path.write_text(json.dumps(written))  # another layout is no change
+    assert not edited_remarks(read_compensation(path))
+    written["law"]["provenance"]["note"] = "does not act"
+    path.write_text(json.dumps(written))
+    assert not edited_remarks(read_compensation(path))
+    doubled = {**written["law"], "inertia_s2": 2.0 * written["law"]["inertia_s2"]}
+    left_out = {name: v for name, v in written["law"].items() if name != "inertia_s2"}
+    for law in (doubled, left_out):
+        path.write_text(json.dumps({**written, "law": law}))
+        told = edited_remarks(read_compensation(path))
+        assert "was changed after" in told[0]
+        write_compensation(path, read_compensation(path))  # its own again
+        assert not edited_remarks(read_compensation(path))
 
 
 @pytest.mark.parametrize("nested", ["[" * 100_000, '{"a":' * 100_000])

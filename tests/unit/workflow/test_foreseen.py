@@ -103,6 +103,12 @@ def test_what_may_still_fit_is_left_to_the_whole_computation(route: str) -> None
     check_amplitude(limited(60.0), MODEL, route, SINE, Aim.TOTAL)
 
 
+@pytest.mark.parametrize("route", ["law", "cam"])
+def test_a_scale_that_is_read_late_is_no_error_to_be_corrected(route: str) -> None:
+    late = MODEL.with_effect("channel_skew", {"time_s": 220e-6})
+    check_amplitude(limited(60.0), late, route, SINE, Aim.MECHANICAL)
+
+
 def test_the_regression_foretells_the_largest_correction_of_the_law() -> None:
     loop = model_loop(MODEL)
     start = start_law(BENCH, loop, design_motions(BENCH))
