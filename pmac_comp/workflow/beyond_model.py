@@ -137,7 +137,23 @@ def _on_its_bed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
     bed = noted_bed(bench, shown.model, shown.captures, progress)
     if not bed:
         return shown
-    return replace(shown, model=on_bed(shown.model, bed), noted={**shown.noted, **bed})
+    model = _with_hidden_friction(bench, on_bed(shown.model, bed), shown.captures, progress)
+    return replace(shown, model=model, noted={**shown.noted, **bed})
+
+
+def _with_hidden_friction(
+    bench: Bench, model: "DriveModel", captures: Sequence[Capture], progress: Progress | None
+) -> "DriveModel":
+    """The model with a form of friction that its bed hid, where runs show one."""
+    from pmac_comp.physics.identify.refit import fitted_anew
+
+    if any(split_name(name)[0] in _FRICTION for name in model.effects):
+        return model
+    if progress is not None:
+        progress("fitting friction beside the bed", 0.0)
+    anew = fitted_anew(captures, bench, model)
+    forms = anew is not None and len(anew.model.effects) > len(model.effects)
+    return anew.model if anew is not None and forms else model
 
 
 def _begun(shown: Shown) -> Shown:
@@ -189,12 +205,12 @@ def shown_remarks(law: CompensationLaw) -> list[str]:
 
 
 def _friction_remarks(law: CompensationLaw) -> list[str]:
-    """Friction that showed as soon as the gap was in the model."""
+    """Friction that showed as soon as what hid it was in the model."""
     whole = law.provenance.get(_WHOLE, {"effects": []})
     forms = [name for name in whole["effects"] if split_name(name)[0] in _FRICTION]
     if not forms:
         return []
     return [
-        f"beside the gap the runs show friction that it hid ({', '.join(forms)}): the law is "
+        f"beside that the runs show friction that it hid ({', '.join(forms)}): the law is "
         "computed with it, `pmac-comp diagnose` gives its figures"
     ]

@@ -125,18 +125,6 @@ def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) 
     assert distance_m * (2.0 if form == "presliding_gms" else 1.0) == pytest.approx(20e-6, rel=0.2)
 
 
-def test_presliding_is_found_although_the_bed_swings_slowly() -> None:
-    # What the bed leaves scatters the blocks more than what friction leaves: 7.5 Hz, on wheels.
-    effects = {
-        "presliding": {"distance_um": 12.0, "place": "guide"},
-        "base_mode": {"frequency_Hz": 7.5, "mass_ratio": 0.11, "damping_ratio": 0.05},
-    }
-    found = identify_with_friction(some_runs(BENCH, effects, 3), BENCH)
-    assert found.model is not None
-    assert any(name.startswith("presliding") for name in found.model.effects)
-    assert found.parameters["presliding.distance_m"].value == pytest.approx(12e-6, rel=0.3)
-
-
 @pytest.mark.parametrize(
     "time_us", [221.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (12.0, -60.0, 442.0))]
 )

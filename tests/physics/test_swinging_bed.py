@@ -5,8 +5,10 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
 from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")
@@ -37,6 +39,24 @@ def test_a_bed_is_found_with_its_frequency_and_mass(
     assert found.mass_ratio == pytest.approx(ratio, rel=0.1)
     assert found.damping_ratio == pytest.approx(0.03, abs=0.01)
     assert found.with_um < 0.7 * found.without_um
+
+
+@pytest.mark.slow
+def test_friction_that_a_slow_bed_hid_is_found_beside_it() -> None:
+    friction: PlantEffects = {"presliding": {"distance_um": 12.0, "place": "guide"}}
+    swings: PlantEffects = {
+        "base_mode": {"frequency_Hz": 7.5, "mass_ratio": 0.11, "damping_ratio": 0.05}
+    }
+    runs, model = identified(BENCH, {**friction, **swings}, seed=3)
+    shown = shown_by_runs(BENCH, model, runs, [], with_gap=False)
+    found = shown.model.parameters
+    assert found["base_mode.frequency_Hz"] == pytest.approx(7.5, rel=0.01)
+    assert found["base_mode.mass_ratio"] == pytest.approx(0.11, rel=0.05)
+    assert found["presliding.distance_m"] == pytest.approx(12e-6, rel=0.25)
+    law = CompensationLaw(provenance=shown.noted)
+    again = made_with(model, law)  # what the compensation file keeps of it
+    assert again.parameters["presliding.distance_m"] == found["presliding.distance_m"]
+    assert any("friction that it hid" in said for said in shown_remarks(law))
 
 
 @pytest.mark.slow

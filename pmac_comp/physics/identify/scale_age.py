@@ -71,7 +71,16 @@ def measured_scale_age(
     if model.is_rigid or bench.scale is None or not captures:
         return None
     trial = Trial(captures, bench)
-    found = trial.settled(_begun(model))
+    for start in _starts(model):
+        found = _from(start, trial, model)
+        if found is not None:
+            return found
+    return None
+
+
+def _from(start: DriveModel, trial: Trial, model: DriveModel) -> ScaleAge | None:
+    """The age that a fit finds from a start, where it is significant and borne out."""
+    found = trial.settled(start)
     if found is None or found.model is None:
         return None
     age = found.parameters[_TIME]
@@ -87,19 +96,19 @@ def measured_scale_age(
     return ScaleAge(age.value, age.std, values, rms_um(before), rms_um(after))
 
 
-def _begun(model: DriveModel) -> DriveModel:
-    """Model with an age of zero, or of the lag that viscous friction beyond the usual makes.
+def _starts(model: DriveModel) -> tuple[DriveModel, ...]:
+    """Models with an age of zero, and with that of the lag that much viscous friction makes.
 
     A fit without it puts all of the lag into viscous friction of the guide and takes its torque
     from nut and motor. Where that is much, nothing leads back along that valley step by step: it is
-    begun at its other end.
+    begun at its other end, too.
     """
+    none = model.with_effect(SKEW, {"time_s": 0.0})
     own, usual = model.parameters, model.spec(_GUIDE).nominal
     beyond = own[_GUIDE] - usual
     age_s = beyond * float(np.mean(compliance_m_per_N(model, 0.0)))
     if age_s < _MUCH_s:
-        return model.with_effect(SKEW, {"time_s": 0.0})
+        return (none,)
     turning = own[_MOTOR] + beyond * model.bench.lead_m_per_rad**2
-    return model.with_parameters({_GUIDE: usual, _MOTOR: turning}).with_effect(
-        SKEW, {"time_s": age_s}
-    )
+    moved = model.with_parameters({_GUIDE: usual, _MOTOR: turning})
+    return none, moved.with_effect(SKEW, {"time_s": age_s})
