@@ -46,7 +46,7 @@ class Trial:
 )
 def test_stribeck_friction_within_its_deviation(without: float, kept: tuple[str, ...]) -> None:
     trial = Trial(excess_std_N=8.0, left={WHOLE: 0.1, ("presliding@all",): without})
-    found = _chosen(trial, BASE, PLAIN, {})  # type: ignore[arg-type]
+    found = _chosen(trial, BASE, PLAIN, {}, suspected=False)  # type: ignore[arg-type]
     assert found is not None
     assert found.model is not None
     assert tuple(n for n in found.model.effects if n not in BASE.effects) == kept
@@ -54,4 +54,4 @@ def test_stribeck_friction_within_its_deviation(without: float, kept: tuple[str,
 
 def test_a_whole_that_predicts_nothing_is_not_taken() -> None:
     trial = Trial(excess_std_N=8.0, left={WHOLE: 1.0, ("presliding@all",): 1.0})
-    assert _chosen(trial, BASE, PLAIN, {}) is None  # type: ignore[arg-type]
+    assert _chosen(trial, BASE, PLAIN, {}, suspected=False) is None  # type: ignore[arg-type]
