@@ -461,9 +461,9 @@ def summed_up(
     age_s = _age_s(compensation)
     first = [[error_signals(c, lead, None, age_s) for c in pair[0]] for pair in groups]
     second = [[error_signals(c, lead, table, age_s) for c in pair[1]] for pair in groups]
-    late: list[str] = []
+    told: list[str] = []
     if compensation is not None:
-        late = [*scale_remarks(compensation.law), *edited_remarks(compensation)]
+        told = [*scale_remarks(compensation.law), *edited_remarks(compensation)]
 
     def together(which: str) -> Ratio | None:
         if not first or not second:
@@ -482,7 +482,7 @@ def summed_up(
         lead,
         table,
         age_s,
-        (*verdict_remarks(outcomes, floor), *own, *late, *static_remarks(static), *remarks),
+        (*verdict_remarks(outcomes, floor), *own, *told, *static_remarks(static), *remarks),
         "" if compensation is None else compensation.route,
         together("mechanical_m"),
         together("total_m"),

@@ -31,6 +31,7 @@ from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 SKEW_TIME = "channel_skew.time_s"
 SIX = ("alpha0", "alpha1", "beta0", "beta1", "gamma0", "gamma1")
 _BLOCK_s = 0.25
+_BLOCK_ROWS = max(round(_BLOCK_s * CUTOFF_Hz), 1)
 _LEAST_SPEED_m_per_s = 2e-3  # below it the direction of the friction force is not known
 _ADVICE = {
     "alpha0": "a sinusoid of 10 mm at 3 Hz",
@@ -122,7 +123,7 @@ def _guide(rows: _Rows, bench: Bench, model: DriveModel) -> tuple[dict[str, floa
         ("acceleration", "speed", "direction", *(f"static{i}" for i in range(len(static)))),
         np.column_stack([-c * rows.a, -c * rows.v, -c * rows.s, *static]),
         rows.e_m,
-        block=max(round(_BLOCK_s * CUTOFF_Hz), 1),
+        block=_BLOCK_ROWS,
         advice=_ADVICE,
     )
     # C M comes out with the error of C: friction is scaled to the stated mass.
@@ -141,7 +142,7 @@ def _shaft(rows: _Rows, torque_Nm: FloatArray, bench: Bench) -> Regression:
         ("acceleration", "speed", "direction", "bias"),
         np.column_stack([rows.a / rho, rows.v / rho, rows.s, np.ones_like(rows.a)]),
         torque_Nm,
-        block=max(round(_BLOCK_s * CUTOFF_Hz), 1),
+        block=_BLOCK_ROWS,
         advice=_ADVICE,
     )
 

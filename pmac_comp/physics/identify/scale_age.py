@@ -16,12 +16,13 @@ import numpy as np
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.linear_start import SKEW_TIME
+from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.trial import Trial, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 
 SKEW = "channel_skew"
-_TIME = f"{SKEW}.time_s"
 _GUIDE, _MOTOR = "viscous.guide_Ns_per_m", "viscous.motor_Nms_per_rad"
 _LEAST_s = 0.4e-6
 _MUCH_s = 4e-6
@@ -71,29 +72,25 @@ def measured_scale_age(
     if model.is_rigid or bench.scale is None or not captures:
         return None
     trial = Trial(captures, bench)
+    plain: Identification | None = None
     for start in _starts(model):
-        found = _from(start, trial, model)
-        if found is not None:
-            return found
+        found = trial.settled(start)
+        if found is None or found.model is None or not _is_significant(found):
+            continue
+        plain, late = plain or trial.half(model, None), trial.half(found.model, None)
+        if plain is None or late is None:
+            continue
+        before, after = trial.errors(plain), trial.errors(late)
+        if is_better(after, before, _CLEARLY):
+            age = found.parameters[SKEW_TIME]
+            values = dict(found.model.without_effect(SKEW).parameters)
+            return ScaleAge(age.value, age.std, values, rms_um(before), rms_um(after))
     return None
 
 
-def _from(start: DriveModel, trial: Trial, model: DriveModel) -> ScaleAge | None:
-    """The age that a fit finds from a start, where it is significant and borne out."""
-    found = trial.settled(start)
-    if found is None or found.model is None:
-        return None
-    age = found.parameters[_TIME]
-    if abs(age.value) < max(_LEAST_s, _SIGNIFICANT * age.std):
-        return None
-    plain, late = trial.half(model, None), trial.half(found.model, None)
-    if plain is None or late is None:
-        return None
-    before, after = trial.errors(plain), trial.errors(late)
-    if not is_better(after, before, _CLEARLY):
-        return None
-    values = dict(found.model.without_effect(SKEW).parameters)
-    return ScaleAge(age.value, age.std, values, rms_um(before), rms_um(after))
+def _is_significant(found: Identification) -> bool:
+    age = found.parameters[SKEW_TIME]
+    return abs(age.value) >= max(_LEAST_s, _SIGNIFICANT * age.std)
 
 
 def _starts(model: DriveModel) -> tuple[DriveModel, ...]:
