@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -52,6 +52,7 @@ TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
 FIRST_P: Final = "first P-variable"  # in a beginning: of the block that the change is made with
 FOUND: Final = "number found"  # in an intent: of the last change before it
 RENEW_SHARE: Final = 0.25
+_READ_AGAIN: Final = 16  # so many settled journals are read by each change before a mark is moved
 
 
 class ChangeKind(Enum):
@@ -147,6 +148,8 @@ class Change:
     def __enter__(self) -> Self:
         self._stack.enter_context(host_lock(self.context))
         self._stack.enter_context(self._interrupt)
+        if not self._is_new:
+            _mark(self.context).unlink(missing_ok=True)  # an old journal goes on: it opens again
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -185,9 +188,9 @@ class Change:
         return self._journal
 
     @cached_property
-    def _before(self) -> list[Journal]:
-        """Journals before this one; the lock of this host keeps them."""
-        return journals(self.context)
+    def _before(self) -> list[str]:
+        """Names of the journals before this one; the lock of this host keeps them."""
+        return _names(self.context)
 
     @cached_property
     def _earlier(self) -> list[SafetyRefusal]:
@@ -344,7 +347,7 @@ def open_group(context: Context, name: str) -> tuple[Journal, Context]:
     with host_lock(context):
         require_settled(context)
         number = new_transaction_id()
-        journal = _next_journal(context, journals(context), number)
+        journal = _next_journal(context, _names(context), number)
         data = {"kind": ChangeKind.GROUP.value, "group": number, "name": name}
         journal.write("begin", {**data, FIRST_P: context.block.first})
     return journal, replace(context, group=number)
@@ -357,7 +360,11 @@ def new_transaction_id() -> int:
 
 def journals(context: Context) -> list[Journal]:
     """Journals of this controller in this folder, oldest first."""
-    return [Journal(context.store / name) for name in _names(context)]
+    return _journals(context, _names(context))
+
+
+def _journals(context: Context, names: Sequence[str]) -> list[Journal]:
+    return [Journal(context.store / name) for name in names]
 
 
 def own_numbers(context: Context) -> set[int]:
@@ -419,7 +426,7 @@ def require_settled(context: Context) -> None:
         raise refusal
 
 
-def torn_refusals(context: Context, before: Sequence[Journal] | None = None) -> list[SafetyRefusal]:
+def torn_refusals(context: Context, before: Sequence[str] | None = None) -> list[SafetyRefusal]:
     """Refusal of a change while an interrupted one of this folder waits for ``recover``.
 
     Its backup is what stood before: a change on top would be lost when that is written back.
@@ -429,13 +436,17 @@ def torn_refusals(context: Context, before: Sequence[Journal] | None = None) -> 
     ----------
     context : Context
         Folder and name of the controller.
-    before : sequence of Journal, optional
-        The journals, oldest first, if they have been listed already.
+    before : sequence of str, optional
+        Names of the journals, oldest first, if they have been listed already.
     """
     if context.settling:
         return []
-    before = journals(context) if before is None else before
-    torn = [j for j in before if is_torn(j) and not is_temporary(j)]
+    names = _not_known_settled(context, _names(context) if before is None else before)
+    torn = [j for j in _journals(context, names) if is_torn(j)]
+    if not torn and len(names) > _READ_AGAIN:
+        with suppress(OSError):  # it only saves time
+            _mark(context).write_text(names[-1], encoding="ascii")
+    torn = [j for j in torn if not is_temporary(j)]
     if not torn:
         return []
     begin = torn[-1].first()
@@ -453,6 +464,24 @@ def torn_refusals(context: Context, before: Sequence[Journal] | None = None) -> 
     ]
 
 
+def _mark(context: Context) -> Path:
+    """File that names a journal: it and all before it were found settled.
+
+    Else each change would read all journals that were ever written. Half written it names none, and
+    a journal that goes on after it was closed takes it away.
+    """
+    return context.store / f"{context.controller}.settled"
+
+
+def _not_known_settled(context: Context, names: Sequence[str]) -> Sequence[str]:
+    """The names behind the mark; all of them without one that stands among them."""
+    try:
+        name = _mark(context).read_bytes().decode("ascii", "replace")
+    except OSError:
+        return names
+    return names[names.index(name) + 1 :] if name in names else names
+
+
 def is_temporary(journal: Journal) -> bool:
     """Whether a change stands only while something is measured."""
     intent = journal.last("intent")
@@ -466,8 +495,8 @@ def _names(context: Context) -> list[str]:
     return sorted(filter(name.fullmatch, found))
 
 
-def _next_journal(context: Context, before: Sequence[Journal], transaction: int) -> Journal:
-    count = int(before[-1].path.name.rsplit("-", 2)[1]) + 1 if before else 1
+def _next_journal(context: Context, before: Sequence[str], transaction: int) -> Journal:
+    count = int(before[-1].rsplit("-", 2)[1]) + 1 if before else 1
     name = f"{context.controller}-{count:06d}-{transaction:010d}.journal"
     return Journal(context.store / name)
 
