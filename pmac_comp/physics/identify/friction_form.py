@@ -231,7 +231,7 @@ def identify_with_friction(
         best = _set_in(trial, base.model, errors, figures)
     final = None
     if best is not None and best.model is not None:
-        final = _without_nothing(trial, trial.settled(best.model))
+        final = _without_nothing(trial, trial.settled(best.model), best)
     if final is None or best is None:
         base = trial.plain(base)
         statements = (*_late_in_words(base), *base.statements)
@@ -358,14 +358,20 @@ def _left(errors: FloatArray, plain: FloatArray) -> float:
     return float(np.sum(np.mean(errors, axis=0) / channel_sizes(plain)))
 
 
-def _without_nothing(trial: _FrictionTrial, final: Identification | None) -> Identification | None:
-    """The fit again without Stribeck friction of which all captures together leave nothing."""
+def _without_nothing(
+    trial: _FrictionTrial, final: Identification | None, half: Identification
+) -> Identification | None:
+    """The fit again without Stribeck friction of which all captures together leave nothing.
+
+    Nothing is what does not stand out of a deviation that reaches to what one half of them gave.
+    """
     if final is None or final.model is None:
         return final
     name = next((n for n in final.model.effects if split_name(n)[0] == "stribeck"), None)
     if name is None:
         return final
-    excess = final.parameters[f"stribeck.excess_{'Nm' if name == 'stribeck@nut' else 'N'}"]
+    judged = widened_where_apart(final, half).parameters
+    excess = judged[f"stribeck.excess_{'Nm' if name == 'stribeck@nut' else 'N'}"]
     if excess.value > excess.std:
         return final
     return trial.settled(final.model.without_effect(name)) or final
