@@ -52,7 +52,7 @@ TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
 FIRST_P: Final = "first P-variable"  # in a beginning: of the block that the change is made with
 FOUND: Final = "number found"  # in an intent: of the last change before it
 RENEW_SHARE: Final = 0.25
-_READ_AGAIN: Final = 16  # so many settled journals are read by each change before a mark is moved
+_READ_AGAIN: Final = 4  # so many settled journals are read by each change before a mark is moved
 
 
 class ChangeKind(Enum):

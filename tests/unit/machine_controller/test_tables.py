@@ -63,6 +63,7 @@ def test_entries_survive_the_text(values: list[int]) -> None:
 def test_tables_survive_files(values: list[int], motor: int, by_desired: bool) -> None:  # noqa: FBT001
     table = CompTable(motor, tuple(values), 10**6, wrap=True, by_desired=by_desired)
     assert table_from_json(table_to_json(table)) == table
+    assert table_from_json({**table_to_json(table), "entries": values}) == table  # older backups
     other = CompTable(motor, (*values[:-1], values[-1] ^ 1), 10**6, wrap=True)
     assert other.crc != table.crc
 
