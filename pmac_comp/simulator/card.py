@@ -47,6 +47,7 @@ for _name in ("buffers", "coordinate", "faults", "identity", "memory", "motor", 
     importlib.import_module(f"pmac_comp.simulator.commands.{_name}")
 
 BACKGROUND_CYCLES = 10
+_FIRST_READING_CYCLES = 4  # after which the positions are those of encoder and scale
 SAVE_TIME_s = 1.5  # SRM p. 394: 1 to 2 s
 _STOPPING_EVENTS = {
     ks.EV_FATAL,
@@ -117,6 +118,9 @@ class Card:
         if servo_source is not None:
             self._load_servo(servo_source)
         self.reset()
+        if self.servo.start_m != 0.0:
+            self.servo.run(_FIRST_READING_CYCLES)
+            self.servo.show_start()
 
     def _load_servo(self, source: str) -> None:
         from pmac_comp.simulator.open_servo import translate_open_servo

@@ -149,12 +149,27 @@ class Servo(Motors):
         return world
 
     def _start_plant(self) -> None:
-        self.plant.reset(0.0)
+        self.plant.reset(self.start_m)
         reading = getattr(self.plant, "reading", None)
         angle, table = reading() if reading is not None else (0.0, 0.0)
         self.world[sensors.W_ANGLE] = angle
         self.world[sensors.W_TABLE] = table
         self.world[sensors.W_KIND] = 1.0 if isinstance(self.plant, BallscrewPlant) else 0.0
+
+    @property
+    def start_m(self) -> float:
+        """Where the table stands at first, in m: zero, or mid travel if zero lies outside of it."""
+        travel = self.bench.travel
+        return 0.0 if travel.min_mm <= 0.0 <= travel.max_mm else self.bench.mid_travel_m
+
+    def show_start(self) -> None:
+        """Encoder and scale read the table's place as after a home search, once they were read."""
+        bench = self.bench
+        per_m = {bench.encoder.motor_number: 1.0 / bench.motor_resolution_m}
+        if bench.scale is not None:
+            per_m[bench.scale.motor_number] = UM_PER_M / bench.scale.resolution_um
+        for motor, counts_per_m in per_m.items():
+            self.shift_zero(motor, -round(self.start_m * counts_per_m * self.unit(motor)))
 
     # --- time -----------------------------------------------------------------------------------
 

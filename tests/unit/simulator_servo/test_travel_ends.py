@@ -6,6 +6,7 @@ import pytest
 from pmac_comp.simulator import encoder
 from pmac_comp.simulator import kernel_servo as ks
 from pmac_comp.simulator import registers as reg
+from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import kernel_ballscrew as pk
 from pmac_comp.simulator.plant import make_plant
 
@@ -159,3 +160,23 @@ def test_trigger_captures_the_counter_of_its_channel(enabled):
     servo.run(4000)
     assert x[0x78000] & encoder.CAPTURED
     assert x[0x78003] == BENCH.encoder.counts_per_rev  # the index (I7012 = 1)
+
+
+@pytest.mark.parametrize(("low_mm", "high_mm", "start_mm"), [(20, 380, 200), (-90, -10, -50)])
+def test_an_axis_whose_travel_lacks_zero_starts_in_the_middle_and_says_so(
+    low_mm: float, high_mm: float, start_mm: float
+) -> None:
+    travel = BENCH.travel.model_copy(update={"min_mm": low_mm, "max_mm": high_mm})
+    card = Card(BENCH.model_copy(update={"travel": travel}))
+    card.run_cycles(500)
+    servo = card.servo
+    assert servo.position(1) == pytest.approx(start_mm / 1e3 * COUNTS_PER_m, abs=2)
+    scale_counts = start_mm * 1e3 / BENCH.scale.resolution_um
+    assert servo.position(2) == pytest.approx(scale_counts, abs=20)
+    assert abs(servo.plant.state[pk.S_V_TABLE]) < 1e-6
+
+
+def test_an_axis_starts_at_zero_where_that_lies_in_its_travel() -> None:
+    card = Card(BENCH)
+    assert card.servo.cycles == 0
+    assert card.servo.start_m == 0.0
