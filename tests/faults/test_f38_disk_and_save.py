@@ -1,7 +1,11 @@
-"""F38: the host's disk fills up, or SAVE fails, at any point of a change; verdicts stay true."""
+"""F38: the host's disk fills up, or SAVE fails, at any point of a change; verdicts stay true.
+
+What the disk holds after a power failure of the host is enough to settle the change.
+"""
 
 import errno
 import os
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,11 +18,13 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
     StorageFull,
 )
-from pmac_comp.machine.controller import upload
+from pmac_comp.machine.controller import recovery, transaction, upload
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
 from tests.faults.test_f01_f29_every_kind import SCENARIOS
 from tests.faults.upload_bench import UploadBench
+from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
@@ -139,3 +145,55 @@ def test_f38_a_line_of_the_journal_that_did_not_fit_is_taken_off(
         count_runs(1)
     journal.write("rolled back")
     assert [entry.step for entry in journal.entries()] == ["begin", "rolled back"]
+
+
+@pytest.mark.parametrize("resume", [True, False])
+def test_f38_half_a_line_in_the_journal_locks_nobody_out(
+    *, resume: bool, tmp_path: Path, count_runs: Count
+) -> None:
+    """The power of the host fails while a line is written: recovered once, uploads go on."""
+    rig = UploadBench(tmp_path, n=24)
+    sent: list[int] = []
+
+    def note(bench: CardBench) -> None:
+        bench.on_request = lambda _n: sent.append(bench.tap.sent)
+
+    assert rig.upload_with(note) is None
+    torn = 0
+    for n in sent[:: max(1, len(sent) // 6)]:
+        rig.upload_with(lambda b, n=n: b.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)]))
+        for journal in transaction.journals(rig.bench.context):
+            torn += transaction.is_torn(journal)
+            with journal.path.open("ab") as file:
+                file.write(b'5f3a9c11 {"steps": ["se')
+        assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
+        assert recovery.left_open(rig.bench.context) == ()
+        upload.upload_tables(rig.bench.link, rig.bench.context, [rig.old])
+        assert rig.state is ControllerState.OLD
+        count_runs(1)
+    assert torn
+
+
+def test_f38_the_name_of_a_journal_is_on_the_disk_before_its_intent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """A power failure must not take away the file that says what was begun."""
+    rig = UploadBench(tmp_path, n=24)
+    bench = rig.restart()
+    known: set[str] = set()
+    intents: list[str] = []
+
+    def fsync(fd: int) -> None:
+        if stat.S_ISDIR(os.fstat(fd).st_mode):
+            known.update(path.name for path in tmp_path.iterdir())
+        for journal in transaction.journals(bench.context):
+            if journal.last("intent") is not None and journal.path.name not in intents:
+                intents.append(journal.path.name)
+                assert journal.path.name in known
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with recovery.grouped(bench.link, bench.context, "table") as parts:
+        upload.upload_tables(bench.link, parts, [rig.new])
+    assert intents
+    assert {journal.path.name for journal in transaction.journals(bench.context)} <= known
+    count_runs(1)

@@ -1,7 +1,9 @@
 """What we were about to do, on disk before it is done: append-only lines, synced.
 
 After a kill the journal and the state of the controller decide together what happened. A line is
-JSON with a checksum; a torn last line is ignored. Imports ``base`` only.
+JSON with a checksum. Reading stops at the first damaged or unfinished one; it and what stands
+behind it were never read by anybody, and are taken away before the next line is written: behind
+them that one would not be read either. Imports ``base`` only.
 """
 
 import errno
@@ -21,6 +23,7 @@ from pmac_comp.base.errors import ConfigError, StorageFull
 from pmac_comp.base.reading import why
 
 _NOT_YET: Final = -1
+_CRC_AND_ENDS: Final = 10  # bytes of a line beside its JSON
 _ENCODER: Final = json.JSONEncoder(sort_keys=True)
 CLOSING: Final = frozenset({"done", "rolled back", "kept"})
 
@@ -70,7 +73,8 @@ class Journal:
         """Append an entry and sync it; returns only when it is on the disk.
 
         With ``Sync.LATER`` a kill of this program keeps the entry, a power failure may not: only
-        for one that announces nothing that would have to be undone.
+        for one that announces nothing that would have to be undone. The name of a new file reaches
+        the disk with the backup that is written into the same folder before anything is changed.
 
         Raises
         ------
@@ -96,7 +100,14 @@ class Journal:
         if self._kept[-1] == _NOT_YET:
             flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | BINARY
             self._kept[-1] = os.open(self.path, flags, 0o644)
+            self._take_damage_away(self._kept[-1])
         _append(self._kept[-1], line, when)
+
+    def _take_damage_away(self, fd: int) -> None:
+        size = os.fstat(fd).st_size
+        whole = sum(_CRC_AND_ENDS + len(body) for body in self._intact_bodies()) if size else 0
+        if whole < size:
+            os.ftruncate(fd, whole)
 
     def entries(self) -> list[Entry]:
         """Intact entries in order; reading stops at the first damaged line."""
@@ -114,7 +125,8 @@ class Journal:
         finally:
             os.close(fd)
         found: list[bytes] = []
-        for line in content.split(b"\n"):
+        # What follows the last end of a line was not written to its end, and not synced.
+        for line in content.split(b"\n")[:-1]:
             crc, _, body = line.partition(b" ")
             if not body or crc != b"%08x" % zlib.crc32(body):
                 break

@@ -48,6 +48,25 @@ def test_a_damaged_byte_before_the_closing_line_leaves_it_open(journal: Journal)
         assert journal.is_open, place
 
 
+@pytest.mark.parametrize(
+    "tail",
+    [b"5f3a9c11 {", b"\0" * 40, b"0 {}\n5f3a", b""],
+    ids=["half a line", "never filled", "damaged and half a line", "no end"],
+)
+def test_what_is_written_behind_a_torn_line_is_read(journal: Journal, tail: bytes) -> None:
+    """A power failure of the host leaves half a line, or room that was never filled."""
+    closing = journal.path.read_bytes().splitlines(keepends=True)[-1]
+    whole = journal.path.read_bytes().removesuffix(closing)
+    for cut in (0, len(closing) // 2, len(closing) - 1):
+        journal.path.write_bytes(whole + closing[:cut] + tail)
+        assert is_torn(journal)
+        with journal.kept_open():
+            journal.write("rolled back")
+            journal.write("kept")
+        assert [entry.step for entry in journal.entries()] == [*STEPS[:3], "rolled back", "kept"]
+        assert not is_torn(journal)
+
+
 @pytest.mark.parametrize("module", [atomic, journal_file, capture_log])
 def test_bytes_reach_the_disk_as_they_are_on_windows_too(
     module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
