@@ -8,6 +8,7 @@ upload: ``recover`` looks at them apart.
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from pmac_comp.base.errors import ControllerState, ForeignChange
@@ -114,7 +115,7 @@ def standing(context: Context) -> tuple[Temporary, ...]:
             continue
         intent = journal.last("intent")
         if intent is not None and is_temporary(journal):
-            old = read_settings_backup(context.store / str(intent.data["backup"]))
+            old = read_settings_backup(context.store / Path(str(intent.data["backup"])).name)
             found.append(Temporary(journal, old, Settings.from_dict(intent.data["new"])))
     return tuple(found)
 
