@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import SafetyRefusal
+from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller import (
     guard_install,
     law_arming,
@@ -48,6 +48,33 @@ def worst_error_ct(bench: CardBench, cycles: int) -> float:
         bench.card.run_cycles(1)
         worst = max(worst, abs(float(other("#1F").strip(b"\r\x06"))))
     return worst
+
+
+@pytest.mark.parametrize("kind", [FaultKind.CUT, FaultKind.SILENCE])
+def test_f02_a_lost_answer_beside_the_guard_is_not_called_certain(
+    *, tmp_path: Path, kind: FaultKind, count_runs: Count
+) -> None:
+    """The card took the manifest, and the guard then switched off: a confirmed verdict is true."""
+    rig = UploadBench(tmp_path, n=40)
+    rig.bench.link.command("I5=2")
+    guard_install.install_guard(rig.bench.link, rig.bench.context)
+    rig.save()
+    ends: list[int] = []
+
+    def note(bench: CardBench) -> None:
+        bench.on_request = lambda _n: ends.append(bench.tap.received)
+
+    assert rig.upload_with(note) is None
+    switched_off = 0
+    for n in ends:
+        error = rig.upload_with(lambda b, n=n: b.tap.schedule([Fault(kind, Way.RECEIVE, n)]))
+        rig.bench.clock.sleep_s(0.1)
+        if error is not None and error.context["confirmed"]:
+            assert error.left is rig.state, n
+        switched_off += rig.bench.p(WRITING) == 1 and not rig.bench.i51
+        assert rig.recover() in {ControllerState.OLD, ControllerState.NEW}
+        count_runs(1)
+    assert switched_off
 
 
 def test_f18_half_written_tables_stay_off_a_moving_axis(tmp_path: Path, count_runs: Count) -> None:

@@ -123,6 +123,9 @@ class Change:
     ----------
     left : ControllerState
         What is known to stand on the controller if the link is lost now.
+    certain : bool
+        Whether OLD is certain as long as it is what is left: not where the controller itself may
+        act on what was sent.
     settle : callable or None
         Looks at what a failed change left, while the link lives; its verdict is confirmed.
     """
@@ -135,6 +138,7 @@ class Change:
         self.kind = kind
         self.transaction = new_transaction_id()
         self.left = ControllerState.OLD
+        self.certain = True
         self.settle: Callable[[], ControllerState] | None = None
         self._is_new = journal is None
         self._journal = journal
@@ -314,7 +318,7 @@ class Change:
                 self._settle(error, self.settle)
             elif error.left is None:
                 # Until the first command that may have acted OLD is certain.
-                certain = not lost or self.left is ControllerState.OLD
+                certain = not lost or (self.certain and self.left is ControllerState.OLD)
                 mark_left(error, self.left, confirmed=certain)
             if not lost:
                 self._release_after(error)
