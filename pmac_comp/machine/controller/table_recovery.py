@@ -53,6 +53,7 @@ class Unfinished:
     enable_after: bool
     old: TableSet
     is_rollback: bool
+    i30: int | None  # before it; not known of an older version's journal
 
     @property
     def is_undoing(self) -> bool:
@@ -109,6 +110,7 @@ def _unfinished(context: Context, journal: Journal) -> Unfinished:
         bool(entry.data["enable_after"]),
         old,
         is_rollback=entry.data["closing"] == ROLLED_BACK,
+        i30=int(str(entry.data["i30"])) if "i30" in entry.data else None,
     )
 
 
@@ -242,7 +244,8 @@ def _settled(
     if last.journal.is_open:
         if untouched or state is ControllerState.OLD:
             # The guard would switch tables off that stand beside a manifest of a beginning.
-            link.write_buffer(clear_lines(context.block))
+            i30 = [] if last.i30 is None else [f"I30={last.i30}"]
+            link.write_buffer([*clear_lines(context.block), *i30])
         last.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
     return UploadResult(
         state, "table", last.manifest.crc_old, crc, journal=last.journal.path, notes=(reason,)
@@ -268,6 +271,7 @@ def _finish(
         check_limits=False,
         origin=origin,
         closing=ROLLED_BACK if is_rollback else DONE,
+        i30=unfinished.i30 if unfinished.journal.is_open else None,
     ) as upload:
         result = upload.execute()
     if is_rollback:
@@ -302,6 +306,7 @@ def rollback_tables(
     tables, enabled = read_table_backup(backup)
     if uploaded is not None:
         tables, enabled = _with_others_as_now(link, context, tables, uploaded, enabled=enabled)
+    last = last_upload(context)
     with TableUpload(
         link,
         context,
@@ -309,6 +314,7 @@ def rollback_tables(
         enable_after=enabled,
         check_limits=False,
         closing=ROLLED_BACK,
+        i30=None if last is None or not last.journal.is_open else last.i30,
     ) as upload:
         result = upload.execute()
     link.write_buffer(clear_lines(context.block))

@@ -118,6 +118,8 @@ class TableUpload:
         Interrupted upload that is finished or rolled back by this one.
     closing : str
         Last entry of the journal: ``done`` or ``rolled back``.
+    i30 : int or None
+        I30 as it stood before an upload that was interrupted; as it stands now if None.
     """
 
     def __init__(
@@ -134,6 +136,7 @@ class TableUpload:
         check_limits: bool = True,
         origin: Origin | None = None,
         closing: str = DONE,
+        i30: int | None = None,
     ) -> None:
         self.link = link
         self.context = context
@@ -153,6 +156,7 @@ class TableUpload:
         )
         self._plan: UploadPlan | None = None
         self._prepared_s = 0.0
+        self._i30_before = i30
         self._i30 = 0
         self._looks: tuple[Standstill | None, ...] = ()
         self._rest: Rest | None = None
@@ -186,7 +190,8 @@ class TableUpload:
                 to_the_end=to_the_end,
                 meanwhile=self._change.look_into_folder,
             )
-        self._plan, self._i30 = found.plan, found.head.i30
+        self._plan = found.plan
+        self._i30 = found.head.i30 if self._i30_before is None else self._i30_before
         self._looks = (found.begun,)
         self._prepared_s = self.link.clock.now_s()
         return self._plan
@@ -274,6 +279,7 @@ class TableUpload:
                 "n_lines": len(the_plan.lines),
                 "new": [table_to_json(t) for t in the_plan.new],
                 "enable_after": int(self._wish.enable_after),
+                "i30": self._i30,
                 "closing": self._closing,
             },
         )
@@ -364,7 +370,7 @@ class TableUpload:
         """After a refused line: if the old tables still stand whole, let them act again."""
         if the_plan.enabled_old and read_tables(self.link).crc == the_plan.old.crc:
             # While the manifest says WRITING the guard PLC holds the tables off.
-            self.link.write_buffer(clear_lines(self.context.block))
+            self.link.write_buffer([*clear_lines(self.context.block), f"I30={self._i30}"])
             switch_tables(self.link, 1, the_plan.motors)
 
     def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:
