@@ -26,6 +26,7 @@ class ManifestState(IntEnum):
     NONE = 0
     WRITING = 1
     VALID = 2
+    ENDED = 3
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class Manifest:
     Parameters
     ----------
     state : ManifestState
-        WRITING until the tables were read back, then VALID.
+        WRITING until the tables were read back, then VALID. ENDED says nothing of an upload any
+        more, only to other blocks which tables stood when it was taken back.
     transaction : int
         Random number of the upload, below 2^31.
     n_entries : int
@@ -67,11 +69,17 @@ class Manifest:
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> "Manifest | None":
-        """Manifest of eight values; None if there is none or it was torn."""
+        """Manifest of eight values; None if there is none, or it has ended or was torn."""
+        found = cls.told_by(values)
+        return None if found is None or found.state is ManifestState.ENDED else found
+
+    @classmethod
+    def told_by(cls, values: Sequence[float]) -> "Manifest | None":
+        """The same, and one that has ended as well."""
         whole = [int(v) if v == int(v) else -1 for v in values]
         if len(whole) != MANIFEST_SIZE or whole[0] != MAGIC or whole[7] != _checksum(whole):
             return None
-        if whole[1] not in {1, 2}:
+        if whole[1] not in {1, 2, 3}:
             return None
         both = whole[4] << 2 * _PART | whole[5] << _PART | whole[6]
         return cls(
@@ -90,10 +98,25 @@ class Manifest:
         return [f"P{first}=0", *(f"P{first + k}={v}" for k, v in reversed(pairs))]
 
 
-def clear_lines(block: LawBlock) -> list[str]:
-    """Commands that remove the manifest."""
+def end_lines(block: LawBlock, crc: int) -> list[str]:
+    """Commands after which no upload is under way or stands, as before the first one.
+
+    What is left tells other blocks of the tables: their own manifests may be of a time when others
+    stood there, and these would be foreign to them.
+
+    Parameters
+    ----------
+    block : LawBlock
+        P-variables of the manifest.
+    crc : int
+        Checksum of the tables that stand, 0 for none.
+    """
     first = block.p(Index.MANIFEST)
-    return [f"P{first}..{first + MANIFEST_SIZE - 1}=0"]
+    # All at once: in between the guard PLC would find tables acting beside one that is WRITING.
+    lines = [f"P{first}..{first + MANIFEST_SIZE - 1}=0"]
+    if not crc:
+        return lines
+    return lines + Manifest(ManifestState.ENDED, 0, 0, crc, crc, 0).lines(block)
 
 
 def _checksum(body: Sequence[int]) -> int:

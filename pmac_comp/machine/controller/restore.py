@@ -200,10 +200,10 @@ def _without_past_uploads(stored: Mapping[int, str]) -> dict[int, str]:
         span = range(first, first + MANIFEST_SIZE)
         if not all(n in stored for n in span):
             continue
-        manifest = Manifest.from_values([float(read_number(stored[n])) for n in span])
+        manifest = Manifest.told_by([float(read_number(stored[n])) for n in span])
         if manifest is None:
             continue
         gone = [first + MANIFEST_SIZE]
-        gone += [] if manifest.state is ManifestState.VALID else span
+        gone += span if manifest.state is ManifestState.WRITING else []
         values |= {n: "0" for n in gone if n in stored}
     return values

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from pmac_comp.base.errors import (
     ConfigError,
@@ -19,11 +20,11 @@ from pmac_comp.machine.controller.lease import (
     release_lease,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, clear_lines
+from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, end_lines
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
-from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.table_status import (
     TableStatus,
     announced_elsewhere,
@@ -40,6 +41,8 @@ from pmac_comp.machine.controller.transaction import (
 from pmac_comp.machine.controller.upload import Origin, TableUpload
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.upload_plan import step_refusals
+
+FOREIGN_TABLES: Final = "PC-UPL-060"
 
 
 @dataclass(frozen=True)
@@ -245,7 +248,7 @@ def _settled(
         if untouched or state is ControllerState.OLD:
             # The guard would switch tables off that stand beside a manifest of a beginning.
             i30 = [] if last.i30 is None else [f"I30={last.i30}"]
-            link.write_buffer([*clear_lines(context.block), *i30])
+            link.write_buffer([*end_lines(context.block, crc), *i30])
         last.journal.write(DONE if state is ControllerState.NEW else ROLLED_BACK)
     return UploadResult(
         state, "table", last.manifest.crc_old, crc, journal=last.journal.path, notes=(reason,)
@@ -275,7 +278,7 @@ def _finish(
     ) as upload:
         result = upload.execute()
     if is_rollback:
-        link.write_buffer(clear_lines(context.block))
+        link.write_buffer(end_lines(context.block, goal.crc))
     return UploadResult(
         ControllerState.OLD if is_rollback else ControllerState.NEW,
         "table",
@@ -317,7 +320,7 @@ def rollback_tables(
         i30=None if last is None or not last.journal.is_open else last.i30,
     ) as upload:
         result = upload.execute()
-    link.write_buffer(clear_lines(context.block))
+    link.write_buffer(end_lines(context.block, tables.crc))
     return UploadResult(
         ControllerState.OLD,
         "table",
@@ -342,9 +345,52 @@ def _with_others_as_now(
         return last.new, last.enable_after
     brought = [t for t in uploaded if old.get(t.kind, t.motor) != t]
     if any(status.tables.get(t.kind, t.motor) != t for t in brought):
+        _refuse_unknown(status.tables, old, uploaded)
         return old, enabled  # a reset took them, and may have taken others
     replaced = [t for t in old if uploaded.get(t.kind, t.motor) != t]
     touched = [(t.kind, t.motor) for t in (*brought, *replaced)]
     others = status.tables.with_tables((), without=touched)
     strangers = any(old.get(t.kind, t.motor) is None for t in others)
     return others.with_tables(replaced), enabled or (strangers and bool(status.i51))
+
+
+def require_known(link: Link, backup: Path, uploaded: TableSet) -> None:
+    """Tables that neither stood before an upload nor came with it are not deleted with it.
+
+    Where the upload still stands they stay; else a reset took it, and somebody has begun anew.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    backup : Path
+        What stood before the upload.
+    uploaded : TableSet
+        What stood after it, whole.
+
+    Raises
+    ------
+    ForeignChange
+        The upload is gone and such tables stand; nothing was changed.
+    """
+    old, _ = read_table_backup(backup)
+    present = read_tables(link)
+    if any(present.get(t.kind, t.motor) != t for t in uploaded if old.get(t.kind, t.motor) != t):
+        _refuse_unknown(present, old, uploaded)
+
+
+def _refuse_unknown(present: TableSet, old: TableSet, uploaded: TableSet) -> None:
+    known = {(t.kind, t.motor) for t in (*old, *uploaded)}
+    unknown = [f"{t.kind.value} of motor #{t.motor}" for t in present
+               if (t.kind, t.motor) not in known]  # fmt: skip
+    if not unknown:
+        return
+    raise ForeignChange(
+        "The tables of this upload do not stand any more (a reset without SAVE?), and somebody has "
+        f"defined others since: {', '.join(unknown)}. They would be deleted.",
+        code=FOREIGN_TABLES,
+        hint="Nothing was taken back. Look at what stands (`pmac-comp status`, `backup`); what is "
+        "not wanted is taken off by whoever put it on, or by `pmac-comp restore` of a backup.",
+        left=ControllerState.DISABLED,
+        context={"confirmed": True},
+    )

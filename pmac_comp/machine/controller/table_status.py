@@ -86,7 +86,8 @@ def parse_head(lines: Sequence[str]) -> Head:
 def announced_elsewhere(link: Link, context: Context, tables: TableSet) -> Decision | None:
     """Who announced tables that are not those of our manifest: the bench file of another axis.
 
-    Its block holds a sealed manifest of just these tables. Asked where they would else be foreign.
+    Its block holds a sealed manifest of just these tables, or says that they were left when one was
+    taken back. Asked where they would else be foreign.
     """
     values: list[float] = []
     for first in range(0, _P_VARIABLES, _P_STEP):
@@ -94,12 +95,13 @@ def announced_elsewhere(link: Link, context: Context, tables: TableSet) -> Decis
         values += [float(read_number(line)) for line in lines]
     own = context.block.p(Index.MANIFEST)
     for n, value in enumerate(values):
-        found = Manifest.from_values(values[n : n + MANIFEST_SIZE]) if value == MAGIC else None
+        found = Manifest.told_by(values[n : n + MANIFEST_SIZE]) if value == MAGIC else None
         if found is None or n == own or found.crc_new != tables.crc:
             continue
-        if found.state is ManifestState.VALID:
+        if found.state is not ManifestState.WRITING:
             block = n - int(Index.MANIFEST)
-            reason = f"tables act as an upload with the p_block at P{block} meant them"
+            did = "meant" if found.state is ManifestState.VALID else "that was taken back left"
+            reason = f"tables act as an upload with the p_block at P{block} {did} them"
             return Decision(ControllerState.NEW, Action.NOTHING, reason)
     return None
 

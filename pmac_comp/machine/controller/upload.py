@@ -32,7 +32,7 @@ from pmac_comp.machine.controller.manifest import (
     Action,
     Manifest,
     ManifestState,
-    clear_lines,
+    end_lines,
 )
 from pmac_comp.machine.controller.motors import (
     LONGEST_SPACING_s,
@@ -305,7 +305,7 @@ class TableUpload:
         if status.decision.action is Action.DISABLE:
             self.link.command("I51=0")
         if status.decision.state is ControllerState.OLD:
-            self.link.write_buffer(clear_lines(self.context.block))
+            self.link.write_buffer(end_lines(self.context.block, status.tables.crc))
             # Between the look and the clearing the guard PLC may have switched off once more.
             if read_head(self.link, self.context).i51 != status.i51:
                 return ControllerState.DISABLED
@@ -370,7 +370,8 @@ class TableUpload:
         """After a refused line: if the old tables still stand whole, let them act again."""
         if the_plan.enabled_old and read_tables(self.link).crc == the_plan.old.crc:
             # While the manifest says WRITING the guard PLC holds the tables off.
-            self.link.write_buffer([*clear_lines(self.context.block), f"I30={self._i30}"])
+            ended = end_lines(self.context.block, the_plan.old.crc)
+            self.link.write_buffer([*ended, f"I30={self._i30}"])
             switch_tables(self.link, 1, the_plan.motors)
 
     def _read_back(self, the_plan: UploadPlan, manifest: Manifest) -> None:

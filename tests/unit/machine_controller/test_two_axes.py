@@ -6,13 +6,21 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
-from pmac_comp.machine.controller import law_install, law_state, law_upload, recovery, temporary
+from pmac_comp.machine.controller import (
+    law_install,
+    law_state,
+    law_upload,
+    recovery,
+    temporary,
+    transaction,
+)
 from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.lease import read_lease
 from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.unit.machine_controller.card_bench import CardBench
@@ -138,6 +146,36 @@ def test_tables_that_another_bench_file_put_on_are_not_foreign(tmp_path: Path) -
     assert bench.i51 == 0
 
 
+@pytest.mark.parametrize("torn", [False, True], ids=["taken back", "torn"])
+def test_what_one_axis_took_back_is_not_foreign_to_the_other(*, tmp_path: Path, torn: bool) -> None:
+    """The manifest of the one whose tables stay tells of a time when both stood."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    if torn:
+        put_table(bench, second, 2)
+        put_table(bench, first, 1)
+        afresh(bench, Fault(FaultKind.CUT, Way.SEND, 700))
+        with pytest.raises(LinkLost):
+            put_table(bench, first, 1, 2)
+        afresh(bench)
+        assert recovery.recover(bench.link, first).verdict is ControllerState.OLD
+    else:
+        put_table(bench, first, 1)
+        put_table(bench, second, 2)
+        recovery.rollback_last(bench.link, first)
+    stood = standing(bench)
+    assert stood == (1, list(ENTRIES) if torn else None, list(ENTRIES))
+    told = recovery.recover(bench.link, second)
+    assert told.verdict is ControllerState.NEW
+    assert "p_block at P7000 that was taken back left them" in told.notes[0]
+    assert standing(bench) == stood
+    assert table_status(bench.link, first).decision.reason == "no upload is under way"
+    gone = ["#1DELETE COMP"] if torn else []
+    bench.link.write_buffer(["I51=0", *gone, *table_of(1, 3).lines, "I51=1"])  # unannounced
+    with pytest.raises(ForeignChange):
+        recovery.recover(bench.link, second)
+
+
 def claimed(bench: CardBench) -> int:
     return read_claim(bench.link)
 
@@ -240,3 +278,18 @@ def test_a_measurement_of_another_axis_keeps_changes_and_measurements_out(tmp_pa
     temporary.take_off(bench.link, first)
     assert claimed(bench) == FREE
     put_table(bench, second, 2)
+
+
+def test_a_journal_names_no_backup_outside_its_folder(tmp_path: Path) -> None:
+    """As after a move of the folder, or where somebody wrote a path into it."""
+    bench = CardBench(tmp_path)
+    first = axis_of(bench, "first", 7000)
+    temporary.put_on(bench.link, first, Settings({"I5190": "77"}))
+    journal = transaction.journals(first)[-1]
+    entries = journal.entries()
+    journal.path.unlink()
+    for entry in entries:
+        away = {"backup": f"../{entry.data['backup']}"} if "backup" in entry.data else {}
+        journal.write(entry.step, {**entry.data, **away})
+    assert temporary.take_off(bench.link, first)
+    assert not temporary.standing(first)
