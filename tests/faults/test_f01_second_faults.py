@@ -7,9 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, ForeignChange, PmacCompError, SafetyRefusal
+from pmac_comp.base.errors import (
+    ControllerState,
+    ForeignChange,
+    LinkLost,
+    PmacCompError,
+    SafetyRefusal,
+)
 from pmac_comp.machine.controller import recovery, transaction, upload
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.manifest import end_lines
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.table_files import read_table_backup
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
@@ -17,7 +24,15 @@ from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench, Scenario, cut
 from tests.faults.same_state import stand_ins, stretches
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
-from tests.faults.upload_bench import SPAN_CT, SameIds, UploadBench, put_back, saved
+from tests.faults.upload_bench import (
+    SPAN_CT,
+    SameIds,
+    UploadBench,
+    new_table,
+    old_table,
+    put_back,
+    saved,
+)
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults
@@ -178,6 +193,71 @@ def test_f17_rollback_after_a_foreign_change_says_what_it_replaced(
     backups = [read_table_backup(path)[0] for path in bench.folder.glob("*.tables.json")]
     assert any(foreign in tables for tables in backups)
     count_runs(1)
+
+
+def test_f20_rollback_after_a_reset_does_not_delete_what_somebody_defined_since(
+    tmp_path: Path, count_runs: Count
+) -> None:
+    """The upload is gone with the reset; another tool has begun with an axis of its own."""
+    bench = CardBench(tmp_path)
+    with grouped(bench.link, bench.context, "table") as parts:
+        upload.upload_tables(bench.link, parts, [old_table(24)])
+    bench.side_port()("$$$")
+    bench.clock.sleep_s(0.5)
+    bench.reconnect()
+    bench.link.flush()
+    theirs = replace(new_table(24), motor=2, source=2)
+    bench.link.write_buffer(["I51=0", *theirs.lines, "I51=1"])
+    for _ in range(2):
+        with pytest.raises(ForeignChange, match="COMP of motor #2") as told:
+            recovery.rollback_last(bench.link, bench.context)
+        assert told.value.left is ControllerState.DISABLED
+        assert bench.values("COMP", 2) == list(theirs.entries)
+        assert bench.i51 == 1
+        assert recovery.left_open(bench.context) == ()
+    count_runs(1)
+
+
+@pytest.mark.parametrize("whole_upload", [False, True])
+@pytest.mark.parametrize("acting", [True, False])
+def test_f01_i30_is_as_before_after_a_cut(
+    *, tmp_path: Path, whole_upload: bool, acting: bool, count_runs: Count
+) -> None:
+    """I30 tells how the next table of any tool is loaded; the upload sets it while it writes."""
+    rig = UploadBench(tmp_path, n=24)
+    block = rig.bench.context.block
+    rig.bench.link.write_buffer(["I30=1", f"I51={int(acting)}", *end_lines(block, 0)])
+    rig.save()
+    own = CompTable(2, new_table(400).entries, SPAN_CT)
+
+    def change(bench: CardBench) -> None:
+        if whole_upload:
+            with grouped(bench.link, bench.context, "table") as parts:
+                upload.upload_tables(bench.link, parts, [rig.new, own])
+        else:
+            upload.upload_tables(bench.link, bench.context, [own])
+
+    bench = rig.restart()
+    sent: list[int] = []
+    bench.on_request = lambda _n: sent.append(bench.tap.sent)
+    change(bench)
+    halfway = 0
+    for n in sorted({*sent, *range(sent[0], sent[-1], 200)}):
+        bench = rig.restart()
+        bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])
+        with suppress(PmacCompError):
+            change(bench)
+        halfway += not int(bench.card.variables.read_i(30))
+        for fault in ((Fault(FaultKind.CUT, Way.SEND, 1200),), ()):
+            bench.reconnect()
+            bench.link.flush()
+            bench.tap.sent = 0
+            bench.tap.schedule(list(fault))
+            with suppress(LinkLost):
+                recovery.recover(bench.link, bench.context, resume=False)
+        assert int(bench.card.variables.read_i(30)) == 1, n
+        count_runs(1)
+    assert halfway
 
 
 def test_f19_journals_of_another_card_are_left_alone(tmp_path: Path, count_runs: Count) -> None:

@@ -226,6 +226,12 @@ def release_lease(link: Link, context: Context, *, number: int | None = None) ->
     release_claim(link, context, parse_claim(word))
 
 
+def give_back(link: Link, context: Context) -> None:
+    """Give the lease back after a failure, unless somebody else has it by now."""
+    if read_lease(link, context).owner == context.owner:
+        release_lease(link, context)
+
+
 def pause_lease(link: Link, context: Context, number: int) -> None:
     """Give the lease back and keep the claim: what was put on for a measurement is of the card."""
     link.command(f"{_free(context)} {_numbered(context, number)}")

@@ -5,11 +5,20 @@ What a kind does to the controller lives with it (``table_recovery``, ``law_uplo
 """
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.errors import (
+    ControllerState,
+    ForeignChange,
+    MotorNotSafe,
+    PmacCompError,
+    SafetyRefusal,
+    VerifyMismatch,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
 from pmac_comp.machine.controller.law_arming import fade_by_hand
@@ -21,7 +30,13 @@ from pmac_comp.machine.controller.law_bank import (
 from pmac_comp.machine.controller.law_install import beside_open_servo, follows
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
-from pmac_comp.machine.controller.lease import host_lock
+from pmac_comp.machine.controller.lease import (
+    give_back,
+    host_lock,
+    is_lost,
+    release_lease,
+    take_lease,
+)
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
@@ -36,7 +51,11 @@ from pmac_comp.machine.controller.settings_upload import (
     settings_state,
 )
 from pmac_comp.machine.controller.table_files import table_from_json
-from pmac_comp.machine.controller.table_recovery import rollback_tables, tables_state
+from pmac_comp.machine.controller.table_recovery import (
+    require_known,
+    rollback_tables,
+    tables_state,
+)
 from pmac_comp.machine.controller.table_set import TableSet
 from pmac_comp.machine.controller.transaction import (
     DONE,
@@ -45,6 +64,9 @@ from pmac_comp.machine.controller.transaction import (
     UploadResult,
     is_temporary,
     journals,
+    link_is_lost,
+    number_of,
+    own_numbers,
 )
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
@@ -176,11 +198,39 @@ _LAW_REASONS = {
 
 def settle(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
     """Bring an interrupted law or settings to OLD or NEW and close the journal."""
-    with host_lock(context):
+    with _locked(link, context, part):
         _require_rest(link, context, part)
         if part.kind is ChangeKind.LAW:
             return _settle_law(link, context, part, resume=resume)
         return _settle_settings(link, context, part, resume=resume)
+
+
+@contextmanager
+def _locked(link: Link, context: Context, part: Part) -> Iterator[None]:
+    """The locks of a change, under the number that it had: of this host, and of the controller.
+
+    The number and the claim stay, as between the parts of an upload, until all is settled.
+    """
+    number = part.journal.group or number_of(part.journal)
+    with host_lock(context):
+        lease, _ = take_lease(link, context, number, lambda n: n in own_numbers(context))
+        try:
+            yield
+            if is_lost(link, context, lease):
+                raise ForeignChange(
+                    "The lease is gone: the controller was reset while the old was written back, "
+                    "or somebody took it.",
+                    code="PC-TXN-040",
+                    hint="Run `pmac-comp recover`; it looks at what stands.",
+                    left=ControllerState.DISABLED,
+                    context={"confirmed": False},
+                )
+        except (PmacCompError, KeyboardInterrupt) as error:
+            if not (isinstance(error, PmacCompError) and link_is_lost(error)):
+                with suppress(PmacCompError):
+                    give_back(link, context)
+            raise
+        release_lease(link, context)
 
 
 def _require_rest(link: Link, context: Context, part: Part) -> None:
@@ -287,6 +337,19 @@ def uploaded_tables(part: Part) -> TableSet | None:
     return TableSet(tuple(table_from_json(t) for t in new))  # type: ignore[attr-defined]
 
 
+def refuse_foreign(link: Link, context: Context, part: Part) -> None:
+    """Look, before anything is taken back, whether it would delete what somebody else put on.
+
+    Raises
+    ------
+    ForeignChange
+        It would; nothing was changed.
+    """
+    uploaded = uploaded_tables(part) if part.kind is ChangeKind.TABLES else None
+    if uploaded is not None:
+        require_known(link, _backup(context, part), uploaded)
+
+
 def take_back(link: Link, context: Context, part: Part) -> str:
     """Bring back what stood before a part of any kind; what was done, in words."""
     backup = _backup(context, part)
@@ -294,7 +357,7 @@ def take_back(link: Link, context: Context, part: Part) -> str:
         rollback_tables(link, context, backup, uploaded_tables(part))
         return "the old tables are back"
     if part.kind is ChangeKind.LAW:
-        with host_lock(context):
+        with _locked(link, context, part):
             _require_rest(link, context, part)
             restore_law(link, context, read_law_backup(backup))
         return "the old law is back"

@@ -1,13 +1,12 @@
 """After an interruption: bring every kind of change to OLD or NEW, or take an upload back.
 
-What lives here: which changes still matter, and the parts of an upload as one thing. How one part
-is judged and settled is in ``parts``.
+What lives here: which changes still matter, who may settle them, and when. How one part is judged
+and settled is in ``parts``, how the parts of an upload are taken back together in ``taking_back``.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import Final
 
 from pmac_comp.base.errors import (
     ChangeInterrupted,
@@ -20,15 +19,17 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim, release_claim
-from pmac_comp.machine.controller.context import Context, never
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import (
     begun_elsewhere,
+    give_back,
     host_lock,
     read_change,
     read_change_and_claim,
     read_lease,
     release_lease,
+    take_lease,
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
@@ -36,14 +37,15 @@ from pmac_comp.machine.controller.parts import (
     how_it_stands,
     missing,
     parts_of,
+    refuse_foreign,
     settle,
-    take_back,
     unsettled,
 )
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import lease_refusals
-from pmac_comp.machine.controller.table_recovery import recover_tables
+from pmac_comp.machine.controller.table_recovery import FOREIGN_TABLES, recover_tables
 from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.temporary import standing, take_off
 from pmac_comp.machine.controller.transaction import (
     DONE,
@@ -58,15 +60,13 @@ from pmac_comp.machine.controller.transaction import (
     journals,
     link_is_lost,
     mark_left,
+    number_of,
     open_group,
     own_numbers,
     require_own_block,
     torn_refusals,
     untouched,
 )
-
-_TAKING_BACK: Final = "taking back"  # of an upload that stood whole
-_MOST_LOOKS: Final = 4  # at what was taken back; more than one only where the card was reset
 
 
 @contextmanager
@@ -187,7 +187,7 @@ def _require_whole(link: Link, context: Context, group: int) -> None:
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
     try:
-        notes = _take_group_back(link, context, group)
+        notes = take_group_back(link, context, group)
     except PmacCompError as second:
         error.add_note(f"The parts before could not be taken back: {second.message}")
         mark_left(error, ControllerState.DISABLED, confirmed=False)
@@ -260,17 +260,18 @@ def last_change(context: Context) -> str:
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     raise_all(lease_refusals(link, context), "The recovery")
-    since = _number_since_ours(link, context)
-    if since and waiting(context):
+    since = _since_ours(read_change(link, context), context)
+    torn, waits = _torn_groups(context), waiting(context)
+    if since and waits:
         raise _changed_elsewhere(since)
-    if elsewhere := open_elsewhere(link, context):
-        raise begun_elsewhere(elsewhere)
-    require_own_block(context, waiting(context))
+    require_own_block(context, waits)
+    raise_all(waiting_refusals(link, context), "The recovery")
+    if waits:
+        _take_over(link, context, torn[-1] if torn else waits[0])
     # What a measurement borrowed is given back if nobody else has written it since.
     notes = list(take_off(link, context, whatever_stands=not since))
-    torn = _torn_groups(context)
     for group in reversed(torn):
-        notes += _take_group_back(link, context, group)
+        notes += take_group_back(link, context, group)
     if not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume)
     else:
@@ -284,9 +285,10 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
 def _end(link: Link, context: Context) -> None:
     """Give the lease back, and say on the controller that our last change has ended."""
     number = read_change(link, context)
-    own = number in own_numbers(context)
-    release_lease(link, context, number=-number if own else None)
-    if not own:  # killed before the number was written
+    if number in own_numbers(context):
+        release_lease(link, context, number=-number)
+    else:  # killed before the number was written
+        give_back(link, context)
         release_claim(link, context, read_claim(link))
 
 
@@ -301,13 +303,35 @@ def waiting(context: Context) -> list[Journal]:
     return [part.journal for part in (*parts, *unsettled(context))]
 
 
-def _number_since_ours(link: Link, context: Context) -> int:
+def _take_over(link: Link, context: Context, journal: Journal) -> int:
+    """Number and claim of what is written back, as between the parts of an upload.
+
+    Returns
+    -------
+    int
+        Number that stood there.
+
+    Raises
+    ------
+    LeaseHeld, ForeignChange
+        Somebody else changes the controller, or has changed it since; nothing was changed.
+    """
+    number = journal.group or number_of(journal)
+    _, found = take_lease(link, context, number, lambda n: n in own_numbers(context))
+    since = _since_ours(found, context)
+    release_lease(link, context, number=found if since else None)
+    if since:
+        raise _changed_elsewhere(since)
+    return found
+
+
+def _since_ours(last: int, context: Context) -> int:
     """Number of a change that another folder or host made since ours, 0 for none.
 
     Otherwise a change of this folder was the last, or, after a reset, the number on the controller
     is an older one that stood there before them.
     """
-    number = abs(read_change(link, context))
+    number = abs(last)
     seen = {abs(int(str(e.data.get(FOUND, 0)))) for j in journals(context) for e in j.entries()}
     return 0 if number in own_numbers(context) | seen else number
 
@@ -383,16 +407,19 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
 
 def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take an upload back; an error says of all of it what stands, not of one part."""
+    found: int | None = None
     try:
         _refuse_newer(context, group)
-        since = _number_since_ours(link, context)
-        if since:
-            raise _changed_elsewhere(since)
-        notes = _take_group_back(link, context, group)
+        for refusal in (*lease_refusals(link, context), *waiting_refusals(link, context)):
+            raise refusal
+        found = _take_over(link, context, group)
+        for part in _standing_parts(context, group):
+            refuse_foreign(link, context, part)
+        notes = take_group_back(link, context, group)
         _end(link, context)
     except KeyboardInterrupt as stop:
         left, certain = _left_by_rollback(group)
-        raise ChangeInterrupted(
+        error = ChangeInterrupted(
             "The rollback was stopped on request.",
             code="PC-REC-009",
             hint="`pmac-comp recover` ends it."
@@ -400,12 +427,39 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
             else "The upload stands as it was.",
             left=left,
             context={"confirmed": certain},
-        ) from stop
+        )
+        _let_go_after(link, context, group, found, error)
+        raise error from stop
     except PmacCompError as error:
-        left, certain = _left_by_rollback(group)
-        mark_left(error, left, confirmed=certain)
+        if error.code != FOREIGN_TABLES:  # it has looked at what stands
+            left, certain = _left_by_rollback(group)
+            mark_left(error, left, confirmed=certain)
+        _let_go_after(link, context, group, found, error)
         raise
     return notes
+
+
+def _let_go_after(
+    link: Link, context: Context, group: Journal, found: int | None, error: PmacCompError
+) -> None:
+    """A rollback that took nothing back keeps nobody out; one that is open waits for `recover`.
+
+    Parameters
+    ----------
+    link, context, group
+        Conversation, folder, upload.
+    found : int or None
+        Number that stood on the controller before, None if it still does.
+    error : PmacCompError
+        What ended it.
+    """
+    if found is None or group.is_open or link_is_lost(error):
+        return
+    try:
+        if read_change(link, context) in own_numbers(context):
+            release_lease(link, context, number=-abs(found))
+    except PmacCompError as second:
+        error.add_note(f"The end of the rollback could not be noted: {second.message}")
 
 
 def _left_by_rollback(group: Journal) -> tuple[ControllerState, bool]:
@@ -452,60 +506,3 @@ def _refuse_newer(context: Context, group: Journal) -> None:
             hint="Run `pmac-comp recover` first, then take the upload back.",
             left=ControllerState.OLD,
         )
-
-
-def _take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
-    """Take back every part, the last one first; may be repeated after an interruption."""
-    alone = replace(context, group=0, stop_requested=never, settling=True)
-    notes: list[str] = []
-    was_done = not group.is_open
-    if was_done:
-        # From here on less than all of it may stand: `recover` has to know.
-        group.write(_TAKING_BACK)
-    parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
-    for part in parts:
-        if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
-            continue  # a reset in between may have brought back what was taken back already
-        if part.items & _replaced_since(context, part):
-            notes.append(f"{part.kind.value}: a later upload took its place; it stands")
-        else:
-            try:
-                notes.append(take_back(link, alone, part))
-            except SafetyRefusal as error:
-                if was_done and not notes and error.left in {None, ControllerState.OLD}:
-                    group.write(DONE)  # nothing was taken back yet
-                raise
-        part.journal.write(ROLLED_BACK)
-    notes += _what_came_back(link, alone, parts)
-    group.write(ROLLED_BACK)
-    return tuple(dict.fromkeys(notes))  # several parts may be of one kind
-
-
-def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequence[str]:
-    """Take back again what a reset meanwhile has brought back, if the upload had been saved."""
-    notes: list[str] = []
-    own = [p for p in parts if not p.items & _replaced_since(context, p)]
-    for _ in range(_MOST_LOOKS):
-        again = [p for p in own if not missing(link, context, p)]
-        for part in again:
-            notes.append(take_back(link, context, part))
-            part.journal.write(ROLLED_BACK)
-            if not missing(link, context, part):
-                own.remove(part)  # it stands as it stood before the upload
-        if not again:
-            break
-    return notes
-
-
-def _replaced_since(context: Context, part: Part) -> set[object]:
-    """What later changes, of other uploads, put in the place of a part's items."""
-    known = parts_of(context)
-    behind = known[1 + next(k for k, p in enumerate(known) if p.journal == part.journal) :]
-    return {
-        item
-        for later in behind
-        if later.journal.group != part.journal.group
-        and later.closing != ROLLED_BACK
-        and later.intent.data.get("closing") != ROLLED_BACK
-        for item in later.items
-    }

@@ -18,6 +18,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, Self
 
+from pmac_comp.base.atomic import sync_folder
 from pmac_comp.base.errors import (
     ChangeInterrupted,
     ConfigError,
@@ -153,7 +154,7 @@ class Change:
         self._stack.enter_context(host_lock(self.context))
         self._stack.enter_context(self._interrupt)
         if not self._is_new:
-            _mark(self.context).unlink(missing_ok=True)  # an old journal goes on: it opens again
+            _take_mark_away(self.context)  # an old journal goes on: it opens again
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -239,7 +240,7 @@ class Change:
 
     @property
     def _number(self) -> int:
-        return self.context.group or _number_of(self.journal.path.name)
+        return self.context.group or number_of(self.journal)
 
     def backup_path(self, suffix: str) -> Path:
         """Where the backup of this change belongs."""
@@ -376,6 +377,11 @@ def own_numbers(context: Context) -> set[int]:
     return {_number_of(name) for name in _names(context)}
 
 
+def number_of(journal: Journal) -> int:
+    """Number of a change that is no part of an upload."""
+    return _number_of(journal.path.name)
+
+
 def _number_of(name: str) -> int:
     return int(name.rsplit("-", 1)[1].removesuffix(".journal"))
 
@@ -475,6 +481,20 @@ def _mark(context: Context) -> Path:
     a journal that goes on after it was closed takes it away.
     """
     return context.store / f"{context.controller}.settled"
+
+
+def _take_mark_away(context: Context) -> None:
+    mark = _mark(context)
+    if mark.exists():
+        mark.unlink()
+        sync_folder(context.store)  # else it stands again after a power failure
+
+
+def open_again(context: Context, journal: Journal, step: str) -> None:
+    """Let a journal that was closed go on with a step; no change passes it over from then on."""
+    with host_lock(context):  # nobody else moves the mark meanwhile
+        _take_mark_away(context)
+        journal.write(step)
 
 
 def _not_known_settled(context: Context, names: Sequence[str]) -> Sequence[str]:

@@ -4,11 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.machine.controller import transaction
+from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
+from pmac_comp.machine.controller import recovery, taking_back, temporary, transaction
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.transaction import Change, ChangeKind, torn_refusals
-from tests.unit.machine_controller.card_bench import CardBench
+from pmac_comp.machine.controller.upload import upload_tables
+from tests.faults.upload_bench import new_table, old_table
+from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 N_MANY = 40
 
@@ -62,11 +66,40 @@ def test_a_torn_journal_is_found_behind_the_mark_and_keeps_it_from_moving(
 def test_a_settled_journal_that_is_opened_again_is_found(context: Context) -> None:
     journals = settled(context)
     assert not torn_refusals(context)
-    # As a rollback does that is cut off: the old journal goes on behind its closing line.
+    # As a recovery does that finishes what a reset took: the old journal goes on.
     bench = CardBench(context.store)
     with Change(bench.link, context, ChangeKind.TABLES, journals[3]) as change:
         change.step("intent")
     assert [r.context["journal"] for r in torn_refusals(context)] == [str(journals[3].path)]
+
+
+def test_an_upload_whose_rollback_was_cut_off_is_found_behind_the_mark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a measurement borrows and gives back moves the mark past the upload."""
+    bench = make_plc_bench(tmp_path)
+    link, context = bench.link, bench.context
+    with recovery.grouped(link, context, "table") as parts:
+        upload_tables(link, parts, [old_table(8)])
+    mark = context.store / f"{context.controller}.settled"
+    while not mark.exists():
+        temporary.put_on(link, context, Settings({"I5190": "1000"}))
+        temporary.take_off(link, context)
+
+    def killed(*_: object) -> str:
+        raise LinkLost("killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(taking_back, "take_back", killed)
+        with pytest.raises(LinkLost):
+            recovery.rollback_last(link, context)
+    assert recovery.left_open(context)
+    assert [r.code for r in torn_refusals(context)] == ["PC-TXN-010"]
+    with pytest.raises(SafetyRefusal, match="interrupted and is still open"):
+        upload_tables(link, context, [new_table(8)])
+    assert recovery.recover(link, context).verdict is ControllerState.OLD
+    assert not torn_refusals(context)
+    assert bench.values("COMP", 1) is None
 
 
 @pytest.mark.parametrize("what", ["cut", "empty", "not text", "of another folder", "gone"])

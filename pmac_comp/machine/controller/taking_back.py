@@ -1,0 +1,76 @@
+"""The parts of an upload taken back together, the last one first, whatever lies between.
+
+What lives here: which parts that concerns, in which order, and what a reset meanwhile changes. How
+one part is taken back is in ``parts``; who may do it, and when, in ``recovery``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+from pmac_comp.base.errors import ControllerState, SafetyRefusal
+from pmac_comp.machine.controller.context import Context, never
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.parts import Part, missing, parts_of, take_back
+from pmac_comp.machine.controller.transaction import DONE, ROLLED_BACK, open_again
+
+_TAKING_BACK: Final = "taking back"  # of an upload that stood whole
+_MOST_LOOKS: Final = 4  # at what was taken back; more than one only where the card was reset
+
+
+def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
+    """Take back every part, the last one first; may be repeated after an interruption."""
+    alone = replace(context, group=0, stop_requested=never, settling=True)
+    notes: list[str] = []
+    was_done = not group.is_open
+    if was_done:
+        # From here on less than all of it may stand: `recover` has to know.
+        open_again(context, group, _TAKING_BACK)
+    parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
+    for part in parts:
+        if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
+            continue  # a reset in between may have brought back what was taken back already
+        if part.items & _replaced_since(context, part):
+            notes.append(f"{part.kind.value}: a later upload took its place; it stands")
+        else:
+            try:
+                notes.append(take_back(link, alone, part))
+            except SafetyRefusal as error:
+                if was_done and not notes and error.left in {None, ControllerState.OLD}:
+                    group.write(DONE)  # nothing was taken back yet
+                raise
+        part.journal.write(ROLLED_BACK)
+    notes += _what_came_back(link, alone, parts)
+    group.write(ROLLED_BACK)
+    return tuple(dict.fromkeys(notes))  # several parts may be of one kind
+
+
+def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequence[str]:
+    """Take back again what a reset meanwhile has brought back, if the upload had been saved."""
+    notes: list[str] = []
+    own = [p for p in parts if not p.items & _replaced_since(context, p)]
+    for _ in range(_MOST_LOOKS):
+        again = [p for p in own if not missing(link, context, p)]
+        for part in again:
+            notes.append(take_back(link, context, part))
+            part.journal.write(ROLLED_BACK)
+            if not missing(link, context, part):
+                own.remove(part)  # it stands as it stood before the upload
+        if not again:
+            break
+    return notes
+
+
+def _replaced_since(context: Context, part: Part) -> set[object]:
+    """What later changes, of other uploads, put in the place of a part's items."""
+    known = parts_of(context)
+    behind = known[1 + next(k for k, p in enumerate(known) if p.journal == part.journal) :]
+    return {
+        item
+        for later in behind
+        if later.journal.group != part.journal.group
+        and later.closing != ROLLED_BACK
+        and later.intent.data.get("closing") != ROLLED_BACK
+        for item in later.items
+    }
