@@ -413,7 +413,8 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
         for refusal in (*lease_refusals(link, context), *waiting_refusals(link, context)):
             raise refusal
         found = _take_over(link, context, group)
-        for part in _standing_parts(context, group):
+        # One that was cut has taken its own tables away already.
+        for part in () if group.is_open else _standing_parts(context, group):
             refuse_foreign(link, context, part)
         notes = take_group_back(link, context, group)
         _end(link, context)
