@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, SafetyRefusal
+from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
 from pmac_comp.machine.controller import (
     guard_install,
     law_arming,
@@ -136,3 +136,37 @@ def test_f18_a_lost_heartbeat_in_motion_fades_the_law(tmp_path: Path, count_runs
     assert before == 0.0
     assert torque == 0
     count_runs(1)
+
+
+def test_f01_f18_a_lost_answer_is_confirmed_only_where_the_guard_had_its_say(
+    tmp_path: Path, count_runs: Count
+) -> None:
+    """The card carries a request out and its answer is lost; the guard acts on what came."""
+    rig = UploadBench(tmp_path, n=8)
+    rig.bench.link.write_buffer(["I5=2"])
+    guard_install.install_guard(rig.bench.link, rig.bench.context)
+    rig.bench.clock.sleep_s(0.05)
+    rig.save()
+
+    def lose(bench: CardBench, n: int) -> None:
+        receive = bench.session.receive
+
+        def deaf(data: bytes) -> bytes:
+            answer = receive(data)
+            if data and bench.n_requests > n:
+                raise LinkLost("the answer was lost", code="PC-LNK-001")
+            return answer
+
+        bench.session.receive = deaf  # type: ignore[method-assign]
+
+    told: set[tuple[ControllerState | None, object]] = set()
+    n = 0
+    while (error := rig.upload_with(lambda b, n=n: lose(b, n))) is not None:
+        rig.bench.clock.sleep_s(0.1)
+        told.add((error.left, error.context["confirmed"]))
+        if error.context["confirmed"]:
+            assert rig.state is error.left, n
+        n += 1
+    assert (ControllerState.OLD, True) in told
+    assert (ControllerState.OLD, False) in told
+    count_runs(n)

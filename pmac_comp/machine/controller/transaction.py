@@ -124,9 +124,6 @@ class Change:
     ----------
     left : ControllerState
         What is known to stand on the controller if the link is lost now.
-    certain : bool
-        Whether OLD is certain as long as it is what is left: not where the controller itself may
-        act on what was sent.
     settle : callable or None
         Looks at what a failed change left, while the link lives; its verdict is confirmed.
     """
@@ -139,7 +136,6 @@ class Change:
         self.kind = kind
         self.transaction = new_transaction_id()
         self.left = ControllerState.OLD
-        self.certain = True
         self.settle: Callable[[], ControllerState] | None = None
         self._is_new = journal is None
         self._journal = journal
@@ -318,8 +314,9 @@ class Change:
             if not lost and self.settle is not None:
                 self._settle(error, self.settle)
             elif error.left is None:
-                # Until the first command that may have acted OLD is certain.
-                certain = not lost or (self.certain and self.left is ControllerState.OLD)
+                # Until the first command that may have acted OLD is certain; what acts on it later,
+                # as the guard PLC does, nobody has seen.
+                certain = not lost or (self.settle is None and self.left is ControllerState.OLD)
                 mark_left(error, self.left, confirmed=certain)
             if not lost:
                 self._release_after(error)

@@ -284,8 +284,6 @@ class TableUpload:
             },
         )
         self._change.settle = lambda: self._settle(manifest)
-        # From here on an answer may be lost while the guard PLC switches off what is being written.
-        self._change.certain = not the_plan.enabled_old
         found = do_and_look(
             self.link,
             self.context,
