@@ -14,8 +14,9 @@ from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.comp_table import CompTable, Table
+from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
 from pmac_comp.machine.controller.context import UNKNOWN, Context
+from pmac_comp.machine.controller.gather import note_failure
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.workflow.axis import Axis
@@ -51,8 +52,13 @@ def check_law_sign(axis: Axis, context: Context) -> list[str]:
     try:
         axis.link.clock.sleep_s(0.01)
         found = _sign_against_friction(axis)
-    finally:
-        axis.link.command("ENABLE PLC 0")
+    except PmacCompError as error:
+        note_failure(error, lambda: _enable_plc_0(axis))
+        raise
+    except KeyboardInterrupt:
+        _enable_plc_0(axis)
+        raise
+    _enable_plc_0(axis)
     if found.sign < 0:
         raise SafetyRefusal(
             f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
@@ -64,6 +70,10 @@ def check_law_sign(axis: Axis, context: Context) -> list[str]:
         f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
         f"{found.moved_ct:+.1f} counts"
     ]
+
+
+def _enable_plc_0(axis: Axis) -> None:
+    axis.link.command("ENABLE PLC 0")
 
 
 def _sign_against_friction(axis: Axis) -> SignResult:
@@ -91,13 +101,15 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
     SafetyRefusal
         The motor stands on the other side: the tables are switched off.
     """
-    table = next((t for t in tables if isinstance(t, CompTable) and t.motor == axis.motor), None)
+    own = [t for t in tables if t.motor == axis.motor]
+    table = next((t for t in own if isinstance(t, CompTable)), None)
+    backlash = next((t for t in own if isinstance(t, BacklashTable)), None)
     closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
     if table is None:
         return []
     if not closed:
         return [_LOOP_IS_OPEN.format("tables", "the axis is used")]
-    place_ct, expected_ct = _strongest(axis, table)
+    place_ct, expected_ct = _strongest(axis, table, backlash)
     to_um = axis.scales.motor_m_per_ct * UM_PER_M
     if abs(expected_ct) * to_um < _LEAST_um:
         return [f"the tables correct less than {_LEAST_um:g} um: their sign was not measured"]
@@ -120,10 +132,16 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
             left=ControllerState.DISABLED,
         )
     axis.move_to(0.0)
-    return [
-        f"sign of the tables measured at {place_ct * to_um / 1e3:.1f} mm: "
-        f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"
-    ]
+    said = (
+        f"at {place_ct * to_um / 1e3:.1f} mm: {expected_ct * to_um:+.1f} um meant, "
+        f"{found_ct * to_um:+.1f} um found"
+    )
+    if found_ct * np.sign(expected_ct) < _CLEAR_FRAC * abs(expected_ct):
+        return [
+            f"the motor hardly follows the tables {said}; their sign was not measured: friction "
+            "holds it, or they do not act (I51 = 0)"
+        ]
+    return [f"sign of the tables measured {said}"]
 
 
 def check_cam_sign(axis: Axis, table: CompTable, context: Context) -> list[str]:
@@ -185,15 +203,20 @@ def _first_clear(axis: Axis, table: CompTable) -> tuple[int, float]:
     return int(places[first]), float(values[first])
 
 
-def _strongest(axis: Axis, table: CompTable) -> tuple[float, float]:
-    """Place nearest to zero at which a table nearly corrects most, and its correction; counts."""
+def _strongest(axis: Axis, table: CompTable, backlash: BacklashTable | None) -> tuple[float, float]:
+    """Place nearest to zero at which tables nearly correct most, and their correction; counts.
+
+    On the way down from zero backlash counts with it.
+    """
     limits = axis.scales.limits(axis.bench)
     margin = 0.02 * (limits.max_position_ct - limits.min_position_ct)
     places = np.linspace(limits.min_position_ct + margin, limits.max_position_ct - margin, _PLACES)
     values = table.correction_ct(places)
-    good = places[np.abs(values) >= 0.7 * np.max(np.abs(values))]
-    place = float(good[np.argmin(np.abs(good))])
-    return place, float(table.correction_ct(place))
+    if backlash is not None:
+        values = values - np.where(places < 0.0, backlash.backlash_ct(places), 0.0)
+    good = np.flatnonzero(np.abs(values) >= 0.7 * np.max(np.abs(values)))
+    best = good[np.argmin(np.abs(places[good]))]
+    return float(places[best]), float(values[best])
 
 
 def _beyond_command(axis: Axis) -> float:

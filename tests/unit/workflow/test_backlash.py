@@ -91,7 +91,7 @@ def test_the_servo_gets_both_directions_and_rollback_takes_all_away(
 ) -> None:
     before = read_many(axis.link, ["I185", "I186", "I187"])
     notes = deploy(axis, COMPENSATION, context_of(axis, tmp_path)).notes
-    assert any("sign of the tables measured" in note for note in notes)
+    assert any("sign of the tables measured" in note for note in notes), notes
     kinds = [table.kind for table in read_tables(axis.link)]
     assert kinds == [TableKind.COMP, TableKind.BLCOMP]
     assert read_many(axis.link, ["I185"])["I185"] > 0.0
