@@ -126,7 +126,7 @@ def lease_text(lease: Lease, now: int) -> str:
     left_s = (lease.expires - now) / CLOCK_PER_s
     if lease.is_free:
         return "free"
-    if left_s < 0.0:
+    if not lease.is_held_against(0, now):
         return f"left behind by owner {lease.owner}, expired"
     return f"held by owner {lease.owner} for {left_s:.0f} s more"
 

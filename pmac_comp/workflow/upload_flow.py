@@ -16,6 +16,7 @@ from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.transaction import link_is_lost, mark_left
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
@@ -136,7 +137,7 @@ def _save(
     try:
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
     except PmacCompError as error:
-        error.left = error.left or left
+        mark_left(error, left, confirmed=not link_is_lost(error))
         what = "upload" if left is ControllerState.NEW else "rollback"
         error.add_note(
             f"The {what} itself stands until the next reset; only SAVE did not end well."

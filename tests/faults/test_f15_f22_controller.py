@@ -242,7 +242,7 @@ def test_f20_reset_after_every_packet(*, tmp_path: Path, saved: bool, count_runs
     first = CardBench(folder, card=card)
     upload.upload_tables(first.link, first.context, [old_table(40)])
     if saved:
-        persist.save(first.link)
+        first.link.command("SAVE", timeout_s=persist.SAVE_TIMEOUT_s)
     total: list[int] = []
     old, new = old_table(40).entries, new_table(40).entries
 
@@ -323,7 +323,7 @@ def test_f21_damaged_flash_is_recognised_and_restored(tmp_path: Path, count_runs
     card = Card(load_bench("paper"), flash=flash)
     bench = CardBench(tmp_path / "store", card=card)
     upload.upload_tables(bench.link, bench.context, [old_table(40)])
-    persist.save(bench.link)
+    bench.link.command("SAVE", timeout_s=persist.SAVE_TIMEOUT_s)
     stored = backup.read_backup(bench.link, p_range=(7000, 7199))
     image = flash.read_bytes()
     blocks = [len(image) * k // 5 for k in range(5)]

@@ -37,7 +37,7 @@ class ResetBench:
         scenario.prepare(bench.link, bench.context)
         bench.link.command("#1K")
         bench.clock.sleep_s(0.5)
-        persist.save(bench.link)
+        bench.link.command("SAVE", timeout_s=persist.SAVE_TIMEOUT_s)
         kept = self.store.iterdir() if scenario.undoes else ()
         self.files = {path: path.read_bytes() for path in kept}
         bench.session.close()

@@ -34,7 +34,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import require_folder, unwritable
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease, LONGEST_LEASE_s
 from pmac_comp.machine.controller.numbers import parse_integer
 
 if sys.platform != "win32":
@@ -208,7 +208,7 @@ def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Le
             code="PC-TXN-007",
             hint="Find out who writes to this controller, then run `pmac-comp recover`.",
         )
-    expires = read_clock(link) + int(duration_s * CLOCK_PER_s)
+    expires = read_clock(link) + int(min(duration_s, LONGEST_LEASE_s) * CLOCK_PER_s)
     link.command(f"P{context.block.p(Index.LEASE) + 1}={expires}")
     return Lease(context.owner, expires)
 
@@ -221,8 +221,7 @@ def release_lease(link: Link, context: Context, *, number: int | None = None) ->
     if number is None:
         link.command(_free(context))
         return
-    free = f"{_free(context)} {_numbered(context, number)} {CLAIM_TEXT}"
-    word = _lines(link.command(free), 1)[0]
+    word = _lines(link.command(f"{_ended(context, number)} {CLAIM_TEXT}"), 1)[0]
     release_claim(link, context, parse_claim(word))
 
 
@@ -234,15 +233,25 @@ def give_back(link: Link, context: Context) -> None:
 
 def pause_lease(link: Link, context: Context, number: int) -> None:
     """Give the lease back and keep the claim: what was put on for a measurement is of the card."""
-    link.command(f"{_free(context)} {_numbered(context, number)}")
+    link.command(_ended(context, number))
+
+
+def without_lease(
+    link: Link, context: Context, number: int, command: str, *, timeout_s: float
+) -> None:
+    """Give the lease back, write a number and send a command, all in one line; the claim stays.
+
+    For SAVE, which would keep lease and number in the flash.
+    """
+    link.command(f"{_ended(context, number)} {command}", timeout_s=timeout_s)
 
 
 def _free(context: Context) -> str:
     return f"P{context.block.p(Index.LEASE)}=0"
 
 
-def _numbered(context: Context, number: int) -> str:
-    return f"P{context.block.p(Index.CHANGE)}={number}"
+def _ended(context: Context, number: int) -> str:
+    return f"{_free(context)} P{context.block.p(Index.CHANGE)}={number}"
 
 
 def read_change(link: Link, context: Context) -> int:

@@ -18,6 +18,7 @@ MAGIC: Final = 505143
 MANIFEST_SIZE: Final = 8
 _PART: Final = 22  # bits of both checksums in one variable: seven digits
 CLOCK_PER_s: Final = 1024.0  # D:$17 counts 1/1024 s (Reference Manual p. 495)
+LONGEST_LEASE_s: Final = 3600.0  # no writer asks for a longer one
 
 
 class ManifestState(IntEnum):
@@ -202,8 +203,13 @@ class Lease:
         return self.owner == 0
 
     def is_held_against(self, owner: int, now: int) -> bool:
-        """Whether somebody else holds it at this time."""
-        return not self.is_free and self.owner != owner and now <= self.expires
+        """Whether somebody else holds it at this time.
+
+        One that ends later than anybody asks for is of another time: the clock began anew with a
+        reset and the P-variables came back from the flash, or something else wrote there.
+        """
+        last = now + int(LONGEST_LEASE_s * CLOCK_PER_s)
+        return not self.is_free and self.owner != owner and now <= self.expires <= last
 
     def lines(self, block: LawBlock) -> list[str]:
         """Commands that write the lease, its end first."""

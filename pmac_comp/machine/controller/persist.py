@@ -3,7 +3,13 @@
 from dataclasses import dataclass
 from typing import Final
 
-from pmac_comp.base.errors import FlashSuspect, MotorNotSafe, VerifyMismatch
+from pmac_comp.base.errors import (
+    ControllerState,
+    FlashSuspect,
+    MotorNotSafe,
+    VerifyMismatch,
+)
+from pmac_comp.machine.controller.backup import FLASH_FAULTS
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import GUARD
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -13,10 +19,10 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.settings import Buffer, Settings, read_settings
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.transaction import Change, ChangeKind
 from pmac_comp.machine.wire.numbers import read_number
 
 SAVE_TIMEOUT_s: Final = 15.0
-FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 
 
 @dataclass(frozen=True)
@@ -53,49 +59,57 @@ def read_saved(link: Link, block: LawBlock, buffers: tuple[Buffer, ...] = ()) ->
 def persist(link: Link, context: Context, buffers: tuple[Buffer, ...] = ()) -> Saved:
     """SAVE everything and see that it is still there and that the flash reports no error.
 
-    Only a reset proves what the flash holds; that is left to a person.
+    It takes its place among the writers as an upload does: the flash would keep what somebody else
+    has half-written. Only a reset proves what the flash holds; that is left to a person.
 
     Parameters
     ----------
     link, context
-        Conversation and block.
+        Conversation, folder and block.
     buffers : tuple of (ProgramKind, int), optional
         Programs to compare besides the law and the guard.
 
     Raises
     ------
-    MotorNotSafe
-        A motor is enabled.
+    SafetyRefusal
+        A change of this folder was interrupted, or a motor is enabled; nothing was saved.
+    LeaseHeld, ForeignChange
+        Somebody else changes the controller; if that began while it saved, the error says so.
     VerifyMismatch
         Something else stands in memory after SAVE.
     FlashSuspect
         The card reports a flash or checksum error.
     """
-    before = read_saved(link, context.block, buffers)
-    save(link)
-    if int(link.query("???")[0].strip()[:6], 16) & FLASH_FAULTS:
-        raise FlashSuspect(
-            "The controller reports a flash error after SAVE.",
-            code="PC-UPL-015",
-            hint="Save again; if it stays, the flash is worn: keep a backup at hand.",
-        )
-    after = read_saved(link, context.block, buffers)
-    if before != after:
-        raise VerifyMismatch(
-            f"After SAVE the controller holds something else: {after} instead of {before}.",
-            code="PC-UPL-009",
-            hint="Find out who writes to this controller, upload again and save again.",
-        )
+    with Change(link, context, ChangeKind.SAVE) as change, change.explained():
+        change.begin()
+        before = read_saved(link, context.block, buffers)
+        _require_killed(link)
+        # The answer takes seconds, and may be a NUL over Ethernet.
+        change.do_without_lease("SAVE", timeout_s=SAVE_TIMEOUT_s)
+        if int(link.query("???")[0].strip()[:6], 16) & FLASH_FAULTS:
+            raise FlashSuspect(
+                "The controller reports a flash error after SAVE.",
+                code="PC-UPL-015",
+                hint="Save again; if it stays, the flash is worn: keep a backup at hand.",
+            )
+        after = read_saved(link, context.block, buffers)
+        if before != after:
+            raise VerifyMismatch(
+                f"After SAVE the controller holds something else: {after} instead of {before}.",
+                code="PC-UPL-009",
+                hint="Find out who writes to this controller, upload again and save again.",
+            )
+        change.finish(ControllerState.NEW)
     return after
 
 
-def save(link: Link) -> None:
-    """SAVE with all motors killed; the answer takes seconds and may be a NUL over Ethernet.
+def _require_killed(link: Link) -> None:
+    """Refuse SAVE while a motor is enabled: nothing else runs then, not even limit checks (p. 394).
 
     Raises
     ------
     MotorNotSafe
-        A motor is enabled: nothing else runs during SAVE, not even limit checks (p. 394).
+        One is.
     """
     active = [k + 1 for k, v in enumerate(link.query("I100,32,100")) if int(read_number(v))]
     alive = [m for m, r in read_motors(link, active).items() if not r.status.is_killed]
@@ -105,4 +119,9 @@ def save(link: Link) -> None:
             code="PC-UPL-010",
             hint="Kill them (`pmac-comp terminal URL -c '#1K'`) and run the command again.",
         )
+
+
+def save(link: Link) -> None:
+    """SAVE alone, within a change that holds the lease; raises MotorNotSafe."""
+    _require_killed(link)
     link.command("SAVE", timeout_s=SAVE_TIMEOUT_s)

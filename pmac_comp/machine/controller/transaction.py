@@ -21,6 +21,7 @@ from typing import Final, Self
 from pmac_comp.base.atomic import sync_folder
 from pmac_comp.base.errors import (
     ChangeInterrupted,
+    CommandRefused,
     ConfigError,
     ControllerState,
     ForeignChange,
@@ -42,6 +43,7 @@ from pmac_comp.machine.controller.lease import (
     release_lease,
     renew_lease,
     take_lease,
+    without_lease,
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Lease
@@ -62,6 +64,7 @@ class ChangeKind(Enum):
     TABLES = "tables"
     LAW = "law"
     SETTINGS = "settings"
+    SAVE = "save"
     GROUP = "group"
 
 
@@ -221,10 +224,36 @@ class Change:
                 FIRST_P: self.context.block.first,
             }
             self.journal.write("begin", {**head, **(data or {})}, when=Sync.LATER)
+        self._take()
+
+    def _take(self) -> None:
         self._lease, self._found = take_lease(
             self.link, self.context, self._number, lambda n: n in own_numbers(self.context)
         )
         self._leased_at_s = self.link.clock.now_s()
+
+    def do_without_lease(self, command: str, *, timeout_s: float) -> None:
+        """Send what must not find a lease in the memory, and take the lease again.
+
+        Raises
+        ------
+        LeaseHeld, ForeignChange
+            Somebody else began a change meanwhile.
+        """
+        number = -self._number
+        try:
+            without_lease(self.link, self.context, number, command, timeout_s=timeout_s)
+        except CommandRefused:
+            self._take()  # gives the claim back with it
+            raise
+        self._take()
+        if self._found != number:
+            raise ForeignChange(
+                f"Somebody else changed the controller during {command}.",
+                code="PC-TXN-060",
+                hint="`pmac-comp status URL` says who holds it; wait until that is done, then run "
+                "the command again.",
+            )
 
     def step(self, name: str, data: Mapping[str, object] | None = None) -> None:
         """Put a step on the disk before it is done, unless somebody asked for an end."""
