@@ -45,12 +45,14 @@ class Standing:
     """What compensates an axis now: tables by kind and motor, and the form of the law.
 
     ``beside`` brings what is known without a journal to the state without it: time motor and
-    programs of known motions, guard, definitions of the law.
+    programs of known motions, guard, definitions of the law. ``in_plc_0`` says that the law itself
+    stands there, and not only what it left.
     """
 
     tables: tuple[Key, ...]
     law: LawForm
     beside: Settings = field(default_factory=Settings)
+    in_plc_0: bool = True
 
     @property
     def is_empty(self) -> bool:
@@ -61,7 +63,10 @@ class Standing:
         """For people."""
         said = [f"table {kind.value} of motor #{motor}" for kind, motor in self.tables]
         if self.law is LawForm.PLC:
-            said.append("the law in PLC 0, with following and torque offset of its motor")
+            what = (
+                "the law in PLC 0, with" if self.in_plc_0 else "what a law that is gone has left:"
+            )
+            said.append(f"{what} following and torque offset of its motor")
         if self.law is LawForm.SERVO:
             said.append("the law in the open servo: faded out; the servo itself stays (Ixx59)")
         said += [f"{kind.value} {number}" for kind, number in self.beside.programs]
@@ -74,7 +79,8 @@ def standing_on(axis: Axis) -> Standing:
     """Tables of the bench's motors and the law of its motor; nothing is changed."""
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
-    return Standing(tables, _form_of_law(axis), _beside(axis))
+    in_plc_0 = law_install.law_stands(axis.link, context_of(axis))
+    return Standing(tables, _form_of_law(axis), _beside(axis), in_plc_0)
 
 
 def _beside(axis: Axis) -> Settings:

@@ -566,15 +566,19 @@ def _no_servo(context: Context, motor: int, mode: int) -> SafetyRefusal:
 
 
 def remove_law(link: Link, context: Context) -> UploadResult:
-    """Take the law off: fade, stop following, delete PLC 0; interrupted, it comes back whole."""
+    """Take the law off: fade, stop following, delete PLC 0; interrupted, it comes back whole.
+
+    A PLC 0 that somebody else has put in its place stays.
+    """
     with untouched():
         head = read_law_head(link, context.block)
+        programs_of_law = {LAW: ()} if law_stands(link, context) else {}
     variables = {f"P{context.block.p(Index.TARGET)}": "0"}
     # The torque (Ixx29) is an output: written back as it was read it would push the axis.
     torque = {f"I{head.motor}29": 0.0} if head.motor else {}
     if head.motor:
         variables |= {f"I{head.motor}06": "0"}
-    goal = Settings(variables, programs={LAW: ()})
+    goal = Settings(variables, programs=programs_of_law)
     motors = [head.motor] if head.motor else []
     with SettingsUpload(link, context, goal, route="law", motors=motors) as upload:
         upload.write(first=lambda: disarm(link, context))

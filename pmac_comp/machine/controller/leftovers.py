@@ -6,14 +6,13 @@ by itself (setup, restore, a program file) is no part of an upload and stays.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import Part, parts_of
-from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.settings import (
     AxisDefinitions,
     Settings,
@@ -21,6 +20,8 @@ from pmac_comp.machine.controller.settings import (
     plain_axes,
     read_axes,
     read_settings,
+    single_items,
+    stands,
 )
 from pmac_comp.machine.controller.settings_upload import read_settings_backup
 from pmac_comp.machine.controller.transaction import DONE, ChangeKind, is_of_block, journals
@@ -56,26 +57,21 @@ def before_uploads(link: Link, context: Context) -> Settings:
     for part in _of_uploads(context, groups):
         old, new = read_settings_backup(_backup(context, part)), part.new_settings
         changes.append((old, new))
-        befores = dict(_single(old))
-        for name, left in _single(new):
+        befores = dict(single_items(old))
+        for name, left in single_items(new):
             known = items.get(name)
             if known is None and groups[part.journal.group] == REMOVAL:
                 continue  # what it took off was an upload's of another folder
             # What somebody else has set between two uploads is what stood before the second.
-            goes_on = known is not None and _stands(known.left, befores[name])
+            goes_on = known is not None and stands(known.left, befores[name])
             before = known.before if known is not None and goes_on else befores[name]
             items[name] = _Item(before, left)
     goal = Settings(axes=_axes_before(link, changes))
     for item in reversed(items.values()):
         found = read_settings(link, item.left)
-        if _stands(item.left, found) and differences(item.before, found):
+        if stands(item.left, found) and differences(item.before, found):
             goal = merged(goal, item.before)
     return goal
-
-
-def _stands(left: Settings, found: Settings) -> bool:
-    """Whether an item is as it was left; a program that was only stopped is."""
-    return not differences(replace(left, running=frozenset()), found)
 
 
 def merged(first: Settings, second: Settings) -> Settings:
@@ -85,7 +81,8 @@ def merged(first: Settings, second: Settings) -> Settings:
         {**first.definitions, **second.definitions},
         {**first.programs, **second.programs},
         first.axes if second.axes is None else second.axes,
-        first.running | second.running,
+        first.running - second.stopped | second.running,
+        first.stopped - second.running | second.stopped,
     )
 
 
@@ -107,18 +104,6 @@ def _of_uploads(context: Context, groups: Mapping[int, str]) -> Iterator[Part]:
 
 def _backup(context: Context, part: Part) -> Path:
     return context.store / Path(str(part.intent.data["backup"])).name
-
-
-def _single(settings: Settings) -> Iterator[tuple[str, Settings]]:
-    """Each item by itself; P-variables are the marks by which our block is known, and stay."""
-    for name, text in settings.variables.items():
-        if not name.startswith("P"):
-            yield name, Settings({name: text})
-    for number, text in settings.definitions.items():
-        yield f"M{number}", Settings(definitions={number: text})
-    for key, body in settings.programs.items():
-        runs = settings.running & {key[1]} if key[0] is ProgramKind.PLC else frozenset()
-        yield f"{key[0].value} {key[1]}", Settings(programs={key: body}, running=runs)
 
 
 def _axes_before(link: Link, changes: list[tuple[Settings, Settings]]) -> AxisDefinitions | None:

@@ -21,7 +21,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
-from pmac_comp.machine.controller.law_arming import fade_by_hand
+from pmac_comp.machine.controller.law_arming import disarm, fade_by_hand
 from pmac_comp.machine.controller.law_bank import (
     BLOCK_SIZE,
     MASTER_WORD_ADDRESS,
@@ -42,13 +42,21 @@ from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings, differences, plc_runs, read_settings
+from pmac_comp.machine.controller.settings import (
+    Settings,
+    differences,
+    plc_runs,
+    read_settings,
+    set_by_others,
+    without,
+)
 from pmac_comp.machine.controller.settings_upload import (
     finish_settings,
     put_back,
     read_settings_backup,
     running_refusals,
     settings_state,
+    tolerated,
 )
 from pmac_comp.machine.controller.table_files import table_from_json
 from pmac_comp.machine.controller.table_recovery import (
@@ -152,7 +160,7 @@ def missing(link: Link, context: Context, part: Part) -> str:
     new = part.new_settings
     if part.intent.data["skip_refused"]:
         # Of a backup of another firmware not everything can stand.
-        new = replace(new, variables={}, definitions={}, axes=None)
+        new = tolerated(new)
     # Our own block is state: parts that follow change it, and so does the law itself.
     first = context.block.first
     ours = {f"P{n}" for n in range(first, first + BLOCK_SIZE)}
@@ -289,11 +297,20 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
         finish_settings(link, new)
     else:
         old = read_settings_backup(_backup(context, part))
+        others: list[str] = []
+        # What an interruption left may be neither; of another firmware not all stands as meant.
+        if part.closing == DONE and state is ControllerState.DISABLED:
+            asked = tolerated(new) if tolerant else new
+            others = set_by_others(old, asked, read_settings(link, asked))
+        old = without(old, others)
         raise_all(beside_open_servo(link, context, old), "Writing back what stood before")
         _take_offset_out(link, context, old)
+        _disarm_before_stop(link, context, old)
         state = put_back(link, old, skip_refused=tolerant)
         _clear_master_word(link, old)
-        reason = "the old settings are back"
+        reason = "the old settings and programs are back"
+        if others:
+            reason += f", but for {', '.join(others)}: somebody else has set that since; it stands"
         if state is ControllerState.DISABLED:
             raise VerifyMismatch(
                 "The old settings could not be written back; the programs concerned are empty.",
@@ -306,6 +323,12 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
     return UploadResult(
         state, "settings", crc_old, crc_new, journal=part.journal.path, notes=(reason,)
     )
+
+
+def _disarm_before_stop(link: Link, context: Context, old: Settings) -> None:
+    """A PLC 0 that stood disabled before stops with its law faded, not with its outputs frozen."""
+    if 0 in old.stopped and plc_runs(link, 0) and read_law_head(link, context.block).is_armed:
+        disarm(link, context)
 
 
 def _take_offset_out(link: Link, context: Context, old: Settings) -> None:
@@ -361,5 +384,4 @@ def take_back(link: Link, context: Context, part: Part) -> str:
             _require_rest(link, context, part)
             restore_law(link, context, read_law_backup(backup))
         return "the old law is back"
-    settle(link, context, part, resume=False)
-    return "the old settings and programs are back"
+    return "; ".join(settle(link, context, part, resume=False).notes)

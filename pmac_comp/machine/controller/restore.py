@@ -46,7 +46,8 @@ def restore(
 ) -> tuple[UploadResult, tuple[Difference, ...]]:
     """Put a backup on the controller as one upload, and say what still differs.
 
-    All motors must be killed. Differences that remain are those the card does not let anybody set.
+    All motors must be killed. What differs afterwards is told: what the card refuses or does not
+    let anybody set, and what lives on it, as the PLCs that others switch on and what they write.
     Interrupted, ``recover`` brings back what stood before.
 
     Parameters
@@ -175,16 +176,18 @@ def _goal(present: Backup, backup: Backup, context: Context) -> Settings:
         for key in {**there, **bodies}
         if programs.canonical(bodies.get(key, ())) != there.get(key, ())
     }
-    stopped = {(ProgramKind.PLC, n): bodies[ProgramKind.PLC, n]
-               for n in backup.running - present.running
-               if (ProgramKind.PLC, n) in bodies}  # fmt: skip
-    changed |= stopped
+    # Programs that are the same and run in one of them only.
+    changed |= {(ProgramKind.PLC, n): bodies[ProgramKind.PLC, n]
+                for n in backup.running ^ present.running
+                if (ProgramKind.PLC, n) in bodies}  # fmt: skip
+    plcs = {n for kind, n in changed if kind is ProgramKind.PLC and (kind, n) in bodies}
     return Settings(
         {**variables, "I5": backup.ivariables.get(5, "0")},
         differing,
         changed,
         backup.axes if set(present.axes) != set(backup.axes) else None,
-        frozenset(n for n in backup.running if (ProgramKind.PLC, n) in changed),
+        backup.running & plcs,
+        frozenset(plcs - backup.running),
     )
 
 

@@ -7,9 +7,9 @@ empty buffer.
 
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from pmac_comp.base.errors import CommandRefused, ConfigError, RemoteProtocolError, VerifyMismatch
@@ -23,6 +23,7 @@ from pmac_comp.machine.wire.numbers import read_number
 PLC_TABLE: Final = 0x3100  # Y: bits 0-18 storage address, bit 22 disabled (p. 509)
 PLC_DISABLED: Final = 1 << 22
 PLC_STORED: Final = (1 << 19) - 1
+PLCS: Final = 32
 MOTORS: Final = 32
 SYSTEMS: Final = 16
 _ACTIVATION: Final = re.compile(r"^I([1-9]|[12]\d|3[0-2])00$")
@@ -45,8 +46,9 @@ class Settings:
         Statements of buffers; none for an empty one.
     axes : tuple of (int, int, str) or None
         All axis definitions (coordinate system, motor, text); None to leave them alone.
-    running : frozenset of int
-        PLCs among ``programs`` that are enabled.
+    running, stopped : frozenset of int
+        PLCs among ``programs`` that are enabled, and that stand there disabled; of one in neither
+        nothing is said.
     """
 
     variables: Mapping[str, str] = field(default_factory=dict)
@@ -54,6 +56,7 @@ class Settings:
     programs: Mapping[Buffer, tuple[str, ...]] = field(default_factory=dict)
     axes: AxisDefinitions | None = None
     running: frozenset[int] = frozenset()
+    stopped: frozenset[int] = frozenset()
 
     @property
     def crc(self) -> int:
@@ -81,6 +84,7 @@ class Settings:
             "programs": [[k.value, n, list(body)] for (k, n), body in self.programs.items()],
             "axes": None if self.axes is None else [list(a) for a in self.axes],
             "running": sorted(self.running),
+            "stopped": sorted(self.stopped),
         }
 
     @classmethod
@@ -98,6 +102,7 @@ class Settings:
                 },
                 None if axes is None else tuple((int(c), int(m), str(t)) for c, m, t in axes),
                 frozenset(int(n) for n in item["running"]),
+                frozenset(int(n) for n in item.get("stopped", ())),  # earlier files have none
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(
@@ -111,12 +116,15 @@ def read_settings(link: Link, like: Settings, *, between: Between = quiet) -> Se
     """The same items as ``like`` has, as they stand; ``between`` is called between requests."""
     definitions = [f"M{n}->" for n in like.definitions]
     found = {kind_number: read_body(link, *kind_number) for kind_number in like.programs}
+    plcs = {n for (kind, n), body in found.items() if kind is ProgramKind.PLC and body}
+    running = frozenset(n for n in plcs if plc_runs(link, n))
     return Settings(
         dict(zip(like.variables, _ask(link, list(like.variables), between), strict=True)),
         dict(zip(like.definitions, _ask(link, definitions, between), strict=True)),
         found,
         None if like.axes is None else read_axes(link),
-        frozenset(n for (kind, n), body in found.items() if _is_running(link, kind, n, body)),
+        running,
+        frozenset(plcs - running),
     )
 
 
@@ -154,10 +162,6 @@ def plc_runs(link: Link, number: int) -> bool:
     return bool(word & PLC_STORED) and not word & PLC_DISABLED
 
 
-def _is_running(link: Link, kind: ProgramKind, number: int, body: tuple[str, ...]) -> bool:
-    return kind is ProgramKind.PLC and bool(body) and plc_runs(link, number)
-
-
 # Comparing ----------------------------------------------------------------------------------------
 
 
@@ -181,7 +185,70 @@ def differences(meant: Settings, found: Settings) -> list[str]:
     if meant.axes is not None and plain_axes(meant.axes) != plain_axes(found.axes or ()):
         out.append("the axis definitions differ")
     out += [f"PLC {n} is not enabled" for n in sorted(meant.running - found.running)]
+    out += [f"PLC {n} is enabled" for n in sorted(meant.stopped & found.running)]
     return out
+
+
+def stands(left: Settings, found: Settings) -> bool:
+    """Whether settings are as they were left; a program that was stopped or started is."""
+    return not differences(replace(left, running=frozenset(), stopped=frozenset()), found)
+
+
+def single_items(settings: Settings) -> Iterator[tuple[str, Settings]]:
+    """Each item by itself; P-variables are state, those of a block the marks that it is known by.
+
+    Axis definitions are one whole and no item.
+    """
+    for name, text in settings.variables.items():
+        if not name.startswith("P"):
+            yield name, Settings({name: text})
+    for number, text in settings.definitions.items():
+        yield f"M{number}", Settings(definitions={number: text})
+    for key, body in settings.programs.items():
+        plc = {key[1]} if key[0] is ProgramKind.PLC else set()
+        running, stopped = settings.running & plc, settings.stopped & plc
+        yield program_name(key), Settings(programs={key: body}, running=running, stopped=stopped)
+
+
+def program_name(buffer: Buffer) -> str:
+    """As commands have it: ``PLC 0``."""
+    return f"{buffer[0].value} {buffer[1]}"
+
+
+def without(settings: Settings, names: Collection[str]) -> Settings:
+    """All but the items of these names (``single_items``)."""
+    gone = {n for n in range(PLCS) if program_name((ProgramKind.PLC, n)) in names}
+    return replace(
+        settings,
+        variables={k: v for k, v in settings.variables.items() if k not in names},
+        definitions={n: v for n, v in settings.definitions.items() if f"M{n}" not in names},
+        programs={k: v for k, v in settings.programs.items() if program_name(k) not in names},
+        running=settings.running - gone,
+        stopped=settings.stopped - gone,
+    )
+
+
+def set_by_others(old: Settings, new: Settings, found: Settings) -> list[str]:
+    """Names of items of a finished change that somebody else has set since: a pure function.
+
+    They stand neither as before nor as meant; the beginning of a program is one that was being
+    written back.
+    """
+    befores = dict(single_items(old))
+    return [
+        name
+        for name, left in single_items(new)
+        if not any(stands(side, found) or _begun(side, found) for side in (left, befores[name]))
+    ]
+
+
+def _begun(meant: Settings, found: Settings) -> bool:
+    return bool(meant.programs) and all(
+        "".join(programs.canonical(body)).startswith(
+            "".join(programs.canonical(found.programs[key]))
+        )
+        for key, body in meant.programs.items()
+    )
 
 
 def plain_axes(axes: AxisDefinitions) -> set[tuple[int, int, str]]:
@@ -227,7 +294,7 @@ def write_settings(
     skip_refused: bool = False,
     between: Between = quiet,
 ) -> tuple[str, ...]:
-    """Bring the card from ``present`` to ``goal``; PLCs that change are held meanwhile.
+    """Bring the card from ``present`` to ``goal``; PLCs that change or stop are held first.
 
     Parameters
     ----------
@@ -255,12 +322,13 @@ def write_settings(
         for key, body in goal.programs.items()
         if programs.canonical(body) != programs.canonical(present.programs.get(key, ()))
     }
-    plcs = [number for kind, number in changed if kind is ProgramKind.PLC]
+    plcs = {number for kind, number in changed if kind is ProgramKind.PLC}
+    plcs |= goal.stopped & present.running
     if goal.programs:
         # A buffer that an interrupted upload left open would swallow what follows.
         link.write_buffer(["CLOSE"])
     if plcs:
-        link.write_buffer([f"DISABLE PLC {n}" for n in plcs])
+        link.write_buffer([f"DISABLE PLC {n}" for n in sorted(plcs)])
     if any(changed.values()):
         with suppress(CommandRefused):  # gathering runs: whether there is room will be seen
             link.command("DELETE GATHER")  # its buffer takes all free memory

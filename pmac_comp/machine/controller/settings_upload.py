@@ -28,6 +28,7 @@ from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.settings import (
+    SYSTEMS,
     Settings,
     differences,
     read_settings,
@@ -44,7 +45,6 @@ from pmac_comp.machine.controller.transaction import (
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 RUNNING_PROGRAM: Final = 1 << 0  # first word of ??, bit 0 (p. 287)
-SYSTEMS: Final = 16
 
 
 class SettingsUpload:
@@ -211,7 +211,7 @@ def put_back(link: Link, old: Settings, *, skip_refused: bool = False) -> Contro
     link.write_buffer(["CLOSE"])
     backwards = replace(old, variables=dict(reversed(list(old.variables.items()))))
     present = read_settings(link, backwards)
-    wanted = replace(old, variables={}, definitions={}, axes=None) if skip_refused else old
+    wanted = tolerated(old) if skip_refused else old
     try:
         write_settings(link, present, backwards, skip_refused=skip_refused)
         require_settings(link, wanted)
@@ -220,6 +220,14 @@ def put_back(link: Link, old: Settings, *, skip_refused: bool = False) -> Contro
             programs.delete(link, kind, number)
         return ControllerState.DISABLED
     return ControllerState.OLD
+
+
+def tolerated(wanted: Settings) -> Settings:
+    """What is insisted on where the card may refuse some: the programs.
+
+    Those that run may also start others.
+    """
+    return replace(wanted, variables={}, definitions={}, axes=None, stopped=frozenset())
 
 
 def finish_settings(link: Link, new: Settings) -> None:
