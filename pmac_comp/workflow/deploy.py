@@ -10,15 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import (
     ControllerState,
     SafetyRefusal,
-    VerifyMismatch,
 )
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
@@ -47,7 +42,6 @@ from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_checks import buffer_refusals, not_at_rest
 from pmac_comp.machine.controller.variables import verify_many
-from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables
@@ -372,29 +366,3 @@ def bank_in_use(axis: Axis, context: Context, compensation: Compensation) -> Law
     bank = law_state.read_bank(axis.link, context.block, head.bank)
     wanted = law_parameters(compensation.law, axis.scales)
     return bank if bank is not None and bank.digest == wanted.digest else None
-
-
-def check_law_on_card(
-    axis: Axis, context: Context, compensation: Compensation, position_m: FloatArray
-) -> float:
-    """Largest difference in um between the law on the host and a card's own arithmetic.
-
-    Raises
-    ------
-    VerifyMismatch
-        The card holds another law.
-    """
-    from pmac_comp.machine.controller.law_bank import evaluate
-
-    bank = bank_in_use(axis, context, compensation)
-    if bank is None:
-        raise VerifyMismatch(
-            "The card holds another law.",
-            code="PC-DEP-030",
-            hint="Upload this compensation first.",
-        )
-    clamp = compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct
-    there = evaluate(bank, position_m / axis.scales.motor_m_per_ct, clamp_ct=clamp)
-    here = evaluate_law(compensation.law, position_m, axis.scales.period_s)
-    gap = there.correction_ct * axis.scales.motor_m_per_ct - here.correction_m
-    return float(np.max(np.abs(gap)) * UM_PER_M)

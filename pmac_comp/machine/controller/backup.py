@@ -32,7 +32,6 @@ STEP: Final = 64
 Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin within it
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
 N_PROGRAMS: Final = 224
-SYSTEMS: Final = 16
 _ASSIGNED: Final = re.compile(r"^(I\d+)=")
 _WANTED: Final = "Give a file that `pmac-comp backup --out` wrote."
 FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word

@@ -71,28 +71,6 @@ def stop(link: Link) -> None:
         link.command("DELETE GATHER")
 
 
-def gather_ram(
-    link: Link, plan: GatherPlan, duration_s: float, servo_period_s: float
-) -> GatherResult:
-    """Samples of a fixed duration through the RAM buffer.
-
-    Raises
-    ------
-    CommandRefused
-        The buffer does not fit (ERR006).
-    CaptureError
-        The card stored fewer samples than were asked for.
-    """
-    n_samples = 1 + int(np.ceil(duration_s / (servo_period_s * plan.period_cycles)))
-    words = plan.layout.long_words * n_samples + HEADER_LONG_WORDS
-    with prepared(link, plan, words):
-        link.command("GATHER")
-        link.clock.sleep_s(n_samples * plan.period_cycles * servo_period_s)
-        await_stored(link, plan, n_samples)
-        link.command("ENDGATHER")
-        return read_ram(link, plan, n_samples)
-
-
 def await_stored(link: Link, plan: GatherPlan, n_samples: int) -> None:
     """Wait while the card still stores the last of its samples: its own time counts, not ours."""
     stored = _stored(link, plan)

@@ -372,13 +372,6 @@ class LawParameters:
         """Checksum that the sealed bank carries."""
         return bank_seal(self.values(sealed=False))
 
-    @property
-    def is_null(self) -> bool:
-        """Whether the law corrects nothing."""
-        torque = ("TJ", "TK", "TI", "TB", "TC", "T0", "TR", "TE", "TH", "TG", "BT", "TX", "TP")
-        names = ("A0", "V0", "S0", "J0", "SX", *torque)
-        return all(getattr(self, name) == 0.0 for name in names)
-
 
 @dataclass(frozen=True)
 class LawOutput:

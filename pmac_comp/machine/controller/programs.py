@@ -346,11 +346,3 @@ def first_difference(meant: Sequence[str], found: Sequence[str]) -> str:
 def delete(link: Link, kind: ProgramKind, number: int) -> None:
     """Empty a program buffer."""
     link.write_buffer(["CLOSE", f"OPEN {kind.value} {number}", "CLEAR", "CLOSE", "CLOSE"])
-
-
-def download_source(link: Link, source: Source) -> None:
-    """Send the commands of a file, then its programs, each verified."""
-    if source.commands:
-        link.write_buffer(list(source.commands))
-    for program in source.programs:
-        download(link, program)

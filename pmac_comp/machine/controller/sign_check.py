@@ -30,52 +30,19 @@ class SignResult:
 
     Parameters
     ----------
-    door : str
-        ``compensation register`` or ``master word``.
     offset_ct : float
         Offset put in, counts.
     moved_ct : float
         How far the encoder went.
-    shown_ct : float
-        How far P went.
     """
 
-    door: str
     offset_ct: float
     moved_ct: float
-    shown_ct: float
 
     @property
     def sign(self) -> int:
         """+1 if a positive value moves the motor up, -1 if down."""
         return 1 if self.moved_ct * self.offset_ct > 0 else -1
-
-    @property
-    def hidden_from_p(self) -> bool:
-        """Whether P does not show the offset."""
-        return abs(self.shown_ct) < 0.5 * abs(self.moved_ct)
-
-
-def check_register_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> SignResult:
-    """Sign of the compensation register D:base+$10, with tables off (I51 = 0).
-
-    Raises
-    ------
-    MotorNotSafe
-        Not in closed loop, not at rest, tables on, or no clear answer.
-    """
-    if read_one(link, "I51") != 0:
-        raise MotorNotSafe(
-            "Tables act (I51 = 1); the register is theirs.", code="PC-SGN-001", hint="I51=0 first."
-        )
-    unit = 32.0 * read_one(link, f"I{motor}08")
-    address = reg.motor_register(motor, reg.COMPENSATION)
-
-    def put(value_ct: float) -> None:
-        raw = round(value_ct * unit) & 0xFFFFFFFFFFFF
-        link.command(f"WL${address:X},${raw:012X}")
-
-    return _measure(link, motor, offset_ct, put, "compensation register")
 
 
 def check_master_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> SignResult:
@@ -84,7 +51,7 @@ def check_master_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> Sig
     Raises
     ------
     MotorNotSafe
-        As ``check_register_sign``; also if the motor does not follow the word.
+        Not in closed loop, not at rest, not following the word, or no clear answer.
     """
     names = [f"I{motor}{k:02d}" for k in (5, 6, 7, 8)]
     source, mode, ixx07, ixx08 = read_many(link, names).values()
@@ -108,12 +75,10 @@ def check_master_sign(link: Link, motor: int, *, offset_ct: float = 10.0) -> Sig
     def put(value_ct: float) -> None:
         link.command(f"WX${MASTER_WORD_ADDRESS:X},{round(value_ct * unit)}")
 
-    return _measure(link, motor, offset_ct, put, "master word")
+    return _measure(link, motor, offset_ct, put)
 
 
-def _measure(
-    link: Link, motor: int, offset_ct: float, put: Callable[[float], None], door: str
-) -> SignResult:
+def _measure(link: Link, motor: int, offset_ct: float, put: Callable[[float], None]) -> SignResult:
     if not read_motor(link, motor).status.is_closed_loop:
         raise MotorNotSafe(
             f"Motor #{motor} is not in closed loop.",
@@ -121,14 +86,14 @@ def _measure(
             hint=f"Enable it (`pmac-comp terminal URL -c '#{motor}J/'`) and run the command again.",
         )
     require_stationary(link, [motor])
-    before, reached = _positions(link, motor), 0
+    before_ct, reached = _position_ct(link, motor), 0
     try:
         for k in range(1, STEPS + 1):
             reached = k
             put(offset_ct * k / STEPS)
             link.clock.sleep_s(STEP_PAUSE_s)
         link.clock.sleep_s(SETTLE_s)
-        after = _positions(link, motor)
+        after_ct = _position_ct(link, motor)
     except PmacCompError as error:
         note_failure(error, lambda: _take_out(link, put, offset_ct, reached))
         raise
@@ -136,15 +101,15 @@ def _measure(
         _take_out(link, put, offset_ct, reached)
         raise
     _take_out(link, put, offset_ct, reached)
-    moved, shown = (b - a for a, b in zip(before, after, strict=True))
-    if abs(moved) < LEAST_RESPONSE * abs(offset_ct):
+    moved_ct = after_ct - before_ct
+    if abs(moved_ct) < LEAST_RESPONSE * abs(offset_ct):
         raise MotorNotSafe(
-            f"An offset of {offset_ct:g} counts in the {door} moved motor #{motor} by "
-            f"{moved:.2f} counts only.",
+            f"An offset of {offset_ct:g} counts in the master word moved motor #{motor} by "
+            f"{moved_ct:.2f} counts only.",
             code="PC-SGN-005",
             hint="Friction may hold the motor: give the integrator time, or use a larger offset.",
         )
-    return SignResult(door, offset_ct, moved, shown)
+    return SignResult(offset_ct, moved_ct)
 
 
 def _take_out(link: Link, put: Callable[[float], None], offset_ct: float, reached: int) -> None:
@@ -154,8 +119,7 @@ def _take_out(link: Link, put: Callable[[float], None], offset_ct: float, reache
         link.clock.sleep_s(STEP_PAUSE_s)
 
 
-def _positions(link: Link, motor: int) -> tuple[float, float]:
-    """Encoder position and P, counts."""
+def _position_ct(link: Link, motor: int) -> float:
+    """Encoder position."""
     unit = 32.0 * read_one(link, f"I{motor}08")
-    raw = parse_integer(link.query(f"RL${reg.motor_register(motor, reg.ACTUAL):X}")[0])
-    return raw / unit, read_motor(link, motor).position_ct
+    return parse_integer(link.query(f"RL${reg.motor_register(motor, reg.ACTUAL):X}")[0]) / unit

@@ -31,6 +31,7 @@ from pmac_comp.machine.controller.law_bank import (
     WorkIndex,
     evaluate,
 )
+from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
@@ -41,6 +42,14 @@ from tests.unit.machine_controller.card_bench import (
 )
 
 UNIT = 3072.0  # 32 * I108
+
+
+def download_source(link: Link, found: programs.Source) -> None:
+    """Send the commands of a file, then its programs, each verified."""
+    if found.commands:
+        link.write_buffer(list(found.commands))
+    for program in found.programs:
+        programs.download(link, program)
 
 
 def source(name: str, **options: int) -> programs.Source:
@@ -55,7 +64,7 @@ def source(name: str, **options: int) -> programs.Source:
 def test_each_file_lists_back_token_by_token(tmp_path: Path, name: str) -> None:
     bench = CardBench(tmp_path)
     found = source(name)
-    programs.download_source(bench.link, found)
+    download_source(bench.link, found)
     for program in found.programs:
         assert programs.is_present(bench.link, program)
         lines = programs.listing(bench.link, program.kind, program.number)
@@ -73,15 +82,15 @@ def test_a_changed_token_is_found(tmp_path: Path) -> None:
 
 def test_setup_points_the_definitions_where_the_law_reads(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    programs.download_source(bench.link, source("bench_setup.pmc"))
+    download_source(bench.link, source("bench_setup.pmc"))
     answers = bench.link.query("M7000->M7001->M7002->I5003I5006")
     assert answers == ["X:$0,24", "D:$88", "X:$10F8,24,S", "$80010B", "$4000BF"]
 
 
 def test_guard_switches_tables_off_while_the_manifest_says_writing(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    programs.download_source(bench.link, source("bench_setup.pmc"))
-    programs.download_source(bench.link, source("comp_guard.plc"))
+    download_source(bench.link, source("bench_setup.pmc"))
+    download_source(bench.link, source("comp_guard.plc"))
     bench.link.command("ENABLE PLC 1")
     bench.clock.sleep_s(0.1)
     scans = bench.p(7080)
@@ -98,8 +107,8 @@ def test_guard_switches_tables_off_while_the_manifest_says_writing(tmp_path: Pat
 
 def test_guard_reports_an_expired_lease(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    programs.download_source(bench.link, source("bench_setup.pmc"))
-    programs.download_source(bench.link, source("comp_guard.plc"))
+    download_source(bench.link, source("bench_setup.pmc"))
+    download_source(bench.link, source("comp_guard.plc"))
     end = lease.read_clock(bench.link) + 300
     bench.link.write_buffer(["ENABLE PLC 1", f"P7079={end}", "P7078=5"])
     bench.clock.sleep_s(0.2)
@@ -391,7 +400,7 @@ def test_motion_files_run_and_come_back(tmp_path: Path, name: str) -> None:
         "motion_pvt.pmc": 1000,
     }
     found = source(name)
-    programs.download_source(bench.link, found)
+    download_source(bench.link, found)
     bench.link.write_buffer(["I5190=1000", "I5113=0", "I42=0", *parameters[name]])
     motion.start(bench.link, found.program.number)
     highest = 0.0
@@ -488,8 +497,8 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
-    programs.download_source(bench.link, source("bench_setup.pmc"))
-    programs.download_source(bench.link, source("homing.plc"))
+    download_source(bench.link, source("bench_setup.pmc"))
+    download_source(bench.link, source("homing.plc"))
     bench.link.write_buffer(["I123=10", "I7012=2", "I7013=0", "P7191=700", "ENABLE PLC 2"])
     bench.clock.sleep_s(0.9)
     assert bench.p(7190) == 1
@@ -500,8 +509,8 @@ def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
 
 def homing_bench(folder: Path, *settings: str) -> CardBench:
     bench = CardBench(folder)
-    programs.download_source(bench.link, source("bench_setup.pmc"))
-    programs.download_source(bench.link, source("homing.plc"))
+    download_source(bench.link, source("bench_setup.pmc"))
+    download_source(bench.link, source("homing.plc"))
     bench.link.write_buffer([*settings, "P7191=20000", "ENABLE PLC 2"])
     return bench
 

@@ -20,7 +20,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import law_install, law_state, recovery, sign_check
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
 from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
@@ -33,7 +33,7 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.deploy import check_law_on_card, context_of, deploy, switch
+from pmac_comp.workflow.deploy import bank_in_use, context_of, deploy, switch
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.removal import remove_from, standing_on
@@ -86,7 +86,13 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
         "measuring the sign of the law",
         "arming the law",
     ]
-    assert check_law_on_card(axis, context, compensation, MOTION.position_m) < 1e-3
+    bank = bank_in_use(axis, context, compensation)
+    assert bank is not None
+    clamp = compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct
+    there = evaluate(bank, MOTION.position_m / axis.scales.motor_m_per_ct, clamp_ct=clamp)
+    here = evaluate_law(compensation.law, MOTION.position_m, axis.scales.period_s)
+    gap_m = there.correction_ct * axis.scales.motor_m_per_ct - here.correction_m
+    assert np.max(np.abs(gap_m)) < 1e-9
     require_on_card(axis, context, compensation)
     with pytest.raises(VerifyMismatch, match="does not hold its law: "):
         require_on_card(axis, context, replace(compensation, law=friction_law()))
@@ -288,17 +294,17 @@ def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
     axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     context = context_of(axis, tmp_path)
-    stood, looks = sign_check._positions(axis.link, axis.motor), iter(range(10))
+    stood, looks = sign_check._position_ct(axis.link, axis.motor), iter(range(10))
 
-    def killed_at_the_second_look(*_: object) -> tuple[float, float]:
+    def killed_at_the_second_look(*_: object) -> float:
         if next(looks) == 0:
-            return 0.0, 0.0
+            return 0.0
         for name in ("command", "query", "write_buffer"):
             meanwhile.setattr(axis.link, name, killed_at_the_second_look)
         raise Killed
 
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(sign_check, "_positions", killed_at_the_second_look)
+        meanwhile.setattr(sign_check, "_position_ct", killed_at_the_second_look)
         with pytest.raises(Killed):
             deploy(axis, Compensation("law", LAW), context)
     assert axis.link.query("RX$10F8") != ["0"]  # the offset that the motor follows
@@ -307,7 +313,7 @@ def test_an_upload_killed_in_its_sign_test_is_taken_back_and_may_be_made_again(
     assert axis.link.query("I106 RX$10F8") == ["0", "0"]
     axis.link.clock.sleep_s(0.5)
     # The offset went out while the motor followed it: otherwise it would stand there for good.
-    assert sign_check._positions(axis.link, axis.motor) == pytest.approx(stood, abs=3.0)
+    assert sign_check._position_ct(axis.link, axis.motor) == pytest.approx(stood, abs=3.0)
     assert deploy(axis, Compensation("law", LAW), context).verdict is ControllerState.NEW
 
 
@@ -384,14 +390,14 @@ def test_a_sign_test_that_is_stopped_takes_its_offset_out_slowly(
     context = context_of(axis, tmp_path)
     looks = iter(range(10))
 
-    def stopped_at_the_second_look(*_: object) -> tuple[float, float]:
+    def stopped_at_the_second_look(*_: object) -> float:
         if next(looks):
             raise KeyboardInterrupt
-        return 0.0, 0.0
+        return 0.0
 
     words: list[tuple[int, float]] = []
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(sign_check, "_positions", stopped_at_the_second_look)
+        meanwhile.setattr(sign_check, "_position_ct", stopped_at_the_second_look)
         meanwhile.setattr(axis.link.clock, "sleep_s", seen(axis, card, words))
         with pytest.raises(ChangeInterrupted) as stopped:
             deploy(axis, Compensation("law", LAW), context)
