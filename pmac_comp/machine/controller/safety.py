@@ -4,7 +4,7 @@ Figures come from the bench file by way of ``workflow``, in counts. Nothing here
 controller.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -144,7 +144,7 @@ def _step_refusal(
 ) -> SafetyRefusal:
     places = [quiet_place(t, limits) for t in tables if isinstance(t, CompTable)]
     where = next((p for p in places if p is not None), None)
-    hint = f"Kill the motor first (`pmac-comp terminal URL -c '#{motor}K'`)"
+    hint = _kill_hint(motor)
     if where is not None:
         hint += f", or let it stand where it is small (`-c '#{motor}J={where:.0f}'`)"
     return MotorNotSafe(
@@ -154,6 +154,65 @@ def _step_refusal(
         hint=hint + ".",
         context={"motor": motor, "step_ct": value_ct, "stand_at_ct": where},
     )
+
+
+def _kill_hint(motor: int) -> str:
+    return f"Kill the motor first (`pmac-comp terminal URL -c '#{motor}K'`)"
+
+
+def check_torque_step(
+    tables: Iterable[TorqueTable],
+    position_ct: Mapping[int, float],
+    dac_per_ct: Mapping[int, float],
+    limits: Limits,
+) -> list[SafetyRefusal]:
+    """What forbids to switch torque tables of closed loops: a torque that gives way at once.
+
+    The loop takes it up with a following error, until its integrator has: as large as the
+    proportional gain alone (16-bit DAC units per count, keyed by motor) needs for it.
+    """
+    refusals: list[SafetyRefusal] = []
+    for table in tables:
+        torque_dac = float(table.torque_dac(position_ct[table.motor]))
+        gain = abs(dac_per_ct[table.motor])
+        if abs(torque_dac) <= gain * limits.max_step_ct:
+            continue
+        moves = f" by about {limits.text_um(torque_dac / gain)}" if gain else ""
+        refusals.append(
+            MotorNotSafe(
+                f"The torque table of motor #{table.motor} gives {torque_dac:.0f} DAC units where "
+                f"it stands: switching it would push the motor aside{moves}; the limit is "
+                f"{limits.text_um(limits.max_step_ct)}.",
+                code="PC-SAF-041",
+                hint=f"{_kill_hint(table.motor)}, or let it stand where that table gives little.",
+                context={"motor": table.motor, "torque_dac": torque_dac},
+            )
+        )
+    return refusals
+
+
+def check_offsets(
+    offset_ct: Mapping[int, float], closed_loop: Mapping[int, bool], limits: Limits
+) -> list[SafetyRefusal]:
+    """What forbids to switch tables on: a closed loop that stands by what its register holds.
+
+    ``offset_ct`` is what the compensation registers hold while tables are off, keyed by motor, of
+    either sign: whether a register is added or taken away is not the same in all of the manual.
+    """
+    return [
+        MotorNotSafe(
+            f"The compensation register of motor #{motor} holds {limits.text_um(value)} though "
+            "tables are off (I51 = 0), and the motor stands by as much beside its position: "
+            "switching tables on would take that away at once; the limit is "
+            f"{limits.text_um(limits.max_step_ct)}.",
+            code="PC-SAF-040",
+            hint="It is left from where tables were switched off, or a program writes it. "
+            f"{_kill_hint(motor)}; it may be enabled again afterwards.",
+            context={"motor": motor, "offset_ct": value},
+        )
+        for motor, value in offset_ct.items()
+        if closed_loop[motor] and abs(value) > limits.max_step_ct
+    ]
 
 
 def quiet_place(table: CompTable, limits: Limits) -> float | None:

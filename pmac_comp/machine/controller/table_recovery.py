@@ -11,6 +11,7 @@ from pmac_comp.base.errors import (
     SafetyRefusal,
     UploadIncomplete,
 )
+from pmac_comp.machine.controller.bumpless import switch_refusals
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.lease import (
@@ -21,7 +22,6 @@ from pmac_comp.machine.controller.lease import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, end_lines
-from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
@@ -39,8 +39,6 @@ from pmac_comp.machine.controller.transaction import (
     journals,
 )
 from pmac_comp.machine.controller.upload import Origin, TableUpload
-from pmac_comp.machine.controller.upload_checks import motion_refusals
-from pmac_comp.machine.controller.upload_plan import step_refusals
 
 FOREIGN_TABLES: Final = "PC-UPL-060"
 
@@ -190,8 +188,7 @@ def recover_tables(
 
 def _require_bumpless(link: Link, context: Context, tables: TableSet) -> None:
     """Foreign tables are not switched off under a moving axis, nor where it would jump."""
-    refusals = motion_refusals(link, tables.motors)
-    refusals += step_refusals(context, read_motors(link, tables.motors), tables, TableSet())
+    refusals = switch_refusals(link, context.limits, tables, on=False)
     try:
         raise_all(refusals, "Switching off tables that nobody announced")
     except SafetyRefusal as error:

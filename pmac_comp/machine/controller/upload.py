@@ -23,6 +23,7 @@ from pmac_comp.base.errors import (
     StorageFull,
     VerifyMismatch,
 )
+from pmac_comp.machine.controller.bumpless import step_refusals
 from pmac_comp.machine.controller.comp_table import Table
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
@@ -72,7 +73,7 @@ from pmac_comp.machine.controller.transaction import (
 )
 from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, not_at_rest
 from pmac_comp.machine.controller.upload_look import do_and_look
-from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look, step_refusals
+from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look
 from pmac_comp.machine.controller.variables import batches
 
 FRESH_s: Final = 5.0
@@ -412,7 +413,8 @@ class TableUpload:
         refusals = not_at_rest(found.reasons)
         readings = {} if found.rest is None else found.rest.readings
         if acting:
-            refusals += step_refusals(self.context, readings, TableSet(), the_plan.new)
+            limits = self.context.limits
+            refusals += step_refusals(self.link, limits, readings, TableSet(), the_plan.new)
         raise_all(refusals, "Enabling")
         if parse_pointers(found.behind) != self._pointers:
             raise ForeignChange(

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pmac_comp.base.errors import SafetyRefusal
+from pmac_comp.machine.controller.bumpless import offset_refusals, step_refusals
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.lease import CLOCK_TEXT, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
@@ -17,7 +18,7 @@ from pmac_comp.machine.controller.motors import (
     reading_text,
 )
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.safety import check_step, check_table
+from pmac_comp.machine.controller.safety import check_table
 from pmac_comp.machine.controller.switching import FEW
 from pmac_comp.machine.controller.table_set import (
     POINTERS_TEXT,
@@ -160,7 +161,10 @@ def look(
     after = new if wish.enable_after else TableSet()
     if wish.exactly is None:
         refusals += incomplete_refusals(head, old, after)
-    refusals += step_refusals(context, readings, old if head.i51 else TableSet(), after)
+    acting = old if head.i51 else TableSet()
+    refusals += step_refusals(link, context.limits, readings, acting, after)
+    if after and not head.i51:
+        refusals += offset_refusals(link, context.limits)
     steps = plan(old, new)
     found = UploadPlan(
         old=old,
@@ -211,12 +215,3 @@ def _first_look(
     if group != motors:
         begun = begin_standstill(link, motors)
     return _FirstLook(head, parse_integer(clock), begun, keys)
-
-
-def step_refusals(
-    context: Context, readings: dict[int, MotorReading], old: TableSet, new: TableSet
-) -> list[SafetyRefusal]:
-    """Refusals because a motor in closed loop would jump where it stands."""
-    position = {m: r.position_ct for m, r in readings.items()}
-    closed = {m: r.status.is_closed_loop for m, r in readings.items()}
-    return check_step(old.tables, new.tables, position, closed, context.limits)

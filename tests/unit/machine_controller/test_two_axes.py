@@ -225,7 +225,7 @@ def test_one_that_was_interrupted_anywhere_is_seen_until_it_is_settled(tmp_path:
 def test_one_whose_folder_is_lost_is_taken_as_it_stands(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
-    afresh(bench, Fault(FaultKind.CUT, Way.SEND, 900))
+    afresh(bench, Fault(FaultKind.CUT, Way.SEND, 1100))
     with pytest.raises(LinkLost):
         put_table(bench, first, 1)
     afresh(bench)
