@@ -42,7 +42,7 @@ from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import SIGN_OFFSETS_um
 from pmac_comp.workflow.tables import tables_of
 
-_ENABLE_STEP = "PC-SAF-004"
+_ENABLE_STEPS = {"PC-SAF-004", "PC-SAF-041"}
 _SERIAL_CHARACTERS_PER_s = 0.1  # of the baud rate: ten bits each
 _PACKETS_CHARACTERS_PER_s = 1e5
 _STEPS_s = 0.5  # questions, seal and switch
@@ -148,7 +148,7 @@ def preview(
 
 def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:
     """Whether a step on enabling goes away because the axis first moves to its zero."""
-    return refusal.code == _ENABLE_STEP and refusal.context.get("motor") == axis.motor
+    return refusal.code in _ENABLE_STEPS and refusal.context.get("motor") == axis.motor
 
 
 def _table_lines(plan: UploadPlan, url: str) -> list[str]:

@@ -112,7 +112,8 @@ class TableUpload:
     exactly : TableSet or None
         Complete new set instead of a change (rollback).
     enable_after : bool
-        Whether tables act at the end; False only to restore a set that was off.
+        Whether tables act at the end; False only to restore a set that was off. An upload that
+        only takes tables off leaves the switch as it was, and off where none is left.
     check_limits : bool
         False only to restore what was there before.
     origin : Origin or None
@@ -223,7 +224,7 @@ class TableUpload:
             self._write(the_plan)
             self._read_back(the_plan, manifest)
             self._seal(the_plan, manifest)
-            if self._wish.enable_after:
+            if the_plan.enabled_new:
                 self._enable(the_plan)
             if self.persist:
                 self._persist(the_plan)
@@ -279,7 +280,7 @@ class TableUpload:
                 "steps": ["manifest", "disable", "write", "read back"],
                 "n_lines": len(the_plan.lines),
                 "new": [table_to_json(t) for t in the_plan.new],
-                "enable_after": int(self._wish.enable_after),
+                "enable_after": int(the_plan.enabled_new),
                 "i30": self._i30,
                 "closing": self._closing,
             },
@@ -390,7 +391,7 @@ class TableUpload:
 
     def _seal(self, the_plan: UploadPlan, manifest: Manifest) -> None:
         """Call the new tables whole; if they are to act, look whether they may."""
-        acting = self._wish.enable_after
+        acting = the_plan.enabled_new
         self._change.step("seal", {"steps": ["seal", "enable"] if acting else ["seal"]})
         state = self.context.block.p(Index.MANIFEST) + 1
         found = do_and_look(
@@ -460,9 +461,9 @@ def upload_tables(
 
 
 def remove_tables(link: Link, context: Context, keys: Sequence[Key]) -> UploadResult:
-    """Take tables off; the rest acts as before (none left: compensation stays off)."""
-    remaining = read_tables(link).with_tables((), without=keys)
-    with TableUpload(
-        link, context, without=keys, enable_after=len(remaining) > 0, check_limits=False
-    ) as upload:
+    """Take tables off; those that remain act if tables acted before.
+
+    With none left the switch is off (I51 = 0). Errors are those of ``TableUpload.execute``.
+    """
+    with TableUpload(link, context, without=keys, check_limits=False) as upload:
         return upload.execute()

@@ -7,6 +7,7 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     SafetyRefusal,
 )
+from pmac_comp.machine.controller.comp_table import Table
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import ManifestState
 from pmac_comp.machine.controller.motors import (
@@ -85,6 +86,31 @@ def incomplete_refusals(head: Head, old: TableSet, after: TableSet) -> list[Safe
             "and would act.",
             code="PC-UPL-024",
             hint="Run `pmac-comp recover` where that upload was started, or put a backup back.",
+        )
+    ]
+
+
+def acted(head: Head) -> bool:
+    """Whether tables act, or did until an upload that was interrupted switched them off."""
+    manifest = head.manifest
+    if manifest is None or manifest.state is not ManifestState.WRITING:
+        return bool(head.i51)
+    return bool(head.i51 or manifest.enabled_old)
+
+
+def unasked_refusals(head: Head, kept: Iterable[Table]) -> list[SafetyRefusal]:
+    """Refusal of switching on, with new tables, others that were off: nobody asked for those."""
+    names = ", ".join(f"{t.kind.value} of motor #{t.motor}" for t in kept)
+    if not names or acted(head):
+        return []
+    return [
+        SafetyRefusal(
+            f"Tables are off on this controller (I51 = 0); {names} would begin to act with the "
+            "new ones.",
+            code="PC-UPL-070",
+            hint="If they may act, switch them on before, with their motors killed or where they "
+            "correct little: `pmac-comp terminal URL -c 'I51=1'`. If not, take them off: "
+            "`pmac-comp remove` with their bench file.",
         )
     ]
 

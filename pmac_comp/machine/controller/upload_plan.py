@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller.bumpless import offset_refusals, step_refusals
+from pmac_comp.machine.controller.comp_table import Table
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.lease import CLOCK_TEXT, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
@@ -32,11 +33,13 @@ from pmac_comp.machine.controller.table_set import (
 )
 from pmac_comp.machine.controller.table_status import HEAD_LINES, Head, head_text, parse_head
 from pmac_comp.machine.controller.upload_checks import (
+    acted,
     buffer_refusals,
     incomplete_refusals,
     memory_refusals,
     motion_refusals,
     not_at_rest,
+    unasked_refusals,
 )
 
 
@@ -48,8 +51,8 @@ class UploadPlan:
     ----------
     old, new : TableSet
         Tables before and after.
-    enabled_old : bool
-        Whether tables act now.
+    enabled_old, enabled_new : bool
+        Whether tables act now, and afterwards.
     refusals : tuple of SafetyRefusal
         Everything that forbids it.
     lines : tuple of str
@@ -61,6 +64,7 @@ class UploadPlan:
     old: TableSet
     new: TableSet
     enabled_old: bool
+    enabled_new: bool
     refusals: tuple[SafetyRefusal, ...]
     lines: tuple[str, ...]
     motors: tuple[int, ...]
@@ -79,7 +83,7 @@ class Wish:
     exactly : TableSet or None
         Complete new set instead of a change (rollback).
     enable_after : bool
-        Whether tables act at the end.
+        Whether tables act at the end; what only takes tables off leaves the others as they were.
     check_limits : bool
         False only to restore what was there before.
     """
@@ -95,6 +99,16 @@ class Wish:
         if self.exactly is not None:
             return self.exactly
         return old.with_tables(self.change, without=self.without)
+
+    def acts(self, head: Head, new: TableSet) -> bool:
+        """Whether the new set acts at the end, by what the card had on before."""
+        if self.exactly is None and not self.change:
+            return len(new) > 0 and acted(head)
+        return self.enable_after
+
+    def kept(self, after: TableSet) -> list[Table]:
+        """Tables of a new set that were there before and are not touched."""
+        return [t for t in after if self.change.get(t.kind, t.motor) is None]
 
 
 @dataclass(frozen=True)
@@ -158,9 +172,11 @@ def look(
         refusals += [] if to_the_end else not_at_rest(executing_moves(readings))
     if set(motors) - set(begun.first):
         begun = Standstill(readings, link.clock.now_s())
-    after = new if wish.enable_after else TableSet()
+    acts = wish.acts(head, new)
+    after = new if acts else TableSet()
     if wish.exactly is None:
         refusals += incomplete_refusals(head, old, after)
+        refusals += unasked_refusals(head, wish.kept(after))
     acting = old if head.i51 else TableSet()
     refusals += step_refusals(link, context.limits, readings, acting, after)
     if after and not head.i51:
@@ -170,6 +186,7 @@ def look(
         old=old,
         new=new,
         enabled_old=bool(head.i51),
+        enabled_new=acts,
         refusals=tuple(refusals),
         lines=(*steps.delete_lines, *steps.define_lines),
         motors=motors,
