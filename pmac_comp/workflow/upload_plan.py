@@ -161,6 +161,7 @@ def _table_lines(plan: UploadPlan, url: str) -> list[str]:
         f"  all tables of the controller are off (I51 = 0) for about {off_s:.1f} s while they are "
         "written and read back"
         + (f"; that concerns {', '.join(others)} as well" if others else ""),
+        *(f"  {remark}" for remark in plan.remarks),
     ]
 
 

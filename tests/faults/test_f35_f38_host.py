@@ -74,17 +74,21 @@ def test_f35_span_shorter_than_the_travel(excess: int, refused: bool) -> None:  
 
 
 def test_f35_values_that_no_register_takes() -> None:
-    for bad in ((1 << 23, 0), (-(1 << 23) - 1, 0), (1.5, 0), ("7", 0), (True, 0), (), (5, 7)):
+    for bad in ((1 << 23, 0), (-(1 << 23) - 1, 0), (1.5, 0), ("7", 0), (True, 0), ()):
         with pytest.raises(ConfigError):
             CompTable(1, bad, 600000)  # type: ignore[arg-type]
     for entries, span in (((0, 0), 1), ((0,), 0), ((0,), 1 << 31)):
         with pytest.raises(ConfigError):
             CompTable(1, entries, span)
     assert CompTable(1, ((1 << 23) - 1, 0), 600000)
-    assert CompTable(1, (5, 7), 600000, wrap=True)
     for name, value in (("I130", 8388608), ("I129", 32768), ("I4904", 1), ("I51", 2)):
         with pytest.raises(ConfigError):
             check_value(name, value)
+
+
+def test_f35_a_table_that_jumps_where_it_repeats_is_refused() -> None:
+    assert [r.code for r in check_table(CompTable(1, (5, 7), 600000), LIMITS)] == ["PC-TBL-005"]
+    assert check_table(CompTable(1, (5, 7), 600000, wrap=True), LIMITS) == []
 
 
 def test_f35_all_refusals_are_reported_together(tmp_path: Path) -> None:

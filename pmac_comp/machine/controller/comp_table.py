@@ -8,7 +8,7 @@ limits in um (``safety``), the wire. Source: Software Reference Manual p. 301-31
 import re
 import zlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import Final
@@ -54,12 +54,15 @@ class Table:
         Length of the table in counts of the source motor; beyond it the table repeats.
     wrap : bool
         Loaded with I30 = 1.
+    is_wrap_guessed : bool
+        Whether the card did not show what it holds at position 0.
     """
 
     motor: int
     entries: tuple[int, ...]
     span_ct: int
     wrap: bool = False
+    is_wrap_guessed: bool = field(default=False, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         motor_base(self.motor)
@@ -74,13 +77,6 @@ class Table:
                 "the spacing is below one count.",
                 code="PC-TBL-004",
                 hint="Use fewer entries.",
-            )
-        if not self.wrap and self.entries[-1] != 0:
-            raise ConfigError(
-                f"The last entry is {self.entries[-1]}, but the correction at position 0 is zero: "
-                "the table would jump where it repeats.",
-                code="PC-TBL-005",
-                hint="End the table with 0, or load it with wrap (I30 = 1).",
             )
 
     @property
@@ -111,8 +107,17 @@ class Table:
 
     @cached_property
     def canonical(self) -> str:
-        """Text that the checksum is taken of: all that the card lists."""
-        return f"{self.kind.value} {self.motor} {self.span_ct} {self.listed}"
+        """Text that the checksum is taken of: what the card lists, and a jump at position 0."""
+        return f"{self.kind.value} {self.motor} {self.span_ct} {self.listed}{self._jump}"
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the table jumps where it repeats: from its last entry to zero."""
+        return not self.wrap and self.entries[-1] != 0
+
+    @property
+    def _jump(self) -> str:
+        return " I30=0" if self.jumps else ""
 
     @property
     def crc(self) -> int:
@@ -174,7 +179,7 @@ class CompTable(Table):
     def canonical(self) -> str:
         """Text that the checksum is taken of; the D of the source is not always listed."""
         head = f"COMP {self.motor} {self.source} {self.target} {self.span_ct}"
-        return f"{head} {self.listed}"
+        return f"{head} {self.listed}{self._jump}"
 
     def correction_ct(self, position_ct: FloatArray | float) -> FloatArray:
         """Correction in counts of the target at source positions in counts."""
@@ -222,7 +227,13 @@ class TableHeader:
     by_desired: bool | None  # None: the card does not say
 
     def is_of(self, table: Table, listed: str) -> bool:
-        """Whether this header with the entries listed is that table, character by character."""
+        """Whether this header with the entries listed is that table, character by character.
+
+        Of a table that does not end with 0 the listing does not tell all.
+        """
+        by_desired = isinstance(table, CompTable) and table.by_desired
+        if table.entries[-1] or by_desired != bool(self.by_desired):
+            return False
         who = f"{self.source} {self.target} " if self.kind is TableKind.COMP else ""
         canonical = f"{self.kind.value} {self.motor} {who}{self.span_ct} {listed}"
         return self.n_entries == len(table.entries) and canonical == table.canonical
@@ -273,8 +284,18 @@ def parse_entries(lines: Iterable[str]) -> tuple[int, ...]:
         return tuple(map(parse_integer, items))  # names the item that is no integer
 
 
-def build_table(header: TableHeader, entries: tuple[int, ...]) -> Table:
-    """Table from what the card listed; a non-zero last entry means it was loaded with wrap.
+def build_table(
+    header: TableHeader, entries: tuple[int, ...], *, at_zero: int | None = None
+) -> Table:
+    """Table from what the card listed, and holds at position 0.
+
+    Parameters
+    ----------
+    header, entries
+        As listed.
+    at_zero : int or None
+        Value at position 0. If the card does not show it, that of a table which goes on smoothly
+        where it repeats is taken.
 
     Raises
     ------
@@ -287,19 +308,21 @@ def build_table(header: TableHeader, entries: tuple[int, ...]) -> Table:
             f"its header says {header.n_entries}.",
             code="PC-TBL-011",
         )
-    wrap = entries[-1] != 0
+    wrap = entries[-1] != 0 and at_zero != 0
+    guessed = wrap and at_zero is None
     if header.kind is TableKind.COMP:
         return CompTable(
             header.motor,
             entries,
             header.span_ct,
             wrap,
+            is_wrap_guessed=guessed,
             source=header.source,
             target=header.target,
             by_desired=bool(header.by_desired),
         )
     maker = BacklashTable if header.kind is TableKind.BLCOMP else TorqueTable
-    return maker(header.motor, entries, header.span_ct, wrap)
+    return maker(header.motor, entries, header.span_ct, wrap, is_wrap_guessed=guessed)
 
 
 def same_on_card(meant: Table, found: Table) -> bool:

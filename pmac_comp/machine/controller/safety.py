@@ -67,9 +67,9 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
 
     Each refusal names the position and the value.
     """
+    refusals = _check_span(table, limits) + _check_end(table)
     if isinstance(table, TorqueTable):
-        return _check_span(table, limits)
-    refusals: list[SafetyRefusal] = []
+        return refusals
     values_ct = np.array([table.entries[-1] if table.wrap else 0, *table.entries]) / 16.0
     position_ct = np.arange(len(values_ct)) * table.spacing_ct
     worst = int(np.argmax(np.abs(values_ct)))
@@ -97,7 +97,20 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
                 context={"entry": steep, "slope": float(slopes[steep])},
             )
         )
-    return refusals + _check_span(table, limits)
+    return refusals
+
+
+def _check_end(table: Table) -> list[SafetyRefusal]:
+    if not table.jumps:
+        return []
+    return [
+        SafetyRefusal(
+            f"The last entry is {table.entries[-1]}, but the correction at position 0 is zero: "
+            "the table would jump where it repeats.",
+            code="PC-TBL-005",
+            hint="End the table with 0, or load it with wrap (I30 = 1).",
+        )
+    ]
 
 
 def _check_span(table: Table, limits: Limits) -> list[SafetyRefusal]:

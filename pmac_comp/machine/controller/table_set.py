@@ -21,11 +21,23 @@ from pmac_comp.machine.controller.comp_table import (
     parse_header,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.registers import BLCOMP_POINTERS
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.registers import (
+    BLCOMP_POINTERS,
+    COMP_POINTERS,
+    TCOMP_POINTERS,
+)
 
 Key = tuple[TableKind, int]
 POINTERS_TEXT: Final = f"RX${BLCOMP_POINTERS:X},96"
 """Question for all start addresses; the last of its line, since it is answered with many."""
+_POINTERS: Final = {
+    TableKind.BLCOMP: BLCOMP_POINTERS,
+    TableKind.TCOMP: TCOMP_POINTERS,
+    TableKind.COMP: COMP_POINTERS,
+}
+_COMPARED: Final = 15  # entries that are looked for in the memory
+_WORD: Final = 1 << 24
 _KINDS = (TableKind.COMP, TableKind.TCOMP, TableKind.BLCOMP)
 
 
@@ -163,7 +175,28 @@ def read_table(
     lines = link.query(f"#{motor}LIST {kind.value}", meanwhile=meanwhile)
     if expected is not None and header.is_of(expected, " ".join(" ".join(lines).split())):
         return expected
-    return build_table(header, parse_entries(lines))
+    entries = parse_entries(lines)
+    if not entries or not entries[-1] or len(entries) != header.n_entries:
+        return build_table(header, entries)
+    return build_table(header, entries, at_zero=_at_zero(link, (kind, motor), entries))
+
+
+def _at_zero(link: Link, key: Key, entries: Sequence[int]) -> int | None:
+    """What stands at position 0, which no listing shows: 0 or the last entry.
+
+    Entries lie before the storage address that the card keeps beside the start address (Y, p. 509),
+    and the value at position 0 before them. How is not documented: None if they do not.
+    """
+    kind, motor = key
+    storage = parse_integer(link.query(f"RY${_POINTERS[kind] + motor - 1:X}")[0])
+    first = storage - len(entries) - 1
+    if first <= 0:
+        return None
+    begin = entries[:_COMPARED]
+    value, *found = parse_entries(link.query(f"RY${first:X},{len(begin) + 1}"))
+    alike = all((a - b) % _WORD == 0 for a, b in zip(begin, found, strict=True))
+    known = next((k for k in (0, entries[-1]) if (value - k) % _WORD == 0), None)
+    return known if alike else None
 
 
 def candidates(link: Link) -> list[Key]:

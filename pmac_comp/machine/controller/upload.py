@@ -237,6 +237,7 @@ class TableUpload:
             disabled_s=self._disabled_s,
             backup=backup,
             journal=change.journal.path,
+            notes=the_plan.remarks,
         )
 
     def _fresh_plan(self) -> UploadPlan:

@@ -43,7 +43,7 @@ def difference(meant: TableSet, found: TableSet) -> str:
             if a != b:
                 return f"{name}: entry {k} is {b} instead of {a}"
         if table.canonical != twin.canonical:
-            return f"{name} has another source, target or span"
+            return f"{name} has another source, target, span or value at 0"
     return f"{len(found)} tables instead of {len(meant)}"
 
 

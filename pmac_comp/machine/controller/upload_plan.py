@@ -24,6 +24,7 @@ from pmac_comp.machine.controller.switching import FEW
 from pmac_comp.machine.controller.table_set import (
     POINTERS_TEXT,
     Key,
+    TablePlan,
     TableSet,
     keys_of,
     parse_pointers,
@@ -59,6 +60,8 @@ class UploadPlan:
         What would be sent for the tables.
     motors : tuple of int
         Motors that must stand still.
+    remarks : tuple of str
+        What a person should know.
     """
 
     old: TableSet
@@ -68,6 +71,7 @@ class UploadPlan:
     refusals: tuple[SafetyRefusal, ...]
     lines: tuple[str, ...]
     motors: tuple[int, ...]
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -190,9 +194,21 @@ def look(
         refusals=tuple(refusals),
         lines=(*steps.delete_lines, *steps.define_lines),
         motors=motors,
+        remarks=_remarks(old, steps),
     )
     context.progress("pre-flight", 1, 1)
     return Look(found, head, begun)
+
+
+def _remarks(old: TableSet, steps: TablePlan) -> tuple[str, ...]:
+    """Tables that go, and come back now or with a rollback, of which the card does not say all."""
+    gone = (old.get(*key) for key in steps.delete)
+    return tuple(
+        f"what {t.kind.value} of motor #{t.motor} holds at position 0 cannot be read from this "
+        "card: where it is written again it holds its last entry there (I30 = 1)"
+        for t in gone
+        if t is not None and t.is_wrap_guessed
+    )
 
 
 @dataclass(frozen=True)

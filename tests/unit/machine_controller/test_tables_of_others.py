@@ -52,3 +52,52 @@ def test_what_an_interrupted_upload_switched_off_did_act(tmp_path: Path) -> None
     sealed = replace(manifest, state=ManifestState.VALID)
     bench.link.write_buffer(sealed.lines(bench.context.block))
     assert not acted(read_head(bench.link, bench.context))
+
+
+def at_zero(bench: CardBench) -> int:
+    """Compensation register of motor 1, whose position is 0."""
+    bench.clock.sleep_s(0.1)
+    return int(bench.link.query("RL$90")[0])
+
+
+@pytest.mark.parametrize("i30", [0, 1])
+@pytest.mark.parametrize("last", [80, -80])
+def test_a_table_that_does_not_end_with_0_comes_back_as_it_was(
+    tmp_path: Path, i30: int, last: int
+) -> None:
+    """Its listing does not tell whether it was loaded with I30; #2 lies below it in the stack."""
+    bench = CardBench(tmp_path)
+    bench.link.write_buffer(
+        [f"I30={i30}", "#1DEFINE COMP 4,#1,#1,640000", f"80 {last} 80 {last}", "I30=0", "I51=1"]
+    )
+    before = at_zero(bench)
+    assert bool(before) is bool(i30)
+    with recovery.grouped(bench.link, bench.context, "table") as parts:
+        result = upload.upload_tables(bench.link, parts, [replace(NEW, motor=2, source=2)])
+    assert (at_zero(bench), result.notes) == (before, ())
+    recovery.rollback_last(bench.link, bench.context)
+    assert at_zero(bench) == before
+    with recovery.grouped(bench.link, bench.context, "table") as parts:
+        upload.upload_tables(bench.link, parts, [NEW])
+    assert at_zero(bench) == 0
+    recovery.rollback_last(bench.link, bench.context)
+    assert at_zero(bench) == before
+
+
+def test_a_card_that_keeps_tables_elsewhere_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = CardBench(tmp_path)
+    bench.link.write_buffer(["I30=1", "#1DEFINE COMP 2,#1,#1,640000", "16 16", "I30=0", "I51=1"])
+    before = at_zero(bench)
+    query = bench.link.query
+
+    def elsewhere(text: str, **options: object) -> list[str]:
+        lines = query(text, **options)  # type: ignore[arg-type]
+        return [str(int(v) + 3) for v in lines] if text.startswith("RY$3192") else lines
+
+    monkeypatch.setattr(bench.link, "query", elsewhere)
+    result = upload.upload_tables(bench.link, bench.context, [replace(NEW, motor=2, source=2)])
+    assert result.verdict is ControllerState.NEW
+    assert "COMP of motor #1 holds at position 0 cannot be read" in result.notes[0]
+    assert at_zero(bench) == before
