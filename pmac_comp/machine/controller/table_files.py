@@ -1,4 +1,4 @@
-"""Tables in files: as JSON values and as sealed backups."""
+"""Tables in files: as JSON values, as sealed backups, and as journals name them."""
 
 import time
 from pathlib import Path
@@ -11,8 +11,10 @@ from pmac_comp.machine.controller.comp_table import (
     TableKind,
     TorqueTable,
 )
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.transaction import DONE, ChangeKind, journals
 
 
 def write_table_backup(path: Path, tables: TableSet, *, enabled: bool) -> None:
@@ -82,3 +84,17 @@ def read_table_backup(path: Path) -> tuple[TableSet, bool]:
             hint="The folder of journals was changed by hand; name the right one with --journal.",
         )
     return TableSet(tuple(table_from_json(t) for t in stored)), bool(data["enabled"])
+
+
+def put_last(context: Context) -> TableSet:
+    """All tables of the card as the last upload of this folder meant them; none if it was undone.
+
+    Raises ConfigError if its journal was changed by hand.
+    """
+    kind = ChangeKind.TABLES.value
+    journal = next((j for j in reversed(journals(context)) if j.kind == kind), None)
+    intent = None if journal is None else journal.last("intent")
+    if journal is None or intent is None or journal.last(DONE) is None:
+        return TableSet()
+    tables = intent.data["new"]
+    return TableSet(tuple(table_from_json(t) for t in tables))  # type: ignore[attr-defined]

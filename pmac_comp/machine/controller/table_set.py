@@ -19,6 +19,7 @@ from pmac_comp.machine.controller.comp_table import (
     build_table,
     parse_entries,
     parse_header,
+    same_on_card,
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
@@ -224,20 +225,31 @@ def keys_of(pointers: Sequence[int]) -> list[Key]:
     return sorted(keys, key=_rank)
 
 
-def with_lookup(found: TableSet, meant: TableSet) -> TableSet:
-    """``found`` with the D of each source taken from ``meant`` where the card does not list it."""
+def lists_lookup(found: TableSet) -> bool:
+    """Whether the listing tells what selects entries: a card may leave the D of a source out."""
+    return any(_desired(t) for t in found) or not any(isinstance(t, CompTable) for t in found)
+
+
+def with_lookup(found: TableSet, put: TableSet) -> TableSet:
+    """``found`` with the D of sources as they were ``put``, for a card that does not list it.
+
+    Tables that are not those that were put stay as listed.
+    """
     tables: list[Table] = []
-    for table in found.tables:
-        twin = meant.get(table.kind, table.motor)
-        if (
-            isinstance(table, CompTable)
-            and isinstance(twin, CompTable)
-            and table.by_desired != twin.by_desired
-        ):
-            tables.append(replace(table, by_desired=twin.by_desired))
+    for table in found:
+        twin = put.get(table.kind, table.motor)
+        ours = twin is not None and _desired(twin) and same_on_card(twin, table)
+        if ours and isinstance(table, CompTable):
+            tables.append(replace(table, by_desired=True))
         else:
             tables.append(table)
     return TableSet(tuple(tables))
+
+
+def same_lookup(meant: TableSet, found: TableSet) -> bool:
+    """Whether sources are listed with D where that is meant, or nowhere."""
+    listed = {(t.kind, t.motor) for t in found if _desired(t)}
+    return not listed or listed == {(t.kind, t.motor) for t in meant if _desired(t)}
 
 
 def _rank(key: Key) -> tuple[int, int]:

@@ -54,6 +54,7 @@ from pmac_comp.machine.controller.table_set import (
     keys_of,
     parse_pointers,
     read_tables,
+    same_lookup,
 )
 from pmac_comp.machine.controller.table_status import (
     HEAD_LINES,
@@ -381,7 +382,7 @@ class TableUpload:
         self._require_ours(parse_head(lines[:HEAD_LINES]), manifest, 0)
         self._pointers = parse_pointers(lines[HEAD_LINES:])
         found = read_tables(self.link, keys_of(self._pointers), the_plan.new)
-        if found.crc != the_plan.new.crc:
+        if found.crc != the_plan.new.crc or not same_lookup(the_plan.new, found):
             raise VerifyMismatch(
                 f"The tables on the controller are not those that were sent: "
                 f"{difference(the_plan.new, found)}.",

@@ -44,6 +44,8 @@ def difference(meant: TableSet, found: TableSet) -> str:
                 return f"{name}: entry {k} is {b} instead of {a}"
         if table.canonical != twin.canonical:
             return f"{name} has another source, target, span or value at 0"
+    if len(found) == len(meant):
+        return "a table selects its entries by another position (D)"
     return f"{len(found)} tables instead of {len(meant)}"
 
 

@@ -21,12 +21,14 @@ from pmac_comp.machine.controller.motors import (
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.safety import check_table
 from pmac_comp.machine.controller.switching import FEW
+from pmac_comp.machine.controller.table_files import put_last
 from pmac_comp.machine.controller.table_set import (
     POINTERS_TEXT,
     Key,
     TablePlan,
     TableSet,
     keys_of,
+    lists_lookup,
     parse_pointers,
     plan,
     read_tables,
@@ -153,9 +155,9 @@ def look(
 
     first = _first_look(link, context, wish.of(TableSet()).motors, work)
     head, begun = first.head, first.begun
-    old = with_lookup(
-        read_tables(link, first.keys, meanwhile=lambda: _put_in_words(wish)), wish.of(TableSet())
-    )
+    old = read_tables(link, first.keys, meanwhile=lambda: _put_in_words(wish))
+    if not lists_lookup(old):
+        old = with_lookup(old, put_last(context))
     new = wish.of(old)
     motors = tuple(sorted(set(old.motors) | set(new.motors)))
     refusals: list[SafetyRefusal] = []

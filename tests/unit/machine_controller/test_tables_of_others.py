@@ -1,11 +1,12 @@
 """Tables that are not of this change: off they stay off, and they come back as they were."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, SafetyRefusal
+from pmac_comp.base.errors import ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.manifest import Manifest, ManifestState
@@ -101,3 +102,67 @@ def test_a_card_that_keeps_tables_elsewhere_is_told_of(
     assert result.verdict is ControllerState.NEW
     assert "COMP of motor #1 holds at position 0 cannot be read" in result.notes[0]
     assert at_zero(bench) == before
+
+
+def header_of(bench: CardBench) -> str:
+    """Definition of the table of motor 1, as the simulated card has it."""
+    return bench.side_port()("#1LIST COMP DEF").decode().strip("\r\n\x06")
+
+
+def put(bench: CardBench, *entries: int, by_desired: bool = True) -> None:
+    table = CompTable(1, entries, 640000, by_desired=by_desired)
+    with recovery.grouped(bench.link, bench.context, "table") as parts:
+        upload.upload_tables(bench.link, parts, [table])
+
+
+@pytest.mark.parametrize("by_desired", [True, False])
+def test_a_table_with_the_same_entries_is_looked_up_as_meant(
+    tmp_path: Path,
+    by_desired: bool,  # noqa: FBT001
+) -> None:
+    bench = CardBench(tmp_path)
+    d, other = ("", "D") if by_desired else ("D", "")
+    bench.link.write_buffer(["I30=0", f"#1DEFINE COMP 4,#1{d},#1,640000", "16 32 16 0", "I51=1"])
+    put(bench, 16, 32, 16, 0, by_desired=by_desired)
+    assert header_of(bench) == f"4,#1{other},#1,640000"
+    recovery.rollback_last(bench.link, bench.context)
+    assert header_of(bench) == f"4,#1{d},#1,640000"
+
+
+@pytest.mark.parametrize("d", ["", "D"])
+def test_a_rollback_brings_the_lookup_back(tmp_path: Path, d: str) -> None:
+    bench = CardBench(tmp_path)
+    bench.link.write_buffer(["I30=0", f"#1DEFINE COMP 4,#1{d},#1,640000", "16 32 16 0", "I51=1"])
+    put(bench, 16, 48, 16, 0, by_desired=not d)
+    recovery.rollback_last(bench.link, bench.context)
+    assert header_of(bench) == f"4,#1{d},#1,640000"
+
+
+def test_on_a_card_that_does_not_list_it_the_journal_knows_the_lookup(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = CardBench(tmp_path)
+    query = bench.link.query
+
+    def without_d(text: str, **options: object) -> list[str]:
+        lines = query(text, **options)  # type: ignore[arg-type]
+        return [line.replace("D", "") for line in lines] if text.endswith("DEF") else lines
+
+    monkeypatch.setattr(bench.link, "query", without_d)
+    put(bench, 16, 32, 16, 0)
+    put(bench, 16, 48, 16, 0)
+    recovery.rollback_last(bench.link, bench.context)
+    assert (header_of(bench), bench.values("COMP", 1)) == ("4,#1D,#1,640000", [16, 32, 16, 0])
+
+
+def test_a_lookup_that_did_not_arrive_is_found(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    bench.link.write_buffer(["I30=0", "#2DEFINE COMP 4,#2D,#2,640000", "16 32 16 0", "I51=1"])
+    write = bench.link.write_buffer
+
+    def lost(lines: Sequence[str], **options: object) -> None:
+        write([line.replace("#1D,", "#1,") for line in lines], **options)  # type: ignore[arg-type]
+
+    bench.link.write_buffer = lost  # type: ignore[method-assign]
+    with pytest.raises(VerifyMismatch, match="selects its entries by another position"):
+        upload.upload_tables(bench.link, bench.context, [NEW])
