@@ -17,6 +17,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
+    bumpless,
     guard_install,
     law_arming,
     law_install,
@@ -24,6 +25,7 @@ from pmac_comp.machine.controller import (
     law_upload,
     motors,
     programs,
+    switching,
 )
 from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
@@ -36,12 +38,12 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.table_set import read_table
+from pmac_comp.machine.controller.table_set import read_table, read_tables
 from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_checks import buffer_refusals, not_at_rest
-from pmac_comp.machine.controller.variables import verify_many
+from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables
@@ -354,10 +356,29 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
 
 
 def switch_tables(axis: Axis, *, on: bool) -> None:
-    """Tables on or off where they correct nothing; VerifyMismatch if I51 does not read back."""
+    """Tables on or off (I51) where those of the axis correct nothing.
+
+    I51 is of the whole card: other motors that have tables must stand, and where switching moves
+    them little.
+
+    Raises
+    ------
+    SafetyRefusal
+        A motor moves, or would jump; tables are left as they were.
+    VerifyMismatch
+        I51 does not read back.
+    """
     stand_at_zero(axis)
-    axis.link.command(f"I51={int(on)}")
-    verify_many(axis.link, {"I51": int(on)})
+    if read_one(axis.link, "I51") == float(on):
+        return
+    tables = read_tables(axis.link)
+    refusals = bumpless.switch_refusals(axis.link, axis.scales.limits(axis.bench), tables, on=on)
+    try:
+        raise_all(refusals, f"Switching the tables {'on' if on else 'off'}")
+    except SafetyRefusal as error:
+        error.left = ControllerState.DISABLED if on else ControllerState.NEW
+        raise
+    switching.switch_tables(axis.link, int(on), tables.motors)
 
 
 def bank_in_use(axis: Axis, context: Context, compensation: Compensation) -> LawParameters | None:

@@ -8,6 +8,8 @@ import pytest
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller import motors, upload
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.workflow import deploy
+from pmac_comp.workflow.axis import Axis
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -82,3 +84,34 @@ def test_f23_a_torque_table_is_a_step(tmp_path: Path, count_runs: Count) -> None
     result = upload.upload_tables(bench.link, bench.context, [SMALL])
     assert result.verdict is ControllerState.NEW
     count_runs(2)
+
+
+class OtherAxis(Axis):
+    """Axis of the same card that is not motor 1; its loop is open."""
+
+    @property
+    def motor(self) -> int:
+        return 4
+
+
+def test_f23_a_comparison_does_not_move_other_motors(tmp_path: Path, count_runs: Count) -> None:
+    """Tables are switched for the whole card (I51)."""
+    bench = make_plc_bench(tmp_path)
+    bench.link.write_buffer(["I30=0", "#1DEFINE COMP 4,#1,#1,640000", "400 800 400 0", "I51=1"])
+    axis = OtherAxis(bench.link, bench.bench)
+    deploy.switch_tables(axis, on=False)
+    assert bench.i51 == 0
+    stand_at(bench, 300000.0)
+    with pytest.raises(SafetyRefusal, match="on would move motor #1") as refused:
+        deploy.switch_tables(axis, on=True)
+    assert (refused.value.left, bench.i51) == (ControllerState.DISABLED, 0)
+    bench.link.command("#1J=0")
+    with pytest.raises(SafetyRefusal, match="Motor #1 is executing a move"):
+        deploy.switch_tables(axis, on=True)
+    bench.clock.sleep_s(15.0)
+    worst = worst_following_error_ct(bench)
+    deploy.switch_tables(axis, on=True)
+    bench.clock.sleep_s(0.2)
+    assert bench.i51 == 1
+    assert worst[0] < 2 * bench.context.limits.max_step_ct
+    count_runs(4)
