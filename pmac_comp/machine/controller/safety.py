@@ -127,6 +127,47 @@ def _check_span(table: Table, limits: Limits) -> list[SafetyRefusal]:
     ]
 
 
+def check_sums(
+    tables: Iterable[Table], changed: Iterable[Table], limits: Limits
+) -> list[SafetyRefusal]:
+    """What forbids several tables that correct one motor: together they exceed the amplitude.
+
+    ``tables`` are all that will stand; only motors that a ``changed`` one corrects are looked at.
+    Tables of one source and span add up place by place, others by what each corrects at most.
+    """
+    refusals: list[SafetyRefusal] = []
+    comps = [t for t in tables if isinstance(t, CompTable)]
+    for target in sorted({t.target for t in changed if isinstance(t, CompTable)}):
+        aimed = [t for t in comps if t.target == target]
+        groups = {(t.source, t.span_ct) for t in aimed}
+        most_ct = sum(
+            _most_ct([t for t in aimed if (t.source, t.span_ct) == group]) for group in groups
+        )
+        if len(aimed) > 1 and most_ct > limits.max_correction_ct:
+            names = " and ".join(f"#{t.motor}" for t in aimed)
+            refusals.append(
+                AmplitudeExceeded(
+                    f"The COMP tables of {names} all correct motor #{target}, together by up to "
+                    f"{limits.text_um(most_ct)}; the limit is "
+                    f"{limits.text_um(limits.max_correction_ct)}.",
+                    code="PC-SAF-042",
+                    hint="Take off the one that is not needed any more (`pmac-comp remove` with "
+                    "its bench file), or cut the new one with --limit.",
+                    context={"motor": target, "correction_ct": most_ct},
+                )
+            )
+    return refusals
+
+
+def _most_ct(tables: Sequence[CompTable]) -> float:
+    """Largest correction of tables of one source and span together; it is at one of their knots."""
+    # At the span itself a table begins again: what it has there is that of position 0, too.
+    knots = [np.arange(len(t.entries) + 1) * t.spacing_ct for t in tables]
+    places = np.unique(np.concatenate(knots))
+    values = sum((t.correction_ct(places) for t in tables), np.zeros(places.size))
+    return float(np.max(np.abs(values)))
+
+
 def check_step(
     old: Iterable[Table],
     new: Iterable[Table],

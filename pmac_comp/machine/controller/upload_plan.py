@@ -19,7 +19,7 @@ from pmac_comp.machine.controller.motors import (
     reading_text,
 )
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.safety import check_table
+from pmac_comp.machine.controller.safety import check_sums, check_table
 from pmac_comp.machine.controller.switching import FEW
 from pmac_comp.machine.controller.table_files import put_last
 from pmac_comp.machine.controller.table_set import (
@@ -168,6 +168,7 @@ def look(
     if wish.check_limits:
         changed = [t for t in new if old.get(t.kind, t.motor) != t]
         refusals += [r for table in changed for r in checks[(table.kind, table.motor)]]
+        refusals += check_sums(new, changed, context.limits)
     refusals += memory_refusals(head, old, new)
     readings: dict[int, MotorReading] = {}
     if motors and to_the_end:

@@ -6,7 +6,7 @@ from pathlib import Path
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.safety import Limits, check_step
+from pmac_comp.machine.controller.safety import Limits, check_step, check_sums
 
 LIMITS = Limits(
     max_correction_ct=1000.0,
@@ -45,3 +45,17 @@ def test_a_folder_has_one_owner_in_every_locale() -> None:
     # What Python makes of these bytes in the locale of the test, and where it is ASCII.
     names = (os.fsdecode(stored), stored.decode("ascii", "surrogateescape"))
     assert len({Context(LawBlock(), LIMITS, Path(n), 442e-6).owner for n in names}) == 1
+
+
+def test_tables_that_correct_one_motor_share_its_limit() -> None:
+    up, down = CompTable(1, (8000, 0), 2000), CompTable(2, (-8000, 0), 2000, source=1, target=1)
+    more = CompTable(3, (8016, 0), 2000, source=1, target=1)
+    assert check_sums([up], [up], LIMITS) == []
+    assert check_sums([up, CompTable(2, (16000, 0), 2000)], [up], LIMITS) == []
+    assert check_sums([up, down, more], [more], LIMITS) == []  # 501 counts in all
+    (refusal,) = check_sums([up, more], [more], LIMITS)
+    assert refusal.code == "PC-SAF-042"
+    assert "#1 and #3 all correct motor #1, together by up to 1e+03 um" in refusal.message
+    elsewhere = CompTable(3, (0, 8016, 0, 0), 2000, source=8, target=1)
+    assert len(check_sums([up, elsewhere], [elsewhere], LIMITS)) == 1
+    assert check_sums([up, more], [CompTable(4, (8, 0), 2000)], LIMITS) == []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.errors import AmplitudeExceeded, ControllerState, SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller import recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.manifest import Manifest, ManifestState
@@ -166,3 +166,13 @@ def test_a_lookup_that_did_not_arrive_is_found(tmp_path: Path) -> None:
     bench.link.write_buffer = lost  # type: ignore[method-assign]
     with pytest.raises(VerifyMismatch, match="selects its entries by another position"):
         upload.upload_tables(bench.link, bench.context, [NEW])
+
+
+def test_tables_that_correct_one_motor_share_its_limit(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    first = CompTable(1, (480, 944, 480, 0), 640000)
+    upload.upload_tables(bench.link, bench.context, [first])
+    second = replace(first, motor=2, source=1, target=1)
+    with pytest.raises(AmplitudeExceeded, match="together by up to 118 um"):
+        upload.upload_tables(bench.link, bench.context, [second])
+    upload.upload_tables(bench.link, bench.context, [replace(second, target=2)])
