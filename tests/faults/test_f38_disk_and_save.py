@@ -18,7 +18,7 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
     StorageFull,
 )
-from pmac_comp.machine.controller import recovery, transaction, upload
+from pmac_comp.machine.controller import persist, recovery, transaction, upload
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
@@ -121,11 +121,9 @@ def test_f21_save_that_fails_leaves_the_upload_and_says_so(
         raise ReplyTimeout("silence")
 
     bench.link.command = command  # type: ignore[method-assign]
-    change = upload.TableUpload(bench.link, bench.context, [rig.new], persist=True)
-    with pytest.raises(PmacCompError) as failed, change:
-        change.execute()
-    assert failed.value.left is ControllerState.NEW
-    assert failed.value.context["confirmed"] is (how == "refused")
+    rig.upload()
+    with pytest.raises(CommandRefused if how == "refused" else ReplyTimeout):
+        persist.persist(bench.link, bench.context)
     assert rig.recover() is ControllerState.NEW
     count_runs(1)
 

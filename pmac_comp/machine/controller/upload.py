@@ -1,7 +1,7 @@
 """The upload of tables as a transaction: old, new or switched off, at every instant.
 
-Order of steps: pre-flight, backup, intent, disable, write, read back, seal, enable, persist. Before
-a step the journal holds on the disk that it is going to be taken: one entry announces intent,
+Order of steps: pre-flight, backup, intent, disable, write, read back, seal, enable. Before a
+step the journal holds on the disk that it is going to be taken: one entry announces intent,
 disable and write, the next seal and enable. How far it came is judged by what stands on the
 controller. A line is never sent twice: a lost or repeated number shifts all later entries, so any
 doubt ends in DISABLED and ``recover`` begins anew.
@@ -43,7 +43,6 @@ from pmac_comp.machine.controller.motors import (
     Standstill,
     begin_standstill,
 )
-from pmac_comp.machine.controller.persist import save
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.switching import switch_tables, watch
 from pmac_comp.machine.controller.table_files import table_to_json, write_table_backup
@@ -106,8 +105,6 @@ class TableUpload:
         New tables; they replace tables of the same kind and motor.
     without : sequence of (TableKind, int)
         Tables to remove.
-    persist : bool
-        SAVE afterwards; only with all motors killed.
     route : str
         For the result: ``table`` or ``cam``.
     exactly : TableSet or None
@@ -132,7 +129,6 @@ class TableUpload:
         tables: Sequence[Table] = (),
         *,
         without: Sequence[Key] = (),
-        persist: bool = False,
         route: str = "table",
         exactly: TableSet | None = None,
         enable_after: bool = True,
@@ -143,7 +139,6 @@ class TableUpload:
     ) -> None:
         self.link = link
         self.context = context
-        self.persist = persist
         self.route = route
         self._wish = Wish(
             TableSet(tuple(tables)),
@@ -227,8 +222,6 @@ class TableUpload:
             self._seal(the_plan, manifest)
             if the_plan.enabled_new:
                 self._enable(the_plan)
-            if self.persist:
-                self._persist(the_plan)
             change.finish(change.left, self._closing)
         return UploadResult(
             verdict=change.left,
@@ -441,24 +434,10 @@ class TableUpload:
         watch(self.link, self.context, the_plan.motors)
         self.context.progress("enable", 1, 1)
 
-    def _persist(self, the_plan: UploadPlan) -> None:
-        self._change.step("persist")
-        save(self.link)
-        after = table_status(self.link, self.context)
-        if after.tables.crc != the_plan.new.crc or after.decision.state is not self._change.left:
-            raise VerifyMismatch(
-                "After SAVE the controller holds something else.",
-                code="PC-UPL-009",
-                hint="The flash may hold it too: do not reset the card; `pmac-comp status` shows "
-                "what stands, `pmac-comp rollback --persist` saves the old over it.",
-            )
 
-
-def upload_tables(
-    link: Link, context: Context, tables: Sequence[Table], **options: bool | str
-) -> UploadResult:
-    """Upload tables in one call; see ``TableUpload`` for the options and errors."""
-    with TableUpload(link, context, tables, **options) as upload:  # type: ignore[arg-type]
+def upload_tables(link: Link, context: Context, tables: Sequence[Table]) -> UploadResult:
+    """Upload tables in one call; see ``TableUpload.execute`` for the errors."""
+    with TableUpload(link, context, tables) as upload:
         return upload.execute()
 
 
