@@ -43,7 +43,7 @@ pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 BLOCK = LawBlock()
 OTHER_LAW = LawParameters(A0=0.5, JL=1.0, T0=50.0, T_LIMIT=500.0)
-MOTOR_2 = replace(new_table(600), motor=2, source=2)
+MOTOR_2 = replace(new_table(600), motor=2, source=2, target=2)
 OTHER_TABLE = replace(new_table(24), entries=wave(24, amplitude_ct16=240.0, phase=0.9))
 
 
