@@ -119,9 +119,3 @@ def _require_killed(link: Link) -> None:
             code="PC-UPL-010",
             hint="Kill them (`pmac-comp terminal URL -c '#1K'`) and run the command again.",
         )
-
-
-def save(link: Link) -> None:
-    """SAVE alone, within a change that holds the lease; raises MotorNotSafe."""
-    _require_killed(link)
-    link.command("SAVE", timeout_s=SAVE_TIMEOUT_s)
