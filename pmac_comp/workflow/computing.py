@@ -359,6 +359,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     law = compensation.law
     out: dict[str, Any] = {
         "route": compensation.route,
+        "told for the axis at mm": law.origin_m * MM_PER_M,
         "per acceleration um/(m/s2)": law.inertia_s2 * UM_PER_M,
         "per speed um/(m/s)": law.viscous_s * UM_PER_M,
         "friction um (each side)": law.coulomb_m * UM_PER_M,

@@ -34,6 +34,7 @@ _REFERENCE_m_per_s2 = 5.0
 _SIXTEENTHS = 16.0
 # Coefficients of a law that many drives do without.
 _SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH"})
+_ELASTIC = frozenset({"A0", "V0", "S0", "GW"})  # they change along the travel with the screw
 
 _COLUMNS = ("quantity", "old", "new", "unit")
 
@@ -209,8 +210,13 @@ def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]
 
 
 def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[Row]:
-    """Coefficients of two laws in units a person knows; None acts as no law."""
+    """Coefficients of two laws in units a person knows; None acts as no law.
+
+    A bank holds them at the motor's zero, which may lie outside the travel; they are told for the
+    middle of the travel, as ``compensate`` tells them.
+    """
     scales = axis.scales
+    middle_m = axis.bench.mid_travel_m
     period, m = scales.period_s, scales.motor_m_per_ct
     torque = scales.torque_Nm_per_dac
     units: list[tuple[str, str, float, str]] = [
@@ -230,15 +236,27 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
     ]
     # What not every drive has is shown where either law has it.
     shown = [row for row in units if row[1] not in _SPECIAL or _has(row[1], old, new)]
+    middle_ct = middle_m / m
     return [
-        (
-            name,
-            None if old is None else getattr(old, key) * factor,
-            getattr(new, key) * factor,
-            unit,
-        )
-        for name, key, factor, unit in shown
+        ("law, told for the axis at", middle_m * MM_PER_M, middle_m * MM_PER_M, "mm"),
+        *(
+            (
+                name,
+                None if old is None else _coefficient(old, key, middle_ct) * factor,
+                _coefficient(new, key, middle_ct) * factor,
+                unit,
+            )
+            for name, key, factor, unit in shown
+        ),
     ]
+
+
+def _coefficient(law: LawParameters, key: str, place_ct: float) -> float:
+    """Coefficient of a bank as it acts at a place of the motor."""
+    value = float(getattr(law, key))
+    if key in _ELASTIC:
+        return value * (1.0 + law.C1 * place_ct)
+    return value + law.TP * place_ct if key == "T0" else value
 
 
 def _has(key: str, *laws: LawParameters | None) -> bool:

@@ -109,7 +109,7 @@ def test_torque_per_turn_that_a_law_sends_is_told_with_its_order() -> None:
 
 def test_only_what_either_law_has_stands_in_the_difference() -> None:
     scales = Scales.of(BENCH)
-    axis: Any = SimpleNamespace(scales=scales)
+    axis: Any = SimpleNamespace(scales=scales, bench=BENCH)
     law = friction_law()
     loose = law.with_values(gap_half_m=1.2e-6, gap_width_m=2.4e-6)
     old, new = law_parameters(law, scales), law_parameters(loose, scales)
@@ -117,3 +117,30 @@ def test_only_what_either_law_has_stands_in_the_difference() -> None:
     assert name not in {row[0] for row in law_rows(axis, old, old)}
     (row,) = (row for row in law_rows(axis, new, old) if row[0] == name)
     assert row[1:] == (pytest.approx(2.4, rel=1e-6), 0.0, "um")
+
+
+def test_coefficients_are_told_for_the_same_place_before_and_on_the_card() -> None:
+    """A bank holds them at the motor's zero; the travel of this axis lies far from it."""
+    travel = BENCH.travel.model_copy(update={"min_mm": 20.0, "max_mm": 380.0})
+    bench = BENCH.model_copy(update={"travel": travel})
+    scales = Scales.of(bench)
+    law = friction_law().with_values(
+        origin_m=bench.mid_travel_m, compliance_slope_per_m=0.84, viscous_s=3e-6,
+        gap_half_m=1.2e-6, gap_width_m=2.4e-6,
+    )  # fmt: skip
+    axis: Any = SimpleNamespace(scales=scales, bench=bench)
+    there = {row[0]: row[2] for row in law_rows(axis, None, law_parameters(law, scales))}
+    told = describe(bench, Compensation("law", law, None))
+    pairs = {
+        "law, told for the axis at": "told for the axis at mm",
+        "law, per acceleration": "per acceleration um/(m/s2)",
+        "law, per speed": "per speed um/(m/s)",
+        "law, friction (each side)": "friction um (each side)",
+        "law, taken up over (each side)": "taken up over um (each side)",
+    }
+    for ours, theirs in pairs.items():
+        assert there[ours] == pytest.approx(told[theirs], rel=1e-5), ours
+    pushed = law.with_values(torque_place_Nm_per_m=0.5, torque_constant_Nm=0.1)
+    (constant,) = (r for r in law_rows(axis, None, law_parameters(pushed, scales))
+                   if r[0] == "torque, constant")  # fmt: skip
+    assert constant[2] == pytest.approx(0.1, rel=1e-4)
