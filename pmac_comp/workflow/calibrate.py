@@ -101,8 +101,8 @@ def capture_to_folder(
             axis.require_room(motion)
         with motor_as_found(axis):
             prepare(axis)
-            run_to_files(axis, plan.motions, paths, progress)
-    return {"files": paths, "samples": len(paths), "remarks": remarks}
+            captures = run_to_files(axis, plan.motions, paths, progress)
+    return {"files": paths, "samples": sum(run.n for run in captures), "remarks": remarks}
 
 
 def acting_remarks(axis: Axis) -> tuple[str, ...]:

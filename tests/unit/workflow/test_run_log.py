@@ -96,6 +96,7 @@ def test_ctrl_c_keeps_what_was_gathered(tmp_path: Path) -> None:
 def test_a_whole_run_leaves_its_file_only_and_is_not_written_over(tmp_path: Path) -> None:
     done = capture_to_folder("sim://", "paper", PLAN, tmp_path)
     assert list(tmp_path.iterdir()) == done["files"]
+    assert done["samples"] == sum(read_capture(path).n for path in done["files"])
     before = done["files"][0].read_bytes()
     with pytest.raises(ConfigError, match="earlier capture"):
         capture_to_folder("sim://", "paper", PLAN, tmp_path)
