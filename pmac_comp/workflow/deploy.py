@@ -234,16 +234,16 @@ def _busy_servo_refusals(
     return servo_cost_refusals(axis.bench, compensation.law, load)
 
 
-def program_lines(axis: Axis, context: Context, route: str) -> list[str]:
-    """PLC programs that an upload would write; none where they stand already."""
-    if route == "law":
-        wanted = (
-            law_install.law_program(context.block, axis.motor),
-            guard_install.guard_program(context.block),
-        )
-        return _download_lines([p for p in wanted if not programs.is_present(axis.link, p)])
+def guard_download(axis: Axis, context: Context) -> list[str]:
+    """Guard PLC as an upload of tables would write it; nothing where it stands already."""
     _, guard = guard_install.guard_settings(axis.link, context)
     return _download_lines([programs.Program(*key, body) for key, body in guard.programs.items()])
+
+
+def law_download(axis: Axis, context: Context) -> list[str]:
+    """PLC 0 as an upload of a law would write it; nothing where it stands already."""
+    law = law_install.law_program(context.block, axis.motor)
+    return [] if programs.is_present(axis.link, law) else _download_lines([law])
 
 
 def _download_lines(missing: Sequence[programs.Program]) -> list[str]:

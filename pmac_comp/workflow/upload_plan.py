@@ -29,7 +29,8 @@ from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, edited_remarks, read_compensation
 from pmac_comp.workflow.deploy import (
     context_of,
-    program_lines,
+    guard_download,
+    law_download,
     route_refusals,
     stale_tables,
 )
@@ -113,9 +114,9 @@ def preview(
         plan = upload.prepare()
         lines += plan.lines
         refusals += [r for r in plan.refusals if not _settled_by_moving(r, axis)]
-        text += _table_lines(plan, url)
-        if tables and compensation.route != "law":
-            lines += program_lines(axis, context, compensation.route)
+        text += _table_lines(axis, plan, url)
+        if tables:
+            lines += guard_download(axis, context)
             text += _guard_lines(axis, context)
         text += _motion_lines(axis, tables)
     if compensation.route == "cam":
@@ -130,7 +131,7 @@ def preview(
         text += _law_lines(axis, compensation, head)
         if compensation.route == "law":
             text += [f"  {r}" for r in scratch_remarks(axis.link, context.block, axis.motor)]
-        lines += program_lines(axis, context, compensation.route)
+            lines += law_download(axis, context)
         idle = int(head.bank == 0)
         bank = [context.block.bank(idle, k) for k in range(len(parameters.values()))]
         lines += [f"P{n}={v:.9g}" for n, v in zip(bank, parameters.values(), strict=True)]
@@ -151,10 +152,11 @@ def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:
     return refusal.code in _ENABLE_STEPS and refusal.context.get("motor") == axis.motor
 
 
-def _table_lines(plan: UploadPlan, url: str) -> list[str]:
+def _table_lines(axis: Axis, plan: UploadPlan, url: str) -> list[str]:
     names = ", ".join(f"{t.kind.value} of motor #{t.motor} ({len(t.entries)})" for t in plan.new)
     off_s = _off_s(url, sum(len(line) + 1 for line in plan.lines))
-    others = ", ".join(f"#{m}" for m in plan.old.motors if m not in plan.new.motors)
+    ours = {axis.motor, axis.bench.controller.cam_motor_number}
+    others = [f"#{m}" for m in plan.old.motors if m not in ours]
     was = "act now" if plan.enabled_old else "are off now"
     return [
         f"  tables afterwards (entries): {names or 'none'}; tables {was}",

@@ -120,3 +120,30 @@ def test_improvement_tells_its_runs_and_refuses_what_it_would_refuse() -> None:
     }  # fmt: skip
     with pytest.raises(ConfigError, match="one known motion"):
         preview_improvement("paper", route="cam", seed=0)
+
+
+@pytest.mark.parametrize("route", ["table", "law", "servo"])
+def test_the_guard_is_told_wherever_tables_come(axis: Axis, tmp_path: Path, route: str) -> None:
+    """Its PLC 1 is written beside tables, whatever else the route brings, and not without them."""
+    context = context_of(axis, tmp_path)
+    law = CompensationLaw() if route == "table" else friction_law()
+    with_tables = preview(axis, context, Compensation(route, law, lead_map()), "tcp://a:1")
+    assert sum("guard: PLC 1 comes" in line for line in with_tables.text) == 1
+    assert with_tables.lines.count("OPEN PLC 1 CLEAR") == 1
+    assert with_tables.lines.count("OPEN PLC 0 CLEAR") == (route == "law")
+    if route != "table":
+        without = preview(axis, context, Compensation(route, law), "tcp://a:1")
+        assert not any("guard:" in line for line in without.text)
+        assert "OPEN PLC 1 CLEAR" not in without.lines
+
+
+def test_the_plan_names_the_other_motors_whose_tables_are_off_meanwhile(
+    axis: Axis, tmp_path: Path
+) -> None:
+    """Their tables stay, and all act or none."""
+    context = context_of(axis, tmp_path)
+    alone = preview(axis, context, TABLE, "tcp://127.0.0.1:1")
+    assert not any("that concerns" in line for line in alone.text)
+    axis.link.write_buffer(["#3DEFINE COMP 4,#3,#3,64000", "0", "16", "16", "0", "I51=1"])
+    beside = preview(axis, context, TABLE, "tcp://127.0.0.1:1")
+    assert any("that concerns #3 as well" in line for line in beside.text)
