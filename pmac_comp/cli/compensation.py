@@ -20,6 +20,7 @@ from pmac_comp.cli.options import (
     SeedOption,
     UrlArgument,
     YesOption,
+    refuse_unused,
 )
 from pmac_comp.cli.progress import ProgressLines
 from pmac_comp.files.resources import DEFAULT_JOURNAL
@@ -27,6 +28,8 @@ from pmac_comp.files.resources import DEFAULT_JOURNAL
 if TYPE_CHECKING:
     from pmac_comp.workflow.previews import RunsPreview
 
+_OF_A_MEASUREMENT = ("url", "out", "motion", "repeats", "static", "seed", "refine")
+_OF_ONE_MOTION = ("command", "aim")
 RouteOption = Annotated[str, typer.Option("--route", help="table, law, servo, cam or program")]
 
 
@@ -43,6 +46,7 @@ def register(app: typer.Typer) -> None:
 
 
 def compensate(
+    ctx: typer.Context,
     bench: BenchOption,
     model: Annotated[Path, typer.Option("--model", "-m", help="Model file of `identify`")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Compensation file to write")] = Path(
@@ -87,9 +91,18 @@ def compensate(
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
     from pmac_comp.workflow.commands import capture_paths
+    from pmac_comp.workflow.compensation_file import check_route
     from pmac_comp.workflow.computing import aim_of, compensate_files
+    from pmac_comp.workflow.routes import MOTION_ROUTES
     from pmac_comp.workflow.static_map import Limit
 
+    if check_route(route) not in MOTION_ROUTES:
+        refuse_unused(
+            ctx,
+            _OF_ONE_MOTION,
+            f"The route {route} is for every motion",
+            "the routes cam and program are for the one of --command.",
+        )
     progress = ProgressLines()
     result = compensate_files(
         bench,
@@ -295,6 +308,7 @@ def _show_runs(plan: "RunsPreview", *, dry_run: bool = False) -> None:
 
 
 def verify(
+    ctx: typer.Context,
     url: Annotated[
         str, typer.Argument(help="Controller, or nothing with --before and --after")
     ] = "",
@@ -343,7 +357,13 @@ def verify(
         check_bench(law, bench)
     progress = ProgressLines()
     if before or after:
-        _refuse_controller_options(url, out)
+        refuse_unused(
+            ctx,
+            _OF_A_MEASUREMENT,
+            "Stored runs are compared (--before, --after)",
+            "--json FILE and --report FILE keep the result. Without --before and --after runs are "
+            "made on the controller.",
+        )
         first = capture_paths(before or (), side="before")
         second = capture_paths(after or (), side="after")
         outcome = verify_files(bench, first, second, model=model, law=law)
@@ -394,18 +414,6 @@ def verify(
 
     result = outcome.as_result() if out is None else {**outcome.as_result(), "folder": out}
     output.finish_with_report(result, lines, json_target, report)
-
-
-def _refuse_controller_options(url: str, out: Path | None) -> None:
-    """Refuse what only a measurement uses, rather than leave it aside without a word."""
-    for given, name in ((url, "a URL"), (out, "--out")):
-        if given:
-            raise ConfigError(
-                f"Stored runs are compared (--before, --after), and {name} is given as well.",
-                code="PC-CLI-016",
-                hint="Leave it out; --json FILE and --report FILE keep the result. Without "
-                "--before and --after runs are made on the controller.",
-            )
 
 
 def improve(

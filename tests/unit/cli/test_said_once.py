@@ -81,9 +81,29 @@ def test_what_a_comparison_of_stored_runs_would_leave_aside_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     stored = ["--bench", "paper", "--before", "a.h5", "--after", "b.h5"]
-    for more in (["--out", "folder"], ["tcp://card"]):
+    of_runs = ("--repeats", "2"), ("--static", "5"), ("--seed", "0"), ("--refine", "3")
+    motion = ("--motion", "triangle:amplitude_mm=2")
+    for more in (["--out", "folder"], ["tcp://card"], *of_runs, motion):
         assert ended(["verify", *more, *stored]) == 2
-        assert "PC-CLI-016" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "PC-CLI-016" in said
+        assert more[0].replace("tcp://card", "a URL") in said
+
+
+@pytest.mark.parametrize("route", ["law", "servo", "table"])
+@pytest.mark.parametrize(
+    ("option", "value"), [("--command", "triangle:amplitude_mm=2"), ("--aim", "mechanical")]
+)
+def test_what_only_a_known_motion_uses_is_refused_for_other_routes(
+    *, route: str, option: str, value: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compensate", "--bench", "paper", "--model", "none.json", "--route", route]
+    assert ended([*words, option, value]) == 2
+    said = capsys.readouterr().err
+    assert "PC-CLI-016" in said
+    assert option in said
+    assert ended(words) != 0
+    assert "PC-CLI-016" not in capsys.readouterr().err
 
 
 class _NoPlan:
