@@ -85,9 +85,7 @@ def refuse_one_file_twice(command: str, parameters: Mapping[str, Any]) -> None:
     ConfigError
         An output is an input as well, or two outputs are one file; nothing was read or written.
     """
-    written = [p for name in WRITTEN for p in _paths(parameters.get(name))]
-    if command == "diagnose":  # the grown model lies beside its result
-        written += [p.with_suffix(".model.json") for p in _paths(parameters.get("json_target"))]
+    written = [path for _, path in _written(command, parameters)]
     given = [p for name, value in parameters.items() if name not in WRITTEN for p in _paths(value)]
     for i, path in enumerate(written):
         if (path in given and path.is_file()) or path in written[:i]:
@@ -98,7 +96,22 @@ def refuse_one_file_twice(command: str, parameters: Mapping[str, Any]) -> None:
             )
 
 
+def _written(command: str, parameters: Mapping[str, Any]) -> list[tuple[str, Path]]:
+    """Files that a command will write, each with the parameter that names it."""
+    found = [(name, path) for name in WRITTEN for path in _paths(parameters.get(name))]
+    if command == "diagnose":  # the grown model lies beside its result
+        results = _paths(parameters.get("json_target"))
+        found += [("model", path.with_suffix(".model.json")) for path in results]
+    return found
+
+
 _FOLDERS = frozenset({"capture", "demo", "improve", "verify"})  # whose --out is one
+# Files that a command replaces by a newer one of their kind.
+_RENEWED = {
+    ("compensate", "out"): "compensation",
+    ("identify", "out"): "model",
+    ("diagnose", "model"): "model",
+}
 
 
 def refuse_unusable_targets(command: str, parameters: Mapping[str, Any]) -> None:
@@ -106,15 +119,33 @@ def refuse_unusable_targets(command: str, parameters: Mapping[str, Any]) -> None
 
     Nothing is made yet: a command that is refused for another reason leaves nothing behind.
     """
-    for name in WRITTEN:
-        for path in _paths(parameters.get(name)):
-            if name == "out" and command in _FOLDERS:
-                continue
-            _refuse_folder(path)
-            place = next(above for above in path.parents if above.exists())
-            if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
-                wrong = "this user may not write there" if place.is_dir() else "it is a file"
-                raise _no_folder(place, wrong)
+    for name, path in _written(command, parameters):
+        if name == "out" and command in _FOLDERS:
+            continue
+        _refuse_folder(path)
+        place = next(above for above in path.parents if above.exists())
+        if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+            wrong = "this user may not write there" if place.is_dir() else "it is a file"
+            raise _no_folder(place, wrong)
+        _refuse_other_kind(path, _RENEWED.get((command, name), ""))
+
+
+def _refuse_other_kind(path: Path, own: str) -> None:
+    """Refuse to replace a file that others build on by something else; only its own kind may."""
+    if not path.is_file():
+        return
+    from pmac_comp.files.kinds import kind_to_keep
+
+    kind = kind_to_keep(path)
+    if kind == "capture":
+        raise _holds_runs(path)
+    if kind not in {"", own}:
+        raise ConfigError(
+            f"There is a {kind} {path} already; the result would be written over it.",
+            code="PC-CLI-040",
+            hint="Name another file for the result, or remove that one first. Nothing was "
+            "written over.",
+        )
 
 
 def _refuse_folder(path: Path) -> None:
@@ -131,6 +162,15 @@ def _no_folder(folder: Path, wrong: str) -> ConfigError:
         f"The folder {folder} cannot be used: {wrong}.",
         code="PC-CLI-001",
         hint="Name a folder that can be written.",
+    )
+
+
+def _holds_runs(path: Path) -> ConfigError:
+    return ConfigError(
+        f"There is a capture {path} already; the run that it holds cannot be measured again.",
+        code="PC-CLI-015",
+        hint="Name another file for the result, or remove that one first. Nothing was "
+        "written over.",
     )
 
 
@@ -192,12 +232,7 @@ def checked_target(path: Path) -> Path:
         raise _no_folder(path.parent, why(error)) from error
     _refuse_folder(path)
     if holds_runs(path):
-        raise ConfigError(
-            f"There is a capture {path} already; the run that it holds cannot be measured again.",
-            code="PC-CLI-015",
-            hint="Name another file for the result, or remove that one first. Nothing was "
-            "written over.",
-        )
+        raise _holds_runs(path)
     return path
 
 
@@ -280,7 +315,7 @@ def show_error(error: PmacCompError, as_json: bool) -> None:
         write_json("-", {"error": describe_error(error)})
 
 
-_UNUSABLE = frozenset({"PC-CLI-001", "PC-CLI-002", "PC-CLI-014", "PC-CLI-015"})
+_UNUSABLE = frozenset({"PC-CLI-001", "PC-CLI-002", "PC-CLI-014", "PC-CLI-015", "PC-CLI-040"})
 
 
 def keep_error(error: PmacCompError, words: Iterable[str]) -> None:

@@ -193,3 +193,75 @@ def test_no_result_is_written_over_a_captured_run(
     assert left.value.code == 2
     assert "cannot be measured again" in capsys.readouterr().err
     assert (tmp_path / "run.csv").read_text() == CAPTURE
+
+
+KEPT = {
+    "law.json": '{"compensation_version": 1, "route": "law"}',
+    "model.json": '{"model_version": 1, "parameters": {}}',
+    "backup.json": '{"sha256": "00", "body": "{}"}',
+    "axis.toml": "# of the axis\nconfig_version = 1\n",
+    "run.csv": CAPTURE,
+}
+
+
+@pytest.mark.parametrize("kept", KEPT)
+@pytest.mark.parametrize(
+    "words",
+    [
+        "identify new.csv -b paper --report FILE",
+        "identify new.csv -b paper --json=FILE",
+        "verify -b paper --before new.csv --after new.csv --report FILE",
+        "verify -b paper --before new.csv --after new.csv --json=FILE",
+        "diff tcp://127.0.0.1:9 new.json --json=FILE",
+        "status tcp://127.0.0.1:9 --json=FILE",
+        "report new.json --out FILE",
+        "identify new.csv -b paper --out FILE",
+        "compensate -b paper --model new.json --out FILE",
+    ],
+)
+def test_no_result_is_written_over_a_file_of_another_kind(
+    *,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: str,
+    kept: str,
+) -> None:
+    """Nor is the error that the command ends with."""
+    own = {"identify": "model.json", "compensate": "law.json"}
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "new.csv").write_text(CAPTURE)
+    (tmp_path / kept).write_text(KEPT[kept])
+    said = refused(words.replace("FILE", kept), capsys)
+    is_renewed = "--out" in words and own.get(words.split(maxsplit=1)[0]) == kept
+    told = ("There is a " in said) and ("PC-CLI-040" in said or "PC-CLI-015" in said)
+    assert told is not is_renewed
+    assert (tmp_path / kept).read_text() == KEPT[kept]
+
+
+def test_the_grown_model_of_a_diagnosis_replaces_a_model_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    beside = tmp_path / "found.model.json"
+    for name, is_kept in (("law.json", True), ("model.json", False)):
+        beside.write_text(KEPT[name])
+        said = refused("diagnose none.csv -b paper --json=found.json", capsys)
+        assert ("PC-CLI-040" in said) is is_kept
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '{"kind": "identification", "model_version": 1}',
+        '{"verdict": "NEW"}',
+        "[1, 2]",
+        "{half",
+        "<html><pre>\nconfig_version = 1\n</pre></html>",
+        "",
+    ],
+)
+def test_a_result_may_be_written_anew(tmp_path: Path, content: str) -> None:
+    target = tmp_path / "old"
+    target.write_text(content)
+    output.refuse_unusable_targets("verify", {"report": target})
