@@ -6,10 +6,12 @@ that every command has. Commands sit in one module per group and load the rest o
 """
 
 import errno
+import io
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperCommand
@@ -88,7 +90,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     wants_json = output.JSON_STDOUT in words
     _end_in_order()
     try:
-        app(args=words, prog_name="pmac-comp")
+        try:
+            app(args=words, prog_name="pmac-comp")
+        finally:
+            sys.stdout.flush()
     except PmacCompError as error:
         output.show_error(error, wants_json)
         output.keep_error(error, words)
@@ -99,11 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SystemExit as left:
         if left.code == _INTERRUPTED:  # typer has taken the Ctrl-C and says nothing
             _say_interrupted(words, left)
+        if isinstance(left.__context__, BrokenPipeError):  # typer leaves with 1 then
+            _end_unread(words)
         if wants_json and left.code == ConfigError.exit_code:
             _write_usage(left.__context__)
         raise
     except BrokenPipeError:
-        sys.exit(1)
+        _end_unread(words)
     except OSError as error:
         refused = _as_refusal(error) if _is_of_the_user(error) else _as_bug(error)
         output.show_error(refused, wants_json)
@@ -130,6 +137,17 @@ def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:
         for note in getattr(cause, "__notes__", []):
             output.say(f"  {note}")
         cause = cause.__cause__ or cause.__context__
+
+
+def _end_unread(words: Sequence[str]) -> NoReturn:
+    """End where nobody reads on: the command may have been stopped on its way."""
+    ProgressLines.stop()
+    # What is still in the buffer would fail once more when Python ends.
+    sys.stdout = io.StringIO()
+    if next(iter(words), "") in CHANGING:
+        with suppress(OSError):
+            output.say(_interrupted(words))
+    sys.exit(_INTERRUPTED)
 
 
 def _end_in_order() -> None:

@@ -13,6 +13,7 @@ import pytest
 from tests.system.command import run
 
 pytestmark = pytest.mark.system
+CAPTURE_PLAN = ("capture", "sim://", "--bench", "paper", "--dry-run")
 
 
 VERBS = [
@@ -192,3 +193,25 @@ def test_version_is_quick() -> None:
     start = time.monotonic()
     assert run("--version").stdout.strip() == "0.1.0"
     assert time.monotonic() - start < 10.0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a pipe that its reader closes")
+@pytest.mark.parametrize(
+    ("words", "is_told"), [(("config", "show", "paper"), False), (CAPTURE_PLAN, True)]
+)
+def test_output_that_nobody_reads_on_ends_as_interrupted(
+    *, words: tuple[str, ...], is_told: bool
+) -> None:
+    """Scripts with `| head` met a code that stands for nothing, and a traceback of Python."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "pmac_comp", *words], stdout=write, stderr=subprocess.PIPE,
+            text=True, check=False, timeout=300,
+        )  # fmt: skip
+    finally:
+        os.close(write)
+    assert done.returncode == 130
+    assert ("interrupted" in done.stderr) is is_told
+    assert "BrokenPipe" not in done.stderr
