@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ControllerState, ForeignChange, LeaseHeld, PmacCompError
+from pmac_comp.base.errors import (
+    ConfigError,
+    ControllerState,
+    ForeignChange,
+    LeaseHeld,
+    MotorNotSafe,
+    PmacCompError,
+)
 from pmac_comp.machine.controller import (
     backup,
     law_arming,
@@ -189,3 +196,30 @@ def test_what_a_law_sends_is_no_setting_of_a_backup(tmp_path: Path) -> None:
     _, left = restore.restore(bench.link, bench.context, offset)
     assert left == ()
     assert bench.link.query("I129") == ["-40"]
+
+
+def test_f29_a_refused_restore_keeps_the_undo_of_the_upload_before(
+    tmp_path: Path, count_runs: Count
+) -> None:
+    """It changed nothing, and was taken for the last upload, taken back already."""
+    bench, stored = restorable(tmp_path)
+    with recovery.grouped(bench.link, bench.context, "table") as parts:
+        upload.upload_tables(bench.link, parts, [new_table(40)])
+    files = {path.name for path in tmp_path.iterdir()}
+    bench.link.command("#1J/")
+    bench.clock.sleep_s(0.1)
+    with pytest.raises(MotorNotSafe, match="all motors killed") as refused:
+        restore.restore(bench.link, bench.context, stored)
+    assert refused.value.left is ControllerState.OLD
+    assert {path.name for path in tmp_path.iterdir()} == files
+    # Refused later, by what only an upload itself looks at, it leaves an empty journal.
+    with pytest.raises(MotorNotSafe), recovery.grouped(bench.link, bench.context, "next"):
+        raise MotorNotSafe("no")
+    assert recovery.last_change(bench.context) == "table: done"
+    group, (part,) = recovery.upload_to_take_back(bench.context)
+    assert part.journal.group == group.group
+    assert recovery.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
+    assert entries(bench) == old_table(40).entries
+    with pytest.raises(ConfigError, match="taken back already"):
+        recovery.rollback_last(bench.link, bench.context)
+    count_runs(2)

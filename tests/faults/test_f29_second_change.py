@@ -6,6 +6,7 @@ change on the controller; and a recovery never writes over what somebody else ha
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from tests.faults.test_f01_f29_every_kind import (
 )
 from tests.faults.test_f20_reset_any_change import differing
 from tests.faults.upload_bench import SameIds, new_table, wave
+from tests.unit.machine_controller.card_bench import make_plc_bench
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
@@ -159,7 +161,10 @@ def test_f29_a_second_change_waits_for_recover(
             with pytest.raises(SafetyRefusal, match="interrupted and is still open") as said:
                 second(rig.bench.link, here)
             assert said.value.code == "PC-TXN-010"
-            assert said.value.left is ControllerState.OLD
+            # The parts of an upload are looked at; a change of its own says that nobody did.
+            assert (said.value.left is None) is (second is not put_route)
+            if said.value.left is ControllerState.OLD and not rig.scenario.undoes:
+                assert not differing(left, rig.before), n
             refused += 1
         if under_way(rig):
             for attempt in SECOND[:2]:
@@ -295,3 +300,38 @@ def test_f29_what_a_measurement_borrowed_is_given_back_before_an_upload(
         assert (found.axes, found.variables[-2:]) == (rig.before.axes, rig.before.variables[-2:])
         count_runs(1)
     assert ended - {"PC-TMP-001"} == {"taken off"}
+
+
+def test_f29_a_recovery_refused_in_place_says_what_stands(
+    tmp_path: Path, count_runs: Count
+) -> None:
+    """Killed with its tables acting where the axis would jump: it was said to be left OLD."""
+    bench = make_plc_bench(tmp_path)
+    link, context = bench.link, bench.context
+    with_table(link, context)
+    with suppress(RuntimeError), recovery.grouped(link, context, "law") as parts:
+        upload_tables(link, parts, [new_table(24)])
+        raise RuntimeError
+    link.command("#1J=160000")
+    bench.clock.sleep_s(10.0)
+    stands = standing(bench)
+    told = {refusal.code for refusal in recovery.recovery_refusals(link, context)}
+    assert told == {"PC-SAF-004"}
+    with pytest.raises(SafetyRefusal) as refused:
+        recovery.recover(link, context)
+    with pytest.raises(SafetyRefusal) as beside:
+        put_route(link, context)
+    for error, code in ((refused.value, "PC-SAF-000"), (beside.value, "PC-TXN-010")):
+        assert (error.code, error.left) == (code, ControllerState.NEW)
+        assert error.context["confirmed"]
+        assert "Seen to stand: tables: NEW, the new tables act." in error.hint
+    with pytest.raises(SafetyRefusal) as alone:
+        put_settings(link, context)
+    assert alone.value.left is None
+    assert "`pmac-comp status` says what stands" in alone.value.hint
+    assert not differing(standing(bench), stands)
+    link.command("#1J=0")
+    bench.clock.sleep_s(10.0)
+    assert recovery.recovery_refusals(link, context) == []
+    assert recovery.recover(link, context).verdict is ControllerState.OLD
+    count_runs(3)

@@ -5,7 +5,7 @@ What a kind does to the controller lives with it (``table_recovery``, ``law_uplo
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -61,6 +61,7 @@ from pmac_comp.machine.controller.settings_upload import (
 from pmac_comp.machine.controller.table_files import table_from_json
 from pmac_comp.machine.controller.table_recovery import (
     require_known,
+    rollback_refusals,
     rollback_tables,
     tables_state,
 )
@@ -145,6 +146,33 @@ def unsettled(context: Context) -> list[Part]:
     return found
 
 
+def uploads(context: Context) -> list[Journal]:
+    """Uploads, oldest first; one that was refused before its first change was none."""
+    groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
+    begun = {part.journal.group for part in parts_of(context)}
+    return [j for j in groups if j.is_open or j.group in begun or j.last(DONE) is not None]
+
+
+def standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
+    """Parts of an upload that were not taken back, the last one first."""
+    parts = [p for p in parts_of(context) if p.journal.group == group.group]
+    return tuple(p for p in reversed(parts) if p.closing != ROLLED_BACK)
+
+
+def replaced_since(context: Context, part: Part) -> set[object]:
+    """What later changes, of other uploads, put in the place of a part's items."""
+    known = parts_of(context)
+    behind = known[1 + next(k for k, p in enumerate(known) if p.journal == part.journal) :]
+    return {
+        item
+        for later in behind
+        if later.journal.group != part.journal.group
+        and later.closing != ROLLED_BACK
+        and later.intent.data.get("closing") != ROLLED_BACK
+        for item in later.items
+    }
+
+
 # How it stands -----------------------------------------------------------------------------------
 
 
@@ -192,6 +220,35 @@ def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, s
     before, new = read_settings_backup(backup), part.new_settings
     state, reason = settings_state(link, before, new)
     return state, reason, before.crc, new.crc
+
+
+def what_stands(link: Link, context: Context, parts: Sequence[Part]) -> tuple[ControllerState, str]:
+    """State of changes that wait, and in words that of each; nothing is changed.
+
+    Tables are named first: whether they act is what an axis shows of a compensation. Only where
+    everything is as before the state is OLD.
+    """
+    order = list(ChangeKind)
+    found = [(p.kind, *_state_of(link, context, p)) for p in parts]
+    found.sort(key=lambda item: order.index(item[0]))
+    if not found:
+        return ControllerState.OLD, "nothing of it was begun"
+    told = [f"{kind.value}: {state.value}, {reason}" for kind, state, reason in found]
+    state = found[0][1]
+    if any(other is not ControllerState.OLD for _, other, _ in found):
+        state = ControllerState.DISABLED if state is ControllerState.OLD else state
+    return state, "; ".join(dict.fromkeys(told))
+
+
+def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState, str]:
+    if part.closing == ROLLED_BACK:
+        return ControllerState.OLD, "taken back"
+    if part.kind is ChangeKind.TABLES:
+        return tables_state(link, context, part.journal)
+    # Settings that parts behind them have changed stand as meant all the same.
+    if not missing(link, context, part):
+        return ControllerState.NEW, "stands as meant"
+    return _judge(link, context, part)[:2]
 
 
 _LAW_REASONS = {
@@ -243,13 +300,15 @@ def _locked(link: Link, context: Context, part: Part) -> Iterator[None]:
 
 def _require_rest(link: Link, context: Context, part: Part) -> None:
     """A law or the settings of a motor are not changed while it moves; raises MotorNotSafe."""
+    raise_all(_rest_refusals(link, context, part), "Writing back what stood before")
+
+
+def _rest_refusals(link: Link, context: Context, part: Part) -> list[SafetyRefusal]:
     new = part.new_settings if part.kind is ChangeKind.SETTINGS else Settings()
     motors = {int(found[1]) for name in new.variables if (found := _OF_MOTOR.fullmatch(name))}
     if part.kind is ChangeKind.LAW or (ProgramKind.PLC, 0) in new.programs:
         motors |= {read_law_head(link, context.block).motor} - {0}
-    if motors:
-        refusals = motion_refusals(link, sorted(motors)) + _loop_refusals(link, new)
-        raise_all(refusals, "Writing back what stood before")
+    return motion_refusals(link, sorted(motors)) + _loop_refusals(link, new) if motors else []
 
 
 def _loop_refusals(link: Link, new: Settings) -> list[SafetyRefusal]:
@@ -371,6 +430,13 @@ def refuse_foreign(link: Link, context: Context, part: Part) -> None:
     uploaded = uploaded_tables(part) if part.kind is ChangeKind.TABLES else None
     if uploaded is not None:
         require_known(link, _backup(context, part), uploaded)
+
+
+def refusals_to_take_back(link: Link, context: Context, part: Part) -> list[SafetyRefusal]:
+    """What forbids ``take_back`` as the controller and its motors stand now; nothing is changed."""
+    if part.kind is ChangeKind.TABLES:
+        return rollback_refusals(link, context, _backup(context, part), uploaded_tables(part))
+    return _rest_refusals(link, context, part)
 
 
 def take_back(link: Link, context: Context, part: Part) -> str:

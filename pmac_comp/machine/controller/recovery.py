@@ -37,9 +37,14 @@ from pmac_comp.machine.controller.parts import (
     how_it_stands,
     missing,
     parts_of,
+    refusals_to_take_back,
     refuse_foreign,
+    replaced_since,
     settle,
+    standing_parts,
     unsettled,
+    uploads,
+    what_stands,
 )
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import lease_refusals
@@ -122,11 +127,36 @@ def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
     number, claimed = read_change_and_claim(link, context)
     elsewhere = _of_elsewhere(number, context)
     other = claim_refusal(claimed, context)
+    torn = torn_refusals(context)
+    for refusal in torn:
+        _tell_what_stands(link, context, refusal)
     return [
-        *torn_refusals(context),
+        *torn,
         *([begun_elsewhere(elsewhere)] if elsewhere else []),
         *([other] if other else []),
     ]
+
+
+def _tell_what_stands(
+    link: Link, context: Context, error: PmacCompError, upload: Sequence[Part] = ()
+) -> None:
+    """Say on an error what was seen of the changes that wait, else of an upload or the tables."""
+    torn = {group.group for group in _torn_groups(context)}
+    parts = [p for p in parts_of(context) if p.journal.group in torn]
+    parts += [p for p in unsettled(context) if p.journal.group not in torn]
+    try:
+        if parts or torn or upload:
+            state, words = what_stands(link, context, parts or upload)
+        else:
+            decision = table_status(link, context).decision
+            state, words = decision.state, f"tables: {decision.state.value}, {decision.reason}"
+    except PmacCompError as second:
+        error.add_note(f"What stands could not be read: {second.message}")
+        mark_left(error, error.left or ControllerState.DISABLED, confirmed=False)
+        return
+    mark_left(error, state, confirmed=True)
+    error.context["stands"] = words
+    error.hint = f"{error.advice} Seen to stand: {words}.".strip()
 
 
 def open_elsewhere(link: Link, context: Context) -> int:
@@ -228,8 +258,11 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
         with _one_at_a_time(context):
             return _recover(link, replace(context, settling=True), resume=resume)
     except PmacCompError as error:
-        if error.left is None:
-            mark_left(error, ControllerState.DISABLED, confirmed=not link_is_lost(error))
+        if error.left in {None, ControllerState.OLD} and not link_is_lost(error):
+            # What did not touch anything has not brought back what stood before either.
+            _tell_what_stands(link, context, error)
+        elif error.left is None:
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
         raise
 
 
@@ -249,7 +282,8 @@ def left_open(context: Context) -> tuple[str, ...]:
 def last_change(context: Context) -> str:
     """What this folder did last to the controller and how it ended, in words; empty for nothing."""
     told = [j for j in journals(context) if not is_temporary(j)]
-    whole = [j for j in told if j.kind == ChangeKind.GROUP.value or not j.group]
+    begun = uploads(context)
+    whole = [j for j in told if j in begun or not j.group]
     if not whole:
         return ""
     first, last = whole[-1].entries()[0], whole[-1].entries()[-1].step
@@ -259,13 +293,10 @@ def last_change(context: Context) -> str:
 
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
-    raise_all(lease_refusals(link, context), "The recovery")
-    since = _since_ours(read_change(link, context), context)
+    raise_all(_forbidden(link, context), "The recovery")
+    since = number_since_ours(link, context)
     torn, waits = _torn_groups(context), waiting(context)
-    if since and waits:
-        raise _changed_elsewhere(since)
     require_own_block(context, waits)
-    raise_all(waiting_refusals(link, context), "The recovery")
     if waits:
         _take_over(link, context, torn[-1] if torn else waits[0])
     # What a measurement borrowed is given back if nobody else has written it since.
@@ -280,6 +311,29 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
         result = UploadResult(ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path)
     _end(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
+
+
+def _forbidden(link: Link, context: Context) -> list[SafetyRefusal]:
+    """What of other writers forbids a recovery."""
+    refusals = lease_refusals(link, context)
+    since = number_since_ours(link, context)
+    if since and waiting_parts(context):
+        return [*refusals, _changed_elsewhere(since)]
+    return refusals + waiting_refusals(link, context)
+
+
+def recovery_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
+    """What forbids ``recover`` as controller and motors stand now; nothing is changed."""
+    context = replace(context, settling=True)
+    require_own_block(context, waiting(context))
+    refusals = _forbidden(link, context)
+    torn = {group.group for group in _torn_groups(context)}
+    for part in reversed(waiting_parts(context)):
+        # Tables of their own may be finished instead: only that recovery knows how they stand.
+        taken_back = part.journal.group in torn or part.kind is not ChangeKind.TABLES
+        if taken_back and not part.items & replaced_since(context, part):
+            refusals += refusals_to_take_back(link, context, part)
+    return list({refusal.message: refusal for refusal in refusals}.values())
 
 
 def _end(link: Link, context: Context) -> None:
@@ -298,9 +352,14 @@ def _torn_groups(context: Context) -> list[Journal]:
 
 def waiting(context: Context) -> list[Journal]:
     """Journals of what a recovery would write back."""
+    return [part.journal for part in waiting_parts(context)]
+
+
+def waiting_parts(context: Context) -> list[Part]:
+    """What a recovery would write back: parts of torn uploads, and changes of their own."""
     groups = {group.group for group in _torn_groups(context)}
     parts = [p for p in parts_of(context) if p.journal.group in groups and p.closing != ROLLED_BACK]
-    return [part.journal for part in (*parts, *unsettled(context))]
+    return [*parts, *(p for p in unsettled(context) if p.journal.group not in groups)]
 
 
 def _take_over(link: Link, context: Context, journal: Journal) -> int:
@@ -323,6 +382,11 @@ def _take_over(link: Link, context: Context, journal: Journal) -> int:
     if since:
         raise _changed_elsewhere(since)
     return found
+
+
+def number_since_ours(link: Link, context: Context) -> int:
+    """Number of a change that another folder or host made since ours, 0 for none."""
+    return _since_ours(read_change(link, context), context)
 
 
 def _since_ours(last: int, context: Context) -> int:
@@ -409,12 +473,10 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
     """Take an upload back; an error says of all of it what stands, not of one part."""
     found: int | None = None
     try:
-        _refuse_newer(context, group)
-        for refusal in (*lease_refusals(link, context), *waiting_refusals(link, context)):
-            raise refusal
+        raise_all(rollback_refusals(link, context, group), "The rollback")
         found = _take_over(link, context, group)
         # One that was cut has taken its own tables away already.
-        for part in () if group.is_open else _standing_parts(context, group):
+        for part in () if group.is_open else standing_parts(context, group):
             refuse_foreign(link, context, part)
         notes = take_group_back(link, context, group)
         _end(link, context)
@@ -435,6 +497,8 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
         if error.code != FOREIGN_TABLES:  # it has looked at what stands
             left, certain = _left_by_rollback(group)
             mark_left(error, left, confirmed=certain)
+            if left is ControllerState.NEW and not link_is_lost(error):
+                _tell_what_stands(link, context, error, standing_parts(context, group))
         _let_go_after(link, context, group, found, error)
         raise
     return notes
@@ -473,7 +537,7 @@ def _left_by_rollback(group: Journal) -> tuple[ControllerState, bool]:
 
 def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
     """The last upload and its parts that still stand, the last one first; ConfigError if none."""
-    groups = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value]
+    groups = uploads(context)
     if groups and any(groups[-1].last(step) is not None for step in (ROLLED_BACK, KEPT)):
         raise ConfigError(
             "The last upload was taken back already; what stands now was there before it.",
@@ -488,22 +552,21 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
             hint="Name the folder of the upload with --journal.",
         )
     require_own_block(context, groups[-1:])
-    return groups[-1], _standing_parts(context, groups[-1])
+    return groups[-1], standing_parts(context, groups[-1])
 
 
-def _standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
-    parts = [p for p in parts_of(context) if p.journal.group == group.group]
-    return tuple(p for p in reversed(parts) if p.closing != ROLLED_BACK)
-
-
-def _refuse_newer(context: Context, group: Journal) -> None:
-    """A change that was interrupted after an upload is settled first."""
+def rollback_refusals(link: Link, context: Context, group: Journal) -> list[SafetyRefusal]:
+    """Refusals because an upload was not the last change, or a later one waits to be settled."""
     newer = [p for p in unsettled(context) if p.journal.group != group.group]
-    if newer:
-        raise SafetyRefusal(
-            f"A change of {newer[0].kind.value} after the upload was interrupted and is still "
-            "open.",
+    refusals = [
+        SafetyRefusal(
+            f"A change of {part.kind.value} after the upload was interrupted and is still open.",
             code="PC-TXN-010",
             hint="Run `pmac-comp recover` first, then take the upload back.",
-            left=ControllerState.OLD,
         )
+        for part in newer[:1]
+    ]
+    settling = replace(context, settling=True)
+    refusals += [*lease_refusals(link, context), *waiting_refusals(link, settling)]
+    since = number_since_ours(link, context)
+    return [_changed_elsewhere(since)] if since and not refusals else refusals

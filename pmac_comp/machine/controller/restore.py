@@ -27,10 +27,11 @@ from pmac_comp.machine.controller.manifest import (
 )
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.recovery import grouped
+from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
+from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Buffer, Settings
-from pmac_comp.machine.controller.settings_upload import SettingsUpload
-from pmac_comp.machine.controller.transaction import UploadResult, require_settled, untouched
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
+from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import describe
 from pmac_comp.machine.wire.numbers import read_number
@@ -71,10 +72,11 @@ def restore(
     with untouched():
         if not other_card:
             _refuse_other_card(read_identity(link), backup)
-        require_settled(context)
+        raise_all(waiting_refusals(link, context), "The restore")
         temporary.take_off(link, context)
-        refusals = _enabled_motors(link)
+        raise_all([*_enabled_motors(link), *lease_refusals(link, context)], "The restore")
         present = _read_like(link, backup, progress)
+        refusals = _enabled_motors(link)  # once more: reading takes minutes on a serial line
     with grouped(link, context, "restore") as parts:
         goal = _goal(present, backup, context)
         with SettingsUpload(

@@ -303,11 +303,37 @@ def rollback_tables(
         What stood after it, whole. Then tables that it did not touch stay as they are now: the
         compensation of another axis may have changed since.
     """
+    rollback = _rollback_of(link, context, backup, uploaded)
+    with rollback as upload:
+        result = upload.execute()
+    link.write_buffer(end_lines(context.block, result.crc_new))
+    return UploadResult(
+        ControllerState.OLD,
+        "table",
+        result.crc_old,
+        result.crc_new,
+        result.disabled_s,
+        result.backup,
+        result.journal,
+        (f"tables of {backup.name} are back",),
+    )
+
+
+def rollback_refusals(
+    link: Link, context: Context, backup: Path, uploaded: TableSet | None = None
+) -> list[SafetyRefusal]:
+    """What forbids ``rollback_tables`` as motors and tables stand now; nothing is changed."""
+    return list(_rollback_of(link, context, backup, uploaded).prepare().refusals)
+
+
+def _rollback_of(
+    link: Link, context: Context, backup: Path, uploaded: TableSet | None
+) -> TableUpload:
     tables, enabled = read_table_backup(backup)
     if uploaded is not None:
         tables, enabled = _with_others_as_now(link, context, tables, uploaded, enabled=enabled)
     last = last_upload(context)
-    with TableUpload(
+    return TableUpload(
         link,
         context,
         exactly=tables,
@@ -315,18 +341,6 @@ def rollback_tables(
         check_limits=False,
         closing=ROLLED_BACK,
         i30=None if last is None or not last.journal.is_open else last.i30,
-    ) as upload:
-        result = upload.execute()
-    link.write_buffer(end_lines(context.block, tables.crc))
-    return UploadResult(
-        ControllerState.OLD,
-        "table",
-        result.crc_old,
-        tables.crc,
-        result.disabled_s,
-        result.backup,
-        result.journal,
-        (f"tables of {backup.name} are back",),
     )
 
 

@@ -12,7 +12,13 @@ from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.parts import Part, missing, parts_of, take_back
+from pmac_comp.machine.controller.parts import (
+    Part,
+    missing,
+    parts_of,
+    replaced_since,
+    take_back,
+)
 from pmac_comp.machine.controller.transaction import DONE, ROLLED_BACK, open_again
 
 _TAKING_BACK: Final = "taking back"  # of an upload that stood whole
@@ -31,7 +37,7 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
     for part in parts:
         if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
             continue  # a reset in between may have brought back what was taken back already
-        if part.items & _replaced_since(context, part):
+        if part.items & replaced_since(context, part):
             notes.append(f"{part.kind.value}: a later upload took its place; it stands")
         else:
             try:
@@ -49,7 +55,7 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
 def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequence[str]:
     """Take back again what a reset meanwhile has brought back, if the upload had been saved."""
     notes: list[str] = []
-    own = [p for p in parts if not p.items & _replaced_since(context, p)]
+    own = [p for p in parts if not p.items & replaced_since(context, p)]
     for _ in range(_MOST_LOOKS):
         again = [p for p in own if not missing(link, context, p)]
         for part in again:
@@ -60,17 +66,3 @@ def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequ
         if not again:
             break
     return notes
-
-
-def _replaced_since(context: Context, part: Part) -> set[object]:
-    """What later changes, of other uploads, put in the place of a part's items."""
-    known = parts_of(context)
-    behind = known[1 + next(k for k, p in enumerate(known) if p.journal == part.journal) :]
-    return {
-        item
-        for later in behind
-        if later.journal.group != part.journal.group
-        and later.closing != ROLLED_BACK
-        and later.intent.data.get("closing") != ROLLED_BACK
-        for item in later.items
-    }

@@ -342,7 +342,7 @@ class Change:
             lost = link_is_lost(error)
             if not lost and self.settle is not None:
                 self._settle(error, self.settle)
-            elif error.left is None:
+            elif not _is_told(error):
                 # Until the first command that may have acted OLD is certain; what acts on it later,
                 # as the guard PLC does, nobody has seen.
                 certain = not lost or (self.settle is None and self.left is ControllerState.OLD)
@@ -467,6 +467,7 @@ def torn_refusals(context: Context, before: Sequence[str] | None = None) -> list
 
     Its backup is what stood before: a change on top would be lost when that is written back.
     What a measurement borrowed stands open without being half-changed, and is taken off apart.
+    What the interrupted one has left is not looked at here: the refusal does not say OLD of it.
 
     Parameters
     ----------
@@ -493,9 +494,9 @@ def torn_refusals(context: Context, before: Sequence[str] | None = None) -> list
             f"An earlier change of this controller ({name}) was interrupted and is still open.",
             code="PC-TXN-010",
             hint="Run `pmac-comp recover` first: it ends the earlier one as it was before or as "
-            "it was meant. Then try again; nothing was changed now.",
-            context={"journal": str(torn[-1].path), "confirmed": True},
-            left=ControllerState.OLD,
+            "it was meant. Then try again; nothing was changed now, and `pmac-comp status` says "
+            "what stands.",
+            context={"journal": str(torn[-1].path), "confirmed": False},
         )
     ]
 
@@ -553,13 +554,21 @@ def _next_journal(context: Context, before: Sequence[str], transaction: int) -> 
 
 @contextmanager
 def untouched() -> Iterator[None]:
-    """Errors of looking, before anything was changed, leave with OLD on them."""
+    """Errors of looking, before anything was changed, leave with OLD on them.
+
+    But not those that tell of a change which waits: what that one left is something else.
+    """
     try:
         yield
     except PmacCompError as error:
-        if error.left is None:
+        if not _is_told(error):
             mark_left(error, ControllerState.OLD, confirmed=True)
         raise
+
+
+def _is_told(error: PmacCompError) -> bool:
+    """Whether an error says what was left, or that nobody has looked at it."""
+    return error.left is not None or error.context.get("confirmed") is False
 
 
 def link_is_lost(error: PmacCompError) -> bool:
