@@ -295,7 +295,8 @@ def _ended(result: dict[str, Any]) -> list[str]:
 
 
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:
-    return [f"would {verb}: {plan['summary']}", "nothing was changed"]
+    refused = [f"  refused: {message}" for message in plan["refusals"]]
+    return [f"would {verb}: {plan['summary']}", *refused, "nothing was changed"]
 
 
 def _show_runs(plan: "RunsPreview", *, dry_run: bool = False) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import (
@@ -142,8 +143,10 @@ def what_is_open(axis: Axis, journal: Path) -> dict[str, Any]:
     context = replace(context_of(axis), store=journal)
     decision = table_status(axis.link, context).decision
     found = recovery.left_open(context)
+    refusals = recovery.recovery_refusals(axis.link, context)
     return {
         "would_settle": list(found),
+        "refusals": [refusal.message for refusal in refusals],
         "tables": f"{decision.state.value}: {decision.reason}",
         "summary": "; ".join(found) or "nothing was left open",
     }
@@ -157,12 +160,16 @@ def preview_rollback(url: str, bench: str, journal: Path) -> dict[str, Any]:
 
 def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
     """The last upload of a folder and its parts that still stand; ConfigError if there is none."""
-    group, parts = recovery.upload_to_take_back(replace(context_of(axis), store=journal))
+    context = replace(context_of(axis), store=journal)
+    group, parts = recovery.upload_to_take_back(context)
+    refusals = recovery.rollback_refusals(axis.link, context, group)
+    refusals += lease_refusals(axis.link, context)
     begin = group.first()
     name = "" if begin is None else str(begin.data.get("name", ""))
     kinds = [part.kind.value for part in parts]
     return {
         "would_take_back": kinds,
+        "refusals": [refusal.message for refusal in refusals],
         "journal": str(group.path),
         "summary": f"the upload ({name}) in {group.path.name}: "
         + (", ".join(kinds) or "none of its parts was begun"),

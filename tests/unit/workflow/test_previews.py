@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.errors import ConfigError, ForeignChange
+from pmac_comp.cli.compensation import _told
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
@@ -20,6 +21,7 @@ from pmac_comp.workflow.previews import (
     what_is_open,
     what_was_uploaded,
 )
+from pmac_comp.workflow.removal import remove_from, standing_on
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import friction_law, lead_map
 
@@ -53,6 +55,20 @@ def test_recovery_names_an_upload_that_was_interrupted(axis: Axis, tmp_path: Pat
     with pytest.raises(RuntimeError), recovery.grouped(axis.link, context, "law"):
         raise RuntimeError
     assert what_is_open(axis, tmp_path)["would_settle"] == ["an upload (law) was interrupted"]
+
+
+def test_a_rehearsal_names_what_the_command_is_refused_for(axis: Axis, tmp_path: Path) -> None:
+    """Somebody has taken the compensation off from another folder: nothing is written over that."""
+    here, elsewhere = (context_of(axis, tmp_path / name) for name in ("here", "elsewhere"))
+    deploy(axis, TABLE, here)
+    assert what_was_uploaded(axis, here.store)["refusals"] == []
+    remove_from(axis, elsewhere, standing_on(axis))
+    (told,) = what_was_uploaded(axis, here.store)["refusals"]
+    with pytest.raises(ForeignChange) as refused:
+        recovery.rollback_last(axis.link, here)
+    assert refused.value.message == told
+    assert any("refused: Another folder" in line
+               for line in _told("take back", what_was_uploaded(axis, here.store)))  # fmt: skip
 
 
 def test_an_armed_law_is_told_to_be_replaced_where_it_is(axis: Axis, tmp_path: Path) -> None:
