@@ -18,9 +18,14 @@ from pmac_comp.machine.controller.lease import read_clock, read_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, CLOCK_PER_s, Lease
 from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.table_status import announced_elsewhere, table_status
+from pmac_comp.machine.controller.table_status import (
+    TableStatus,
+    announced_elsewhere,
+    table_status,
+)
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.law_cost import load_text
 from pmac_comp.workflow.session import open_axis, open_link
@@ -66,6 +71,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         form = law_state.running_form(axis.link, head)
         law = _law_text(axis.link, block, form, head)
         elsewhere = recovery.open_elsewhere(axis.link, context)
+        since = recovery.number_since_ours(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
@@ -80,9 +86,10 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
                             state.tables) or "none",
         "tables_act": state.i51,
         "verdict": state.decision.state.value,
-        "why": f"tables: {state.decision.reason}; law: {law}",
+        "why": f"tables: {_why(state, axis)}; law: {law}",
         "left_open": advice,
-        "last_change": recovery.last_change(context) or "none from this folder",
+        "last_change": (recovery.last_change(context) or "none from this folder")
+        + ("; another folder or host has changed the controller since" if since else ""),
         "lease": lease,
         "law": form.name.lower(),
         "law_bank": head.bank,
@@ -105,6 +112,17 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         "compensation": compensation,
         "processor": {"summary": load_text(load)} | ({} if load is None else load.as_dict()),
     }
+
+
+def _why(state: TableStatus, axis: Axis) -> str:
+    """Why the tables are judged so; a last change that took an axis' tables off is no news of it.
+
+    What stands then are the tables of other axes.
+    """
+    ours = {axis.motor, axis.bench.controller.cam_motor_number}
+    if not state.tables or ours & set(state.tables.motors):
+        return state.decision.reason
+    return f"{state.decision.reason}, none of them of motor #{axis.motor}"
 
 
 def _law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:

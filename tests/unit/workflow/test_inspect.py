@@ -1,5 +1,7 @@
 """What `status` says of a controller, and of what this host left open on it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -8,8 +10,13 @@ from pmac_comp.machine.controller import law_state
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.removal import remove_from, standing_on
+from tests.compensations import lead_map
 
 
 def test_a_torn_upload_is_told_although_the_tables_are_old(
@@ -92,3 +99,29 @@ def test_status_has_stable_names_without_blanks(tmp_path: Path) -> None:
         "law_torque_dac",
         "clamped_passes",
     ]
+
+
+def test_tables_of_other_axes_are_no_compensation_of_this_one(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken off from another folder, the axis was shown as NEW by the tables that still act."""
+
+    @contextmanager
+    def opened(*_: object) -> Iterator[Axis]:
+        yield axis
+
+    monkeypatch.setattr(inspect, "open_axis", opened)
+    here, elsewhere = (context_of(axis, tmp_path / name) for name in ("here", "elsewhere"))
+    axis.link.write_buffer(["#3DEFINE COMP 4,#3,#3,64000", "0", "16", "16", "0", "I51=1"])
+    deploy(axis, Compensation("table", CompensationLaw(), lead_map()), here)
+    found = inspect.controller_status("", "", here.store)["compensation"]
+    assert found["why"].startswith("tables: the new tables act; law")
+    assert found["last_change"] == "table: done"
+    remove_from(axis, elsewhere, standing_on(axis))
+    found = inspect.controller_status("", "", here.store)["compensation"]
+    assert found["tables"] == "COMP #3, 4 entries"
+    assert found["why"].startswith("tables: the new tables act, none of them of motor #1; law")
+    since = "another folder or host has changed the controller since"
+    assert found["last_change"] == f"table: done; {since}"
+    nowhere = inspect.controller_status("", "", tmp_path / "nowhere")["compensation"]
+    assert nowhere["last_change"] == f"none from this folder; {since}"
