@@ -242,10 +242,13 @@ def rollback(
     from pmac_comp.workflow.previews import preview_rollback
     from pmac_comp.workflow.upload_flow import rollback_upload
 
+    plan = preview_rollback(url, bench, journal)
     if dry_run:
-        plan = preview_rollback(url, bench, journal)
-        output.finish(plan, json_target, lambda: output.echo_all(_told("take back", plan)))
+        shown = [*_told("take back", plan)[:-1], *plan["motion"], "nothing was changed"]
+        output.finish(plan, json_target, lambda: output.echo_all(shown))
         return
+    if json_target != "-":
+        output.echo_all([plan["summary"], *plan["motion"]])
     confirmed(f"Roll back the last upload on {url}?", yes=yes)
     progress = ProgressLines()
     result = rollback_upload(url, bench, journal, persist=persist, progress=progress)
@@ -265,7 +268,7 @@ def remove(
     from pmac_comp.workflow.removal import plan_removal, remove_compensation
 
     plan = plan_removal(url, bench)
-    parts = plan["would_remove"]
+    parts = [*plan["would_remove"], *plan["motion"]]
     if dry_run or not parts:
         output.finish(plan, json_target, lambda: output.echo_all(parts or ["nothing to remove"]))
         return

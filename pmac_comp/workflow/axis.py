@@ -19,8 +19,9 @@ from pmac_comp.base.errors import (
     CommandRefused,
     MotorNotSafe,
     PmacCompError,
+    SafetyRefusal,
 )
-from pmac_comp.base.units import MS_PER_S
+from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.capture_formats import Attribute
@@ -133,9 +134,12 @@ class Axis:
         Raises
         ------
         MotorNotSafe
-            The feed rate override is 0, nothing was sent; or the motor did not arrive.
+            The place is outside the travel or the feed rate override is 0, nothing was sent; or
+            the motor did not arrive.
         """
-        raise_all(jog_refusals(self.link, self.motor), "The move")
+        raise_all(
+            [*self._place_refusals(place_ct), *jog_refusals(self.link, self.motor)], "The move"
+        )
         watch = jog_watch(self.link, self.bench, self.scales)
         try:
             motors.move_to(self.link, self.motor, place_ct, during=watch)
@@ -144,6 +148,22 @@ class Axis:
                 self.link.flush()
                 self._end_jog(blind=isinstance(error, PmacCompError) and is_blind(error))
             raise
+
+    def _place_refusals(self, place_ct: float) -> list[SafetyRefusal]:
+        """Refusal of a place outside the travel; a count is left to rounding."""
+        limits, travel = self.scales.limits(self.bench), self.bench.travel
+        if limits.min_position_ct - 1.0 <= place_ct <= limits.max_position_ct + 1.0:
+            return []
+        place_mm = place_ct * self.scales.motor_m_per_ct * MM_PER_M
+        return [
+            MotorNotSafe(
+                f"Motor #{self.motor} would move to {place_mm:.3f} mm, outside the travel of "
+                f"{travel.min_mm:g} to {travel.max_mm:g} mm.",
+                code="PC-MOT-040",
+                hint="Nothing was moved. Correct [travel] in the bench file if the axis may go "
+                "there.",
+            )
+        ]
 
     def _end_jog(self, *, blind: bool) -> None:
         """Hold the axis where it is, or kill it where its own encoder may be at fault."""

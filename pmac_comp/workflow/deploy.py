@@ -42,7 +42,7 @@ from pmac_comp.machine.controller.table_set import read_table, read_tables
 from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_checks import buffer_refusals, not_at_rest
+from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
@@ -64,6 +64,7 @@ from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.sign_test import check_cam_sign, check_law_sign, check_table_sign
+from pmac_comp.workflow.standing import place_refusals, stand_to_switch, uploading
 from pmac_comp.workflow.tables import tables_of
 
 Progress = Callable[[str, float], None]
@@ -135,19 +136,20 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         notes += guard_install.install_guard(axis.link, context)
     _set_take_up(axis, context, tables)
     if compensation.route == "cam":
+        place_ct = stand_to_switch(axis, uploading(tables, stale))
         parts.append(_deploy_cam(axis, compensation, context, tables, stale))
         notes.append(
             f"the motion is PROG {CAM_PROGRAM}; motor #{axis.bench.controller.cam_motor_number} "
             "counts its time"
         )
-        notes += check_table_sign(axis, tables, context)
+        notes += check_table_sign(axis, tables, context, back_to_ct=place_ct)
         notes += check_cam_sign(axis, render_cam(compensation, axis.bench).table.table, context)
     elif tables or stale:
-        context.progress("standing at the motor's zero", *UNKNOWN)
-        stand_at_zero(axis)
+        context.progress("standing where tables may be switched", *UNKNOWN)
+        place_ct = stand_to_switch(axis, uploading(tables, stale))
         with TableUpload(axis.link, context, tables, without=stale) as upload:
             parts.append(upload.execute())
-        notes += check_table_sign(axis, tables, context)
+        notes += check_table_sign(axis, tables, context, back_to_ct=place_ct)
     if compensation.route == "law":
         every = compensation.law.every_cycles
         notes += law_install.install_law(axis.link, context, axis.motor, every_cycles=every)
@@ -191,6 +193,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     refusals += block_refusals(link, context.block)
     refusals += buffer_refusals(read_head(link, context))
     refusals += double_corrections(axis, context, compensation)
+    refusals += _place_refusals(axis, compensation)
     if motors.read_motor(link, axis.motor).status.is_closed_loop:
         refusals += jog_refusals(link, axis.motor)
     if route == "law":
@@ -207,6 +210,13 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
         clamp = _clamp_ct(axis, context, compensation)
         refusals += law_upload.standing_refusals(link, context, parameters, clamp)
     return refusals
+
+
+def _place_refusals(axis: Axis, compensation: Compensation) -> list[SafetyRefusal]:
+    """Refusal where the tables of a compensation could be switched nowhere without a step."""
+    tables = tables_of(compensation, axis.bench)
+    stale = stale_tables(axis, compensation, tables)
+    return place_refusals(axis, uploading(tables, stale)) if tables or stale else []
 
 
 def _torque_refusals(bench: Bench, compensation: Compensation) -> list[SafetyRefusal]:
@@ -316,36 +326,20 @@ def _deploy_cam(
     stale: tuple[tuple[TableKind, int], ...],
 ) -> UploadResult:
     """Program with the time axis, then its table."""
-    stand_at_zero(axis)
     deploy_program(axis, render_cam(compensation, axis.bench), context)
     with TableUpload(axis.link, context, tables, without=stale, route="cam") as upload:
         return upload.execute()
 
 
-def stand_at_zero(axis: Axis) -> None:
-    """Move a closed loop to the motor's zero, where every table corrects nothing: no step.
-
-    Raises
-    ------
-    MotorNotSafe
-        The motor executes a move that somebody else began.
-    """
-    reading = motors.read_motor(axis.link, axis.motor)
-    raise_all(not_at_rest(motors.executing_moves({axis.motor: reading})), "Going to zero")
-    if reading.status.is_closed_loop and abs(reading.position_ct) > 1.0:
-        axis.move_to(0.0)
-        axis.link.clock.sleep_s(0.3)
-
-
 def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool) -> None:
-    """Compensation on or off for a comparison, without a step: at zero, the law by its ramp.
+    """Compensation on or off for a comparison, without a step: the law by its ramp.
 
     Raises
     ------
     VerifyMismatch
         The switch does not read back.
     """
-    stand_at_zero(axis)
+    stand_to_switch(axis)
     if compensation.route in TORQUE_ROUTES:
         if on:
             law_arming.arm(axis.link, context)
@@ -356,7 +350,7 @@ def switch(axis: Axis, context: Context, compensation: Compensation, *, on: bool
 
 
 def switch_tables(axis: Axis, *, on: bool) -> None:
-    """Tables on or off (I51) where those of the axis correct nothing.
+    """Tables on or off (I51) where those of the axis step least.
 
     I51 is of the whole card: other motors that have tables must stand, and where switching moves
     them little.
@@ -368,7 +362,7 @@ def switch_tables(axis: Axis, *, on: bool) -> None:
     VerifyMismatch
         I51 does not read back.
     """
-    stand_at_zero(axis)
+    stand_to_switch(axis)
     if read_one(axis.link, "I51") == float(on):
         return
     tables = read_tables(axis.link)

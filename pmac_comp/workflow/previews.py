@@ -29,6 +29,8 @@ from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.standing import standing_lines
+from pmac_comp.workflow.upload_flow import tables_coming_back
 
 MOTION_COLUMNS = ("what for", "runs", "name", "duration s", "from mm", "to mm", "peak mm/s", "m/s2")
 
@@ -159,17 +161,25 @@ def preview_rollback(url: str, bench: str, journal: Path) -> dict[str, Any]:
 
 
 def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
-    """The last upload of a folder and its parts that still stand; ConfigError if there is none."""
+    """The last upload of a folder and its parts that still stand, and what moves for it.
+
+    Raises
+    ------
+    ConfigError
+        There is no upload to take back.
+    MotorNotSafe
+        There is no place where its tables could be switched without a step.
+    """
     context = replace(context_of(axis), store=journal)
     group, parts = recovery.upload_to_take_back(context)
     refusals = recovery.rollback_refusals(axis.link, context, group)
-    refusals += lease_refusals(axis.link, context)
     begin = group.first()
     name = "" if begin is None else str(begin.data.get("name", ""))
     kinds = [part.kind.value for part in parts]
     return {
         "would_take_back": kinds,
         "refusals": [refusal.message for refusal in refusals],
+        "motion": standing_lines(axis, tables_coming_back(axis, context)),
         "journal": str(group.path),
         "summary": f"the upload ({name}) in {group.path.name}: "
         + (", ".join(kinds) or "none of its parts was begun"),

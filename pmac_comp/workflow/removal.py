@@ -34,9 +34,16 @@ from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off
-from pmac_comp.workflow.deploy import Progress, context_of, stand_at_zero
+from pmac_comp.workflow.deploy import Progress, context_of
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.standing import (
+    Sets,
+    place_refusals,
+    stand_to_switch,
+    standing_lines,
+    uploading,
+)
 from pmac_comp.workflow.upload_flow import rollback_command
 
 
@@ -135,10 +142,22 @@ def _form_of_law(axis: Axis) -> LawForm:
 
 
 def plan_removal(url: str, bench: str) -> dict[str, Any]:
-    """What ``remove_compensation`` would take off."""
+    """What ``remove_compensation`` would take off, and from where to where the axis moves for it.
+
+    Raises
+    ------
+    MotorNotSafe
+        There is no place where its tables could be switched without a step.
+    """
     with open_axis(url, bench) as axis:
         found = standing_on(axis)
-    return {"would_remove": [] if found.is_empty else found.lines()}
+        if found.is_empty:
+            return {"would_remove": [], "motion": []}
+        return {"would_remove": found.lines(), "motion": standing_lines(axis, _without(found))}
+
+
+def _without(found: Standing) -> Sets:
+    return uploading((), found.tables)
 
 
 def remove_compensation(
@@ -159,11 +178,12 @@ def remove_compensation(
 
 
 def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadResult, ...]:
-    """The same on a connected axis, as one upload: at zero, where tables correct nothing."""
+    """The same on a connected axis, as one upload, where its tables may be switched."""
     with untouched():  # before the axis moves for it
-        raise_all(waiting_refusals(axis.link, context), "The removal")
+        refusals = waiting_refusals(axis.link, context)
+        raise_all([*refusals, *place_refusals(axis, _without(found))], "The removal")
     rest_time_motor(axis)
-    stand_at_zero(axis)
+    stand_to_switch(axis, _without(found))
     results: list[UploadResult] = []
     with grouped(axis.link, context, REMOVAL) as inner:
         if found.law is LawForm.PLC:

@@ -91,10 +91,13 @@ def _offset_ct(axis: Axis, offset_um: float) -> float:
     return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
 
 
-def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> list[str]:
+def check_table_sign(
+    axis: Axis, tables: Sequence[Table], context: Context, *, back_to_ct: float = 0.0
+) -> list[str]:
     """Guarded test of tables that act: where they correct most the motor must stand so.
 
-    The axis moves there and back to its zero; the correction is within the safety limits already.
+    The axis moves there and on to ``back_to_ct``, where it stood; the correction is within the
+    safety limits already.
 
     Raises
     ------
@@ -131,7 +134,7 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
             "and report this controller's firmware.",
             left=ControllerState.DISABLED,
         )
-    axis.move_to(0.0)
+    axis.move_to(back_to_ct)
     said = (
         f"at {place_ct * to_um / 1e3:.1f} mm: {expected_ct * to_um:+.1f} um meant, "
         f"{found_ct * to_um:+.1f} um found"
@@ -147,7 +150,7 @@ def check_table_sign(axis: Axis, tables: Sequence[Table], context: Context) -> l
 def check_cam_sign(axis: Axis, table: CompTable, context: Context) -> list[str]:
     """Guarded test of a cam: time is run slowly to where it corrects clearly, and back.
 
-    The axis stands at its zero meanwhile and goes as far as the cam's correction there.
+    The axis stands where it is meanwhile and goes as far as the cam's correction there.
 
     Raises
     ------

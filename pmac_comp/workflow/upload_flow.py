@@ -16,14 +16,22 @@ from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.transaction import link_is_lost, mark_left
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.table_files import read_table_backup
+from pmac_comp.machine.controller.transaction import (
+    ChangeKind,
+    link_is_lost,
+    mark_left,
+    untouched,
+)
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy, stand_at_zero
+from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.standing import Sets, bringing_back, place_refusals, stand_to_switch
 
 _PROGRAMS = {
     "cam": ((ProgramKind.PROG, CAM_PROGRAM),),
@@ -171,6 +179,23 @@ def recover_upload(
     }
 
 
+def tables_coming_back(axis: Axis, context: Context) -> Sets:
+    """Tables that taking the last upload back puts in the place of those that stand.
+
+    Raises
+    ------
+    ConfigError
+        There is no upload to take back.
+    """
+    _, parts = recovery.upload_to_take_back(context)
+    backups = [
+        context.store / Path(str(part.intent.data["backup"])).name
+        for part in parts
+        if part.kind is ChangeKind.TABLES
+    ]
+    return bringing_back(axis.motor, lambda: [read_table_backup(path)[0] for path in backups])
+
+
 _FLASH = (
     "the flash was not touched: if the upload was saved there, a reset brings it back "
     "(--persist saves the old over it, motors killed)"
@@ -188,9 +213,11 @@ def rollback_upload(
     """Bring back what the last upload replaced, all parts of it, the last one first."""
     with _ready(url, bench, journal, progress) as (axis, context):
         temporary.take_off(axis.link, context)
-        recovery.upload_to_take_back(context)  # where there is none the axis does not move for it
+        with untouched():
+            sets = tables_coming_back(axis, context)  # none: the axis does not move for it
+            raise_all(place_refusals(axis, sets), "The rollback")
         rest_time_motor(axis)
-        stand_at_zero(axis)
+        stand_to_switch(axis, sets)
         result = recovery.rollback_last(axis.link, context)
         rest_time_motor(axis)  # of a cam that came back
         said = _FLASH

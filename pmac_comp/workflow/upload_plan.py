@@ -20,6 +20,7 @@ from pmac_comp.machine.controller.open_servos import scratch_remarks
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.table_set import Key
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
 from pmac_comp.machine.transport.url import parse_url
@@ -41,6 +42,7 @@ from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import TORQUE_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import SIGN_OFFSETS_um
+from pmac_comp.workflow.standing import standing_lines, uploading
 from pmac_comp.workflow.tables import tables_of
 
 _ENABLE_STEPS = {"PC-SAF-004", "PC-SAF-041"}
@@ -118,7 +120,7 @@ def preview(
         if tables:
             lines += guard_download(axis, context)
             text += _guard_lines(axis, context)
-        text += _motion_lines(axis, tables)
+        text += _motion_lines(axis, tables, stale)
     if compensation.route == "cam":
         text += _cam_lines(axis, compensation)
         lines += render_cam(compensation, axis.bench).program.lines
@@ -148,7 +150,7 @@ def preview(
 
 
 def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:
-    """Whether a step on enabling goes away because the axis first moves to its zero."""
+    """Whether a step on enabling goes away because the axis first moves to where there is none."""
     return refusal.code in _ENABLE_STEPS and refusal.context.get("motor") == axis.motor
 
 
@@ -185,14 +187,16 @@ def _off_s(url: str, characters: int) -> float:
     return _STEPS_s + _BOTH_WAYS * characters / rate
 
 
-def _motion_lines(axis: Axis, tables: Sequence[Table]) -> list[str]:
-    reading = motors.read_motor(axis.link, axis.motor)
-    if not reading.status.is_closed_loop:
+def _motion_lines(axis: Axis, tables: Sequence[Table], stale: Sequence[Key]) -> list[str]:
+    if not motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
         return ["  the motor's loop is open: nothing moves, and no sign is measured"]
-    there = "  the axis moves to its zero first, where every table corrects nothing"
+    try:
+        there = standing_lines(axis, uploading(tables, stale))
+    except SafetyRefusal:
+        return []  # one of the refusals
     tested = any(isinstance(table, CompTable) and table.motor == axis.motor for table in tables)
-    most = ", and then to where the table corrects most, to measure its sign"
-    return [there + most * tested]
+    most = "  then it moves to where the table corrects most, to measure its sign, and back"
+    return [*(f"  {line}" for line in there), *([most] if tested else [])]
 
 
 def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:

@@ -81,7 +81,7 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
     # Whoever looks on knows why the axis moves for a minute.
     moving = [step for step, share in told if share < 0.0]
     assert [step.split(":")[0] for step in moving] == [
-        "standing at the motor's zero",
+        "standing where tables may be switched",
         "measuring the sign of the tables",
         "measuring the sign of the law",
         "arming the law",

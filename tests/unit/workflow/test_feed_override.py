@@ -10,7 +10,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.as_described import require_as_described
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy, stand_at_zero
+from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.standing import stand_to_switch
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import lead_map
 
@@ -43,11 +44,11 @@ def test_it_is_that_of_the_motor_s_own_coordinate_system(axis: Axis) -> None:
     axis.move_to(2000.0)
     axis.link.command("&3#1->X")
     stopped(axis, "&1%0")
-    stand_at_zero(axis)
+    stand_to_switch(axis)
     axis.move_to(2000.0)
     stopped(axis, "&3%0")
     with pytest.raises(MotorNotSafe, match="coordinate system 3"):
-        stand_at_zero(axis)
+        stand_to_switch(axis)
 
 
 def test_a_killed_motor_waits_for_no_override(axis: Axis, tmp_path: Path) -> None:
