@@ -78,6 +78,7 @@ def _journals_apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Axes without a folder of their own keep their journals apart, and not in the work tree."""
     root = tmp_path_factory.mktemp("journals")
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         patch.setattr(axis_setup, "default_store", lambda: Path(tempfile.mkdtemp(dir=root)))
         yield
 

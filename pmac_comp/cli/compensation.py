@@ -346,6 +346,7 @@ def verify(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for captures and result")
     ] = None,
+    journal: JournalOption = DEFAULT_JOURNAL,
     report: ReportOption = None,
     yes: YesOption = False,
     dry_run: DryRunOption = False,
@@ -404,6 +405,7 @@ def verify(
             seed=seed,
             refine=refine,
             out=out,
+            journal=journal,
             progress=progress,
         )
     progress.close()

@@ -277,6 +277,7 @@ def capture(
     recover: Annotated[
         Path | None, typer.Option("--recover", help="Rebuild captures from this capture log")
     ] = None,
+    journal: JournalOption = DEFAULT_JOURNAL,
     yes: YesOption = False,
     dry_run: DryRunOption = False,
     json_target: JsonOption = "",
@@ -308,7 +309,13 @@ def capture(
     confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
     progress = ProgressLines()
     result = capture_to_folder(
-        url, bench, plan, out, progress=progress, tell=lambda text: output.say(f"note: {text}")
+        url,
+        bench,
+        plan,
+        out,
+        journal=journal,
+        progress=progress,
+        tell=lambda text: output.say(f"note: {text}"),
     )
     progress.close()
 

@@ -1,30 +1,42 @@
-"""One terminal of this host at an axis: whoever measures or changes it keeps others out.
+"""One command at a time at a card: whoever measures or changes it keeps others out.
 
 A measurement borrows a coordinate system and a motion program, and compares runs with and without
 what is on the card. Between two of its runs the axis rests, so that nothing else would refuse an
 upload, a removal or a second measurement from another terminal: the runs would then be told as
-with a compensation that was not there any more.
+with a compensation that was not there any more. On this host a lock keeps others out, by the
+address of the card and by its identity in the folder; other hosts are kept out by the lease on the
+card, which a measurement holds throughout.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
-from pmac_comp.machine.controller.lease import host_lock
+from pmac_comp.base.errors import PmacCompError, SafetyRefusal
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.lease import card_lock, host_lock
+from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings_upload import running_refusals
+from pmac_comp.machine.controller.table_status import read_head
+from pmac_comp.machine.controller.temporary import standing
+from pmac_comp.machine.controller.transaction import untouched
+from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 
 _SCOPE = ".work"
+_HERE = {"localhost": "127.0.0.1", "::1": "127.0.0.1"}
 
 
 @contextmanager
 def at_work(axis: Axis, url: str) -> Iterator[None]:
-    """Nobody else of this host and journal folder measures or changes the axis meanwhile.
+    """Nobody else of this host measures or changes the card meanwhile.
 
     Parameters
     ----------
     axis : Axis
-        Connected; the lock lies in its journal's folder.
+        Connected; one of its locks lies in its journal's folder.
     url : str
         Where it is; a card in this process (``sim://``) is nobody else's.
 
@@ -33,9 +45,60 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
     LeaseHeld
         Another terminal is at work on this controller.
     """
-    if parse_url(url).scheme == "sim":
+    if _is_own(url):
         yield
         return
-    with host_lock(context_of(axis, axis.setup.store), _SCOPE):
+    with card_lock(card_address(url)), host_lock(context_of(axis, axis.setup.store), _SCOPE):
         yield
         axis.release_axis()  # what was borrowed is back before somebody else may begin
+
+
+@contextmanager
+def measuring(axis: Axis, url: str) -> Iterator[None]:
+    """The same for runs: nobody else may be at the card as they begin, and no host may come.
+
+    Raises
+    ------
+    LeaseHeld, ForeignChange
+        Another host measures or changes, or left a change unfinished.
+    SafetyRefusal
+        A motion program, data gathering or an open buffer of somebody else.
+    """
+    with at_work(axis, url):
+        if _is_own(url):
+            yield
+            return
+        with untouched():
+            raise_all(_others_refusals(axis, context_of(axis, axis.setup.store)), "The measurement")
+            axis.setup.hold_card(axis.link, axis.bench, axis.identity)
+        try:
+            yield
+        except (PmacCompError, KeyboardInterrupt):
+            with suppress(PmacCompError):
+                axis.link.flush()
+                axis.setup.let_go(axis.link)
+            raise
+        axis.setup.let_go(axis.link)
+
+
+def card_address(url: str) -> str:
+    """Address of a card, the same for all URLs that name it by the same host and port, or device.
+
+    Names are not looked up: a host by its name and by its number counts as two.
+    """
+    endpoint = parse_url(url)
+    if endpoint.device:
+        return str(Path(endpoint.device).resolve())
+    host = endpoint.target_host or endpoint.host
+    return f"{_HERE.get(host, host)}:{endpoint.target_port or endpoint.port}"
+
+
+def _is_own(url: str) -> bool:
+    return parse_url(url).scheme == "sim"
+
+
+def _others_refusals(axis: Axis, context: Context) -> list[SafetyRefusal]:
+    """What somebody else runs; what a killed measurement of this folder left is taken off first."""
+    if standing(context):
+        return []
+    return [*running_refusals(axis.link), *buffer_refusals(read_head(axis.link, context))]

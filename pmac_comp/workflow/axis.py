@@ -50,6 +50,7 @@ from pmac_comp.workflow.approach import (
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.motions import Motion, check_motion, relaxing
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER, pvt_program
+from pmac_comp.workflow.run_cut import TAIL_s, moving_range
 from pmac_comp.workflow.run_log import RunLog
 from pmac_comp.workflow.scales import Scales
 from pmac_comp.workflow.sensors import (
@@ -61,8 +62,6 @@ from pmac_comp.workflow.sensors import (
 )
 
 Progress = Callable[[str, float], None]
-_LEAD_IN_s = 0.05  # kept before the first motion of a run
-_TAIL_s = 0.15  # kept after the last
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _END_s = 0.5  # after the last sample, for a host that ran ahead of the card's clock
@@ -76,7 +75,7 @@ _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 
 def _gathered_s(motion: Motion) -> float:
     """How long a run of a motion is gathered, its start and its tail with it."""
-    return motion.duration_s + _START_TIME_s + _TAIL_s
+    return motion.duration_s + _START_TIME_s + TAIL_s
 
 
 @dataclass
@@ -293,7 +292,10 @@ class Axis:
         clock = self.link.clock
         start_s = clock.now_s()
 
+        self.setup.hold_on(self.link)
+
         def going_on() -> bool:
+            self.setup.keep_on(self.link)
             if progress is not None:
                 progress(motion.name, min(1.0, (clock.now_s() - start_s) / duration_s))
             return True
@@ -366,7 +368,7 @@ class Axis:
         if words <= free:
             return
         sample_s = self.scales.period_s * plan.period_cycles
-        margin_s = _START_TIME_s + _TAIL_s
+        margin_s = _START_TIME_s + TAIL_s
         needs_s, held_s = (
             (n - gather.HEADER_LONG_WORDS) / plan.layout.long_words * sample_s
             for n in (words, free)
@@ -387,6 +389,7 @@ class Axis:
         watch = SensorWatch(MISMATCH_m)
         while not deadline.expired():
             self.link.clock.sleep_s(min(_LOOK_s, max(0.0, deadline.remaining_s())))
+            self.setup.keep_on(self.link)
             if scale is None or deadline.expired():
                 continue
             found = motors.read_motors(self.link, [self.motor, scale.motor_number])
@@ -454,7 +457,7 @@ class Axis:
         desired = actual + scales.motor_m(raw["following_error"])
         table = scales.table_m(raw["scale"]) if "scale" in raw else None
         torque = scales.torque_Nm(raw["output"])
-        first, last = _moving_range(commanded, scales.period_s, motion.position_m, skipped)
+        first, last = moving_range(commanded, scales.period_s, motion.position_m, skipped)
         part = slice(first, last)
         if table is not None:
             self._check_sensors(actual[part], table[part])
@@ -489,26 +492,6 @@ class Axis:
             "gather_sources": " ".join(source.name for source in self.plan().sources),
             "bench_text": self.bench.text,
         }
-
-
-def _moving_range(
-    commanded: FloatArray, period_s: float, planned: FloatArray, skipped: int
-) -> tuple[int, int]:
-    """First and one past the last sample of the motion, with rest kept at both ends."""
-    moving = np.flatnonzero(np.abs(commanded - commanded[0]) > 1e-9)
-    if moving.size == 0:
-        raise CaptureError(
-            "The axis was not commanded to move while it was gathered.",
-            code="PC-AXI-004",
-            hint="Check that the motion program runs (`pmac-comp status`).",
-        )
-    # The first sample that moves stands for the first one planned to: all others follow from it.
-    begins = int(np.flatnonzero(np.abs(planned - planned[0]) > 1e-9)[0])
-    start = int(moving[0]) + max(0, skipped - begins)
-    first = max(0, start - int(_LEAD_IN_s / period_s))
-    steps = np.flatnonzero(np.diff(commanded) != 0.0)
-    last = min(commanded.size, int(steps[-1]) + 2 + int(_TAIL_s / period_s))
-    return first, last
 
 
 def run_all(

@@ -13,6 +13,7 @@ from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.lease import LEASE_s, drop_lease, hold_lease, renew_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.settings import (
@@ -22,7 +23,7 @@ from pmac_comp.machine.controller.settings import (
     read_axes,
 )
 from pmac_comp.machine.controller.settings_upload import texts
-from pmac_comp.machine.controller.transaction import untouched
+from pmac_comp.machine.controller.transaction import RENEW_SHARE, own_numbers, untouched
 from pmac_comp.machine.controller.variables import read_many, read_range
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.scales import Scales
@@ -51,6 +52,45 @@ class AxisSetup:
 
     store: Path = field(default_factory=lambda: default_store())  # noqa: PLW0108 - when made
     _context: Context | None = None
+    _held: Context | None = None
+    _held_at_s: float = 0.0
+
+    def hold_card(self, link: Link, bench: Bench, controller: str) -> None:
+        """Hold the lease on the card from now on, until ``let_go``.
+
+        Raises
+        ------
+        LeaseHeld, ForeignChange
+            Somebody else changes or measures.
+        """
+        context = self._context_of(bench, controller)
+        hold_lease(link, context, lambda number: number in own_numbers(context))
+        self._held, self._held_at_s = context, link.clock.now_s()
+
+    def hold_on(self, link: Link) -> None:
+        """Take the lease anew before a run, if it is held: changes of ours in between gave it back.
+
+        Raises
+        ------
+        LeaseHeld, ForeignChange
+            Somebody else was quicker.
+        """
+        if (context := self._held) is not None:
+            hold_lease(link, context, lambda number: number in own_numbers(context))
+            self._held_at_s = link.clock.now_s()
+
+    def keep_on(self, link: Link) -> None:
+        """Move the end of the lease in time, if it is held; ForeignChange if it is not ours now."""
+        now_s = link.clock.now_s()
+        if self._held is not None and now_s - self._held_at_s > RENEW_SHARE * LEASE_s:
+            renew_lease(link, self._held)
+            self._held_at_s = now_s
+
+    def let_go(self, link: Link) -> None:
+        """Give the lease back, if it is held."""
+        context, self._held = self._held, None
+        if context is not None:
+            drop_lease(link, context)
 
     def put_on(self, link: Link, bench: Bench, controller: str) -> None:
         """Make the motor axis X in counts, with PVT times in ms and velocities per second.

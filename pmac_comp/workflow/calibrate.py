@@ -10,12 +10,13 @@ from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.as_described import place_remarks, require_as_described
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis, HALT_s, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
 from pmac_comp.workflow.deploy import context_of
@@ -82,6 +83,7 @@ def capture_to_folder(
     plan: CapturePlan,
     out: Path,
     *,
+    journal: Path = DEFAULT_JOURNAL,
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
@@ -91,7 +93,7 @@ def capture_to_folder(
     """
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
-    with open_axis(url, bench) as axis, at_work(axis, url):
+    with open_axis(url, bench) as axis, borrowing_in(axis, journal), measuring(axis, url):
         remarks = (*place_remarks(axis.link, axis.bench), *acting_remarks(axis))
         remarks += offset_remarks(axis)
         if tell is not None:
@@ -101,8 +103,16 @@ def capture_to_folder(
             axis.require_room(motion)
         with motor_as_found(axis):
             prepare(axis)
-            captures = run_to_files(axis, plan.motions, paths, progress)
-    return {"files": paths, "samples": sum(run.n for run in captures), "remarks": remarks}
+            runs = run_to_files(axis, plan.motions, paths, progress)
+    return {"files": paths, "samples": sum(run.n for run in runs), "remarks": remarks}
+
+
+@contextmanager
+def borrowing_in(axis: Axis, journal: Path) -> Iterator[None]:
+    """What a measurement borrows is journalled in the folder named; that of the session if none."""
+    if journal != DEFAULT_JOURNAL:
+        axis.setup.store = journal
+    yield
 
 
 def acting_remarks(axis: Axis) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from pmac_comp.base.errors import ConfigError, ModelError, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import motor_as_found, prepare, require_new, run_to_files
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
@@ -165,17 +165,13 @@ def improve_on_controller(
     """
     require_many_motions(route)
     require_new([*_run_paths(out, load_bench(bench)), out / _RESULT], out)
-    with (
-        open_axis(url, bench) as axis,
-        at_work(axis, url),
-        _told_what_is_left(out),
-        motor_as_found(axis),
-    ):
-        axis.setup.store = out / JOURNAL
-        prepare(axis)
-        result = improve_axis(
-            axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
-        )
+    with open_axis(url, bench) as axis:
+        axis.setup.store = out / JOURNAL  # before the lease is taken: it goes by the folder
+        with measuring(axis, url), _told_what_is_left(out), motor_as_found(axis):
+            prepare(axis)
+            result = improve_axis(
+                axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
+            )
     result = replace(result, diagnosis=replace(result.diagnosis, url=url, bench_name=bench))
     atomic_write_text(out / _RESULT, json.dumps(result.as_result(), indent=2, default=str) + "\n")
     return result

@@ -27,7 +27,7 @@ from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
-from pmac_comp.machine.controller.settings_upload import SettingsUpload
+from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
 from pmac_comp.machine.controller.table_set import Key, read_tables
 from pmac_comp.machine.controller.transaction import UploadResult, untouched
 from pmac_comp.machine.controller.upload import remove_tables
@@ -180,7 +180,7 @@ def remove_compensation(
 def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadResult, ...]:
     """The same on a connected axis, as one upload, where its tables may be switched."""
     with untouched():  # before the axis moves for it
-        refusals = waiting_refusals(axis.link, context)
+        refusals = waiting_refusals(axis.link, context) + lease_refusals(axis.link, context)
         raise_all([*refusals, *place_refusals(axis, _without(found))], "The removal")
     rest_time_motor(axis)
     stand_to_switch(axis, _without(found))

@@ -4,12 +4,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from pmac_comp.base.errors import ControllerState, VerifyMismatch
+from pmac_comp.base.errors import ControllerState, ForeignChange, VerifyMismatch
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import law_state, motors, programs
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.table_set import read_table
+from pmac_comp.machine.controller.lease import parse_number
+from pmac_comp.machine.controller.table_set import POINTERS_TEXT, parse_pointers, read_table
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
@@ -79,14 +81,88 @@ def runs_of(
         def compensated(_: Motion) -> Capture:
             return run_drawn(drawer)
 
+    meant = Meant.of(axis, context, compensation)
+
     def switched(run: Run, *, on: bool) -> Run:
         def capture(motion: Motion) -> Capture:
+            meant.require_unchanged(motion)
             switch(axis, context, compensation, on=on)
-            return run(motion)
+            found = run(motion)
+            meant.require_unchanged(motion, on=on)
+            return found
 
         return capture
 
     return Runs(tuple(motions), switched(without, on=False), switched(compensated, on=True), own)
+
+
+@dataclass(frozen=True)
+class Meant:
+    """What of a compensation the runs are told of: asked for by one question before and after each.
+
+    Parameters
+    ----------
+    axis, context
+        Conversation and block.
+    has_tables, has_law : bool
+        What of it is switched between runs.
+    change : int
+        Number of the last change of the card.
+    pointers : tuple of int
+        Start addresses of all tables.
+    """
+
+    axis: Axis
+    context: Context
+    has_tables: bool
+    has_law: bool
+    change: int
+    pointers: tuple[int, ...]
+
+    @classmethod
+    def of(cls, axis: Axis, context: Context, compensation: Compensation) -> "Meant":
+        """As it stands now."""
+        _, change, _, pointers = _ask(axis, context)
+        has_tables = bool(tables_of(compensation, axis.bench))
+        has_law = compensation.route in TORQUE_ROUTES
+        return cls(axis, context, has_tables, has_law, change, pointers)
+
+    def require_unchanged(self, motion: Motion, *, on: bool | None = None) -> None:
+        """Refuse to go on where it was changed since the first run; ``on`` as it was switched.
+
+        Raises
+        ------
+        ForeignChange
+            A change of the card, another table, or a switch that is not as it was set.
+        """
+        i51, change, target, pointers = _ask(self.axis, self.context)
+        found = []
+        if change != self.change:
+            found.append("another change of the card was made")
+        if pointers != self.pointers:
+            found.append("tables were defined or deleted")
+        if on is not None and self.has_tables and i51 != float(on):
+            found.append(f"I51 is {i51:g}")
+        if on is not None and self.has_law and (target != 0.0) != on:
+            found.append(f"the law's gain is to be {target:g}")
+        if not found:
+            return
+        when = "before" if on is None else "during"
+        raise ForeignChange(
+            f"The compensation was changed {when} the run of {motion.name}: {'; '.join(found)}. "
+            "No run from then on is kept.",
+            code="PC-WRK-003",
+            hint="Somebody else works at this controller, maybe from another host or with "
+            "another program. See what stands with `pmac-comp status`, upload the compensation "
+            "again if it is gone, and verify again.",
+        )
+
+
+def _ask(axis: Axis, context: Context) -> tuple[float, int, float, tuple[int, ...]]:
+    """I51, number of the last change, wanted gain of the law, start addresses of all tables."""
+    change, target = context.block.p(Index.CHANGE), context.block.p(Index.TARGET)
+    i51, number, gain, *rest = axis.link.query(f"I51P{change}P{target}{POINTERS_TEXT}")
+    return float(i51), parse_number(number), float(gain), parse_pointers(rest)
 
 
 _OWN_MOTION = (

@@ -14,9 +14,11 @@ from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.lease import drop_lease
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_files import read_table_backup
 from pmac_comp.machine.controller.transaction import (
     ChangeKind,
@@ -65,7 +67,7 @@ def upload_file(
         try:
             deployment = deploy(axis, compensation, context)
         except PmacCompError as error:
-            error.hint = error.hint or _after_failure(error, url, bench)
+            error.hint = error.hint or _after_failure(error, url, bench, journal)
             raise
         said += deployment.notes or ["uploaded, read back and compared"]
         if persist:
@@ -97,7 +99,8 @@ def next_steps(
             f"(pmac-comp terminal {shlex.quote(url)} -c '#{deployment.motor}J/'), then "
             f"pmac-comp upload {where} {file}{again}"
         )
-    yield f"Check it: pmac-comp verify {where} --compensation {file}{_promise(new, compensation)}"
+    check = f"pmac-comp verify {where}{again} --compensation {file}"
+    yield f"Check it: {check}{_promise(new, compensation)}"
     yield f"Take it back: {rollback_command(url, bench, journal)}"
 
 
@@ -153,13 +156,14 @@ def _save(
         raise
 
 
-def _after_failure(error: PmacCompError, url: str, bench: str) -> str:
+def _after_failure(error: PmacCompError, url: str, bench: str, journal: Path) -> str:
     """What to do next after an upload that stopped, by the state it left."""
     if error.left is ControllerState.OLD:
         return "The controller is as it was; nothing is to be undone."
+    where = f"{_where(url, bench)}{_again(journal)}"
     return (
-        f"Go on or go back with `pmac-comp recover {url} --bench {bench}`, then look with "
-        f"`pmac-comp status {url} --bench {bench}`."
+        f"Go on or go back with `pmac-comp recover {where}`, then look with "
+        f"`pmac-comp status {where}`."
     )
 
 
@@ -170,6 +174,7 @@ def recover_upload(
     settle = recovery.keep if keep else recovery.recover
     with _ready(url, bench, journal, progress) as (axis, context):
         result = settle(axis.link, context)
+        drop_lease(axis.link, context)  # of a measurement that was killed
     said = list(result.notes) or ["nothing was left open"]
     return {
         **result.as_dict(),
@@ -215,7 +220,8 @@ def rollback_upload(
         temporary.take_off(axis.link, context)
         with untouched():
             sets = tables_coming_back(axis, context)  # none: the axis does not move for it
-            raise_all(place_refusals(axis, sets), "The rollback")
+            refusals = lease_refusals(axis.link, context) + place_refusals(axis, sets)
+            raise_all(refusals, "The rollback")
         rest_time_motor(axis)
         stand_to_switch(axis, sets)
         result = recovery.rollback_last(axis.link, context)

@@ -15,12 +15,13 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import read_law_head
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import require_new
+from pmac_comp.workflow.calibrate import borrowing_in, require_new
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import (
     Compensation,
@@ -228,6 +229,7 @@ def verify_on_controller(
     seed: int = 0,
     refine: int = 0,
     out: Path | None = None,
+    journal: Path = DEFAULT_JOURNAL,
     progress: Progress | None = None,
 ) -> Verification:
     """Run motions with and without what is on the controller, and compare.
@@ -247,7 +249,7 @@ def verify_on_controller(
     stated = load_bench(bench)
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
     drive = None if model is None else load_model(model, stated)
-    with open_axis(url, bench) as axis, at_work(axis, url):
+    with open_axis(url, bench) as axis, borrowing_in(axis, journal), measuring(axis, url):
         context = context_of(axis)
         require_on_card(axis, context, compensation)
         with (

@@ -1,4 +1,8 @@
-"""One writer at a time: a lock file for this host, a lease in P-variables for all hosts.
+"""One writer at a time: lock files for this host, a lease in P-variables for all hosts.
+
+A lock goes by the address of a card, so that it holds between folders; another by its folder and
+identity, so that it holds between addresses. A measurement holds the lease from its first run to
+its last, as between two runs the axis rests and nothing else would refuse a change.
 
 Bench files with another block are kept out by a register that all of them share (``claim``).
 
@@ -8,6 +12,7 @@ somebody else began since must be seen by the one that is recovered.
 """
 
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,12 +22,15 @@ from typing import Final
 from filelock import FileLock, Timeout
 
 from pmac_comp.base.errors import (
+    ConfigError,
     ControllerState,
     ForeignChange,
     LeaseHeld,
     RemoteProtocolError,
     SafetyRefusal,
 )
+from pmac_comp.base.reading import why
+from pmac_comp.files.resources import locks_folder
 from pmac_comp.machine.controller.claim import (
     CLAIM_TEXT,
     claim,
@@ -43,7 +51,50 @@ if sys.platform != "win32":
 CLOCK_REGISTER: Final = 0x17
 CLOCK_TEXT: Final = f"RL${CLOCK_REGISTER:X}"
 LEASE_s: Final = 120.0
+_NO_FILE_NAME: Final = re.compile(r"[^A-Za-z0-9.-]+")
 _NUMBERS_END: Final = float(1 << 31)
+
+
+@contextmanager
+def card_lock(address: str) -> Iterator[None]:
+    """Only one command of this user at a card, whatever folder it works in.
+
+    Parameters
+    ----------
+    address : str
+        Of the card: the same for all ways in which it is named.
+
+    Raises
+    ------
+    LeaseHeld
+        Another one is at work there.
+    ConfigError
+        The folder for locks cannot be used.
+    """
+    folder = locks_folder()
+    path = folder / f"{_NO_FILE_NAME.sub('_', address)}.lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        release = _lock(path)
+    except (Timeout, BlockingIOError) as error:
+        raise LeaseHeld(
+            f"Another pmac-comp on this host measures or changes the card at {address}.",
+            code="PC-WRK-001",
+            hint="Wait until it has ended, or end it there with Ctrl-C.",
+            context={"lock": str(path)},
+            left=ControllerState.OLD,
+        ) from error
+    except OSError as error:
+        raise ConfigError(
+            f"The lock of the card {path} cannot be made: {why(error)}.",
+            code="PC-WRK-002",
+            hint="Name a folder that you may write to in XDG_STATE_HOME (LOCALAPPDATA on "
+            "Windows); the controller was not touched.",
+        ) from error
+    try:
+        yield
+    finally:
+        release()
 
 
 @contextmanager
@@ -67,7 +118,7 @@ def host_lock(context: Context, scope: str = "") -> Iterator[None]:
             f"{path}.",
             code="PC-TXN-001",
             hint="Wait until it has ended, or end it there with Ctrl-C. Cards that answer alike "
-            "(simulated ones do) count as one: give each a folder of its own to work in.",
+            "(simulated ones do) count as one: give each a --journal of its own.",
             context={"lock": str(path)},
             left=ControllerState.OLD,
         ) from error
@@ -175,6 +226,21 @@ def take_lease(
         unfinished.
     """
     first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
+    now, last, claimed = _ask_free(link, context, is_known)
+    claim(link, context, claimed)
+    lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
+    lines = [*lease.lines(context.block), f"P{change}={number}"]
+    *back, there = _lines(link.command(f"{' '.join(lines)} P{first}..{first + 1}P{change}"), 3)
+    if parse_lease(back) != lease or parse_number(there) != number:
+        raise _taken_at_once()
+    return lease, last
+
+
+def _ask_free(
+    link: Link, context: Context, is_known: Callable[[int], bool]
+) -> tuple[int, int, int]:
+    """Clock, number of the last change and claim; refused where somebody else is at the card."""
+    first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
     question = f"P{first}..{first + 1}P{change}{CLOCK_TEXT}{CLAIM_TEXT}"
     *found, before, clock, word = _lines(link.query(question), 5)
     claimed = parse_claim(word)
@@ -186,18 +252,41 @@ def take_lease(
     if refusal is not None:
         refusal.left = ControllerState.OLD
         raise refusal
-    claim(link, context, claimed)
+    return now, last, claimed
+
+
+def _taken_at_once() -> ForeignChange:
+    return ForeignChange(
+        "Somebody else took the lease at the same moment.",
+        code="PC-TXN-003",
+        hint="`pmac-comp status URL` says who holds it; wait until that is done.",
+        left=ControllerState.OLD,
+    )
+
+
+def hold_lease(link: Link, context: Context, is_known: Callable[[int], bool]) -> Lease:
+    """Write the lease for a measurement, which begins no change; taken anew before each run.
+
+    What a measurement itself changes (definitions that it borrows) gives the lease back.
+
+    Raises
+    ------
+    LeaseHeld, ForeignChange
+        As ``take_lease``: somebody else changes or measures.
+    """
+    now, _, _ = _ask_free(link, context, is_known)
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
-    lines = [*lease.lines(context.block), f"P{change}={number}"]
-    *back, there = _lines(link.command(f"{' '.join(lines)} P{first}..{first + 1}P{change}"), 3)
-    if parse_lease(back) != lease or parse_number(there) != number:
-        raise ForeignChange(
-            "Somebody else took the lease at the same moment.",
-            code="PC-TXN-003",
-            hint="`pmac-comp status URL` says who holds it; wait until that is done.",
-            left=ControllerState.OLD,
-        )
-    return lease, last
+    first = context.block.p(Index.LEASE)
+    back = link.command(f"{' '.join(lease.lines(context.block))} P{first}..{first + 1}")
+    if parse_lease(_lines(back, 2)) != lease:
+        raise _taken_at_once()
+    return lease
+
+
+def drop_lease(link: Link, context: Context) -> None:
+    """Give back a lease that is ours, if one stands, of a measurement that ended or was killed."""
+    if read_lease(link, context).owner == context.owner:
+        link.command(_free(context))
 
 
 def renew_lease(link: Link, context: Context, duration_s: float = LEASE_s) -> Lease:
