@@ -24,6 +24,7 @@ STATIONARY_SPACING_s: Final = 0.02
 QUICK_SPACING_s: Final = 0.5 * STATIONARY_SPACING_s  # over a switch, if nothing seems to move
 PART_SPACING_s: Final = 0.125 * STATIONARY_SPACING_s  # of it before the switch, and again after it
 LONGEST_SPACING_s: Final = 0.1  # between two looks
+_INSIDE_FRAC: Final = 0.01  # of the travel between the limits: well inside one of them
 _SYSTEM_SHIFT: Final = 20  # bits 20-23 of the second status word: number less one
 
 
@@ -132,6 +133,13 @@ class MotorStatus:
     def trips(self) -> tuple[str, ...]:
         """Faults that stopped the motor, in words."""
         return tuple(text for bit, text in _TRIPS.items() if bit in self.word2)
+
+    @property
+    def is_only_on_limit(self) -> bool:
+        """Whether nothing but a position limit stopped the motor."""
+        limits = {Word2.STOPPED_ON_LIMIT, Word2.STOPPED_ON_DESIRED_LIMIT}
+        stopped = {bit for bit in _TRIPS if bit in self.word2}
+        return bool(stopped) and stopped <= limits
 
     @property
     def coordinate_system(self) -> int:
@@ -336,6 +344,8 @@ def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
         if is_closed and (reading.status.is_commanded_still or deadline.expired()):
             return reading
         if deadline.expired():
+            if reading.status.is_closed_loop and reading.status.is_only_on_limit:
+                raise _on_limit(link, reading)
             reasons = ", ".join(reading.status.trips) or "the amplifier stays off"
             raise MotorNotSafe(
                 f"Motor #{motor} does not close its loop: {reasons}.",
@@ -343,6 +353,30 @@ def enable(link: Link, motor: int, *, timeout_s: float = 2.0) -> MotorReading:
                 hint="Check amplifier power, its enable and fault lines, and the limit switches.",
             )
         link.clock.sleep_s(POLL_s)
+
+
+def _on_limit(link: Link, reading: MotorReading) -> MotorNotSafe:
+    """What is said of a motor that closes its loop beyond a limit, where it goes only one way."""
+    motor, at_ct = reading.motor, reading.position_ct
+    high_ct, low_ct = (read_number(text) for text in link.query(f"I{motor}13I{motor}14"))
+    inside_ct = _INSIDE_FRAC * float(high_ct - low_ct)
+    if high_ct and at_ct >= high_ct:
+        where, back_ct = f"above its software limit I{motor}13 = {high_ct:.0f}", high_ct - inside_ct
+    elif low_ct and at_ct <= low_ct:
+        where, back_ct = f"below its software limit I{motor}14 = {low_ct:.0f}", low_ct + inside_ct
+    else:
+        return MotorNotSafe(
+            f"Motor #{motor} closes its loop and is held by a limit switch, at {at_ct:.0f} counts.",
+            code="PC-MOT-043",
+            hint=f"Jog it off the switch first (`pmac-comp terminal URL -c '#{motor}J:COUNTS'`, "
+            "away from the end of the travel), or check the switch where it does not stand there.",
+        )
+    return MotorNotSafe(
+        f"Motor #{motor} closes its loop, but stands at {at_ct:.0f} counts, {where}.",
+        code="PC-MOT-042",
+        hint=f"Jog it back inside first: `pmac-comp terminal URL -c '#{motor}J={back_ct:.0f}'`. "
+        f"If it may stand there, I{motor}13 and I{motor}14 are wrong (0 switches one off).",
+    )
 
 
 def kill(link: Link, motor: int) -> None:

@@ -335,3 +335,38 @@ def _changing(bench: CardBench, stored: backup.Backup) -> tuple[int, int]:
     bench.on_request = lambda n: held.append(n) if bench.p(7078) else None
     restore.restore(bench.link, bench.context, stored)
     return held[0], held[-1]
+
+
+@pytest.mark.parametrize(
+    ("to_ct", "said", "back"),
+    [(12345, "above its software limit I113 = 5000", "#1J=4860"),
+     (-12345, "below its software limit I114 = -9000", "#1J=-8860")],
+)  # fmt: skip
+def test_a_motor_beyond_its_software_limit_is_told_the_way_back(
+    tmp_path: Path, to_ct: int, said: str, back: str
+) -> None:
+    bench = CardBench(tmp_path)
+    motors.enable(bench.link, 1)
+    bench.link.command("I113=5000 I114=-9000")
+    with pytest.raises(MotorNotSafe, match="stopped on a position limit"):
+        motors.move_to(bench.link, 1, to_ct, timeout_s=20.0)
+    bench.clock.sleep_s(0.5)
+    with pytest.raises(MotorNotSafe, match=said) as refused:
+        motors.enable(bench.link, 1)
+    assert refused.value.code == "PC-MOT-042"
+    assert f"-c '{back}'" in str(refused.value.hint)
+    bench.link.command(back)
+    bench.clock.sleep_s(2.0)
+    motors.enable(bench.link, 1)
+
+
+def test_a_motor_on_a_limit_switch_is_not_told_of_its_amplifier(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    motors.enable(bench.link, 1)
+    bench.link.command("I113=5000 I114=-5000")
+    with pytest.raises(MotorNotSafe):
+        motors.move_to(bench.link, 1, 12345.0, timeout_s=20.0)
+    bench.link.command("I113=0 I114=0")  # what stopped it is no software limit
+    with pytest.raises(MotorNotSafe, match="held by a limit switch") as refused:
+        motors.enable(bench.link, 1)
+    assert refused.value.code == "PC-MOT-043"
