@@ -18,7 +18,7 @@ from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis, HALT_s, run_all
-from pmac_comp.workflow.campaigns import calibration_motions, lead_motions
+from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, require_scale
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.motions import (
     Motion,
@@ -32,9 +32,10 @@ from pmac_comp.workflow.runs import acting
 from pmac_comp.workflow.session import open_axis
 
 Progress = Callable[[str, float], None]
+_LEAD = "lead"
 _CAMPAIGNS: dict[str, Callable[[Bench], list[Motion]]] = {
     "calibration": calibration_motions,
-    "lead": lead_motions,
+    _LEAD: lead_motions,
     "repeat": lambda bench: [motion for motion in calibration_motions(bench)[:2] for _ in range(3)],
 }
 
@@ -71,6 +72,8 @@ def plan_capture(bench: str, *, campaign: str, motions: tuple[str, ...]) -> Capt
             code="PC-CAL-001",
             hint="Use one of " + ", ".join(_CAMPAIGNS) + ".",
         )
+    if campaign == _LEAD:
+        require_scale(loaded, "the lead error")
     chosen = _CAMPAIGNS[campaign](loaded)
     for motion in chosen:
         check_motion(motion, loaded)

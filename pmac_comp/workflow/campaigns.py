@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.signals import trajectory as tr
@@ -69,6 +70,24 @@ def calibration_motions(bench: Bench) -> list[Motion]:
         move("move_slow", 0.15, 0.1, -0.1),
         Motion("triangle_slow", slow),
     ]
+
+
+def require_scale(bench: Bench, what: str) -> None:
+    """Refuse what needs the position of the table on a bench that has none, before anything moves.
+
+    Raises
+    ------
+    ConfigError
+        The bench file has no [scale].
+    """
+    if bench.scale is None:
+        raise ConfigError(
+            f"The bench file has no [scale]: {what} needs the position of the table.",
+            code="PC-WRK-005",
+            hint="State the scale in [scale]. Without one `pmac-comp capture` and `identify` "
+            "remain, for an axis that is stated as one mass (no axial_stiffness_N_per_um in "
+            "[nominal]). Nothing was moved.",
+        )
 
 
 def lead_motions(bench: Bench) -> list[Motion]:

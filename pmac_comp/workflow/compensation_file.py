@@ -14,17 +14,21 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.reading import why
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.backlash import backlash_table, forward_part
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 
 _VERSION = 1
 _MOTION = ("motion_time_s", "motion_position_m", "motion_correction_m")
 ROUTES = ("table", "law", "servo", "cam", "program")
+_NOTHING_m = 1e-8  # desired and commanded position are the same: far below a count
+_CLEAR_um = 1.0  # a correction that a run shows
 _DIGEST, _ROUTE = "compensation_digest", "compensation_route"  # attributes of runs with it
 
 
@@ -212,7 +216,7 @@ def check_bench(path: Path, bench: str) -> None:
 
 
 def check_acted(
-    runs: Mapping[str, Capture], expected: Compensation | None, file: str
+    runs: Mapping[str, Capture], expected: Compensation | None, file: str, bench: Bench
 ) -> tuple[str, ...]:
     """Refuse stored runs with another compensation than the one that is named.
 
@@ -224,6 +228,8 @@ def check_acted(
         Whose promise they are held against; None for none.
     file : str
         Where it was read from.
+    bench : Bench
+        Counts of its tables, servo period of its law.
 
     Returns
     -------
@@ -233,7 +239,7 @@ def check_acted(
     Raises
     ------
     ConfigError
-        A run tells of another compensation.
+        A run tells of another compensation, or shows that none acted.
     """
     acted = {name: str(run.attributes.get(_DIGEST, "")) for name, run in runs.items()}
     if expected is None:
@@ -253,10 +259,37 @@ def check_acted(
     silent = [name for name, digest in acted.items() if not digest]
     if not silent:
         return ()
+    for name in silent:
+        _require_corrected(name, runs[name], expected, file, bench)
     return (
         f"{len(silent)} of {len(runs)} runs with it do not tell which compensation acted: that it "
         f"was {file} is taken as said",
     )
+
+
+def _require_corrected(
+    name: str, run: Capture, expected: Compensation, file: str, bench: Bench
+) -> None:
+    """Refuse a run whose desired position is its command though a compensation corrects there."""
+    r_m, desired_m = run.commanded_position_m, run.desired_position_m
+    if desired_m is None or expected.route in MOTION_ROUTES:
+        return  # such a one corrects its own motion only, a program in the command itself
+    if float(np.max(np.abs((desired_m - r_m)[run.mask]), initial=0.0)) > _NOTHING_m:
+        return
+    table, meant_m = expected.table_correction(bench), np.zeros(r_m.size)
+    if expected.route in TORQUE_ROUTES:
+        meant_m = evaluate_law(expected.law, r_m, run.sample_period_s).correction_m
+    if table is not None:
+        meant_m = meant_m + table(r_m)
+    most_um = float(np.max(np.abs(meant_m[run.mask]), initial=0.0)) * UM_PER_M
+    if most_um > _CLEAR_um:
+        raise ConfigError(
+            f"{name}: no compensation acted in it, its desired position is the commanded one; "
+            f"{file} corrects by up to {most_um:.1f} um there.",
+            code="PC-WRK-007",
+            hint="Give runs that were made with it under --after; `pmac-comp verify URL "
+            "--compensation FILE` makes both sides.",
+        )
 
 
 def _from_mapping(data: dict[str, Any]) -> Compensation:

@@ -19,7 +19,12 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, capture_source, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
+from pmac_comp.workflow.campaigns import (
+    calibration_motions,
+    lead_motions,
+    require_scale,
+    verification_motions,
+)
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation, describe, table_remarks
 from pmac_comp.workflow.deploy import (
@@ -177,7 +182,7 @@ def run_demo(
     Raises
     ------
     ConfigError
-        Unknown route, or a folder that holds runs of a real axis.
+        Unknown route, a bench without a scale, or a folder that holds runs of a real axis.
     """
     check_route(route)
     if out.exists() and not out.is_dir():
@@ -188,6 +193,7 @@ def run_demo(
         )
     _refuse_measured(out)
     loaded = load_bench(bench)
+    require_scale(loaded, "the whole job")
     out.mkdir(parents=True, exist_ok=True)
     watch = Stopwatch(progress)
     with watch.step("starting the simulated Turbo PMAC"):

@@ -15,7 +15,12 @@ from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import motor_as_found, prepare, require_new, run_to_files
-from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
+from pmac_comp.workflow.campaigns import (
+    calibration_motions,
+    lead_motions,
+    require_scale,
+    verification_motions,
+)
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
@@ -161,10 +166,13 @@ def improve_on_controller(
     Raises
     ------
     ConfigError
-        The route is for one known motion, or the folder holds an earlier improvement.
+        The route is for one known motion, the bench has no scale, or the folder holds an earlier
+        improvement.
     """
     require_many_motions(route)
-    require_new([*_run_paths(out, load_bench(bench)), out / _RESULT], out)
+    loaded = load_bench(bench)
+    require_scale(loaded, "an improvement")
+    require_new([*_run_paths(out, loaded), out / _RESULT], out)
     with open_axis(url, bench) as axis:
         axis.setup.store = out / JOURNAL  # before the lease is taken: it goes by the folder
         with measuring(axis, url), _told_what_is_left(out), motor_as_found(axis):

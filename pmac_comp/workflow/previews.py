@@ -19,6 +19,7 @@ from pmac_comp.workflow.campaigns import (
     calibration_motions,
     lead_motions,
     positioning_motion,
+    require_scale,
     ringing_motion,
     verification_motions,
 )
@@ -122,6 +123,7 @@ def preview_improvement(bench: str, *, route: str, seed: int) -> RunsPreview:
     """What ``improve`` would run: calibration, then a verification for each of two models."""
     require_many_motions(route)
     loaded = load_bench(bench)
+    require_scale(loaded, "an improvement")
     runs = [("calibration", 1, motion) for motion in calibration_motions(loaded)]
     runs += [("lead error", 1, motion) for motion in lead_motions(loaded)]
     verified = [*verification_motions(loaded, seed), ringing_motion(loaded)]

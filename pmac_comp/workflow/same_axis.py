@@ -13,7 +13,7 @@ import numpy as np
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench, parse_bench
-from pmac_comp.files.capture import Capture, read_capture
+from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile
 
 # What the columns of a capture depend on. Inertias and stiffnesses do not count: they are being
@@ -290,6 +290,18 @@ def check_channels(captures: Mapping[str, Capture], bench: Bench) -> str:
         "No capture holds table_position_mm although the bench file states a scale: only what the "
         "motor shows is judged."
     )
+
+
+def check_two_sides(before: Sequence[Path], after: Sequence[Path]) -> None:
+    """Refuse a run that is given both without and with compensation; raises ConfigError."""
+    digests = {file_digest(path): path for path in before}
+    twice = [f"{path} is {digests[d]}" for path in after if (d := file_digest(path)) in digests]
+    if twice:
+        raise ConfigError(
+            f"Given without and with compensation alike: {', '.join(twice)}.",
+            code="PC-WRK-006",
+            hint="Give runs without it under --before and runs with it under --after.",
+        )
 
 
 def check_not_twice(fit: Mapping[str, str], judge: Mapping[str, str]) -> None:

@@ -19,6 +19,7 @@ from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import read_law_head
+from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import borrowing_in, require_new
@@ -50,7 +51,7 @@ from pmac_comp.workflow.repeated import Refinement, refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
-from pmac_comp.workflow.same_axis import captures_of, check_one_motion
+from pmac_comp.workflow.same_axis import captures_of, check_one_motion, check_two_sides
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import check_law_sign
 from pmac_comp.workflow.simulated import Truth
@@ -80,14 +81,20 @@ def verify_files(
     Raises
     ------
     ConfigError
-        Captures are of another axis or had another compensation, cannot be paired, or a pair is of
-        two motions.
+        Captures are of another axis or had another compensation or none, cannot be paired, are on
+        both sides, or a pair is of two motions.
+    CaptureError
+        Command, motor and table of a capture are no positions of one axis.
     """
     loaded = load_bench(bench)
+    check_two_sides(before, after)
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
+    for path, capture in zip([*before, *after], [*sides[0], *sides[1]], strict=True):
+        require_positions(capture, loaded, path.name)
     compensation = None if law is None else read_compensation(law)
     runs = {str(path): capture for path, capture in zip(after, sides[1], strict=True)}
-    remarks = (*check_acted(runs, compensation, str(law)), *([_NO_FILE] if law is None else []))
+    told = check_acted(runs, compensation, str(law), loaded)
+    remarks = (*told, *([_NO_FILE] if law is None else []))
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     if not first and not second and (static is not None or ringing is not None):

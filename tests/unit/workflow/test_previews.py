@@ -1,5 +1,7 @@
 """Dry runs: they say what would be done, and nothing is."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,11 @@ from pmac_comp.machine.controller import recovery
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.calibrate import plan_capture
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.demo import run_demo
 from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.improve import improve_on_controller
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.previews import (
     preview_improvement,
@@ -163,3 +168,21 @@ def test_the_plan_names_the_other_motors_whose_tables_are_off_meanwhile(
     axis.link.write_buffer(["#3DEFINE COMP 4,#3,#3,64000", "0", "16", "16", "0", "I51=1"])
     beside = preview(axis, context, TABLE, "tcp://127.0.0.1:1")
     assert any("that concerns #3 as well" in line for line in beside.text)
+
+
+@pytest.mark.parametrize("command", ["improve", "improve --dry-run", "demo", "capture"])
+def test_what_needs_a_scale_is_refused_before_anything_moves(tmp_path: Path, command: str) -> None:
+    text = re.sub(r"\[scale\][^\[]*", "", load_bench("paper").text)
+    bench = tmp_path / "no_scale.toml"
+    bench.write_text(text)
+    acts: dict[str, Callable[[], object]] = {
+        "improve": lambda: improve_on_controller("sim://", str(bench), tmp_path / "out"),
+        "improve --dry-run": lambda: preview_improvement(str(bench), route="law", seed=0),
+        "demo": lambda: run_demo(tmp_path / "out", bench=str(bench)),
+        "capture": lambda: plan_capture(str(bench), campaign="lead", motions=()),
+    }
+    with pytest.raises(ConfigError, match=r"no \[scale\]") as refused:
+        acts[command]()
+    assert refused.value.code == "PC-WRK-005"
+    assert not (tmp_path / "out").exists()
+    assert plan_capture(str(bench), campaign="calibration", motions=()).motions

@@ -269,3 +269,37 @@ def test_an_offset_against_the_lag_is_told_by_the_total_error_only(route: str) -
     assert any("mechanical error 9.6" in line for line in found.reached()) is not held
     assert any("beyond them e_r" in line for line in found.judged()) is not held
     assert ("mech" in found.lines()[2]) is not held
+
+
+def test_one_run_is_not_compared_with_itself(tmp_path: Path) -> None:
+    before, copy = tmp_path / "before.h5", tmp_path / "after.h5"
+    write_capture(before, run(correction_um=0.0, e_um=3.0, control_um=10.0))
+    copy.write_bytes(before.read_bytes())
+    for after in (before, copy):
+        with pytest.raises(ConfigError, match="without and with compensation alike") as refused:
+            verify_files("paper", [before], [after])
+        assert refused.value.code == "PC-WRK-006"
+
+
+def test_runs_in_which_nothing_acted_keep_no_promise(tmp_path: Path) -> None:
+    law = tmp_path / "table.json"
+    write_compensation(law, Compensation("table", CompensationLaw(), lead_map(400.0)))
+    before, after = tmp_path / "before.h5", tmp_path / "after.h5"
+    write_capture(before, run(correction_um=0.0, e_um=3.0, control_um=10.0))
+    write_capture(after, run(correction_um=0.0, e_um=3.1, control_um=9.0))
+    with pytest.raises(ConfigError, match=r"after\.h5: no compensation acted in it") as refused:
+        verify_files("paper", [before], [after], law=law)
+    assert refused.value.code == "PC-WRK-007"
+    assert verify_files("paper", [before], [after]).motions
+    write_capture(after, run(correction_um=-3.0, e_um=3.1, control_um=9.0))
+    assert verify_files("paper", [before], [after], law=law).motions
+
+
+def test_a_scale_that_counts_the_other_way_is_no_error_of_the_axis(tmp_path: Path) -> None:
+    before, after = tmp_path / "before.h5", tmp_path / "after.h5"
+    good = run(correction_um=0.0, e_um=3.0, control_um=10.0)
+    assert good.table_position_m is not None
+    write_capture(before, good)
+    write_capture(after, replace(good, table_position_m=-good.table_position_m))
+    with pytest.raises(CaptureError, match="counts against the motor"):
+        verify_files("paper", [before], [after])
