@@ -145,7 +145,9 @@ def standing_lines(axis: Axis, sets: Sets = as_they_are) -> list[str]:
         step = axis.scales.limits(axis.bench).text_um(place.step_ct)
         why = f"where tables step by {step} (its zero is outside [travel])"
         goal = f"{_mm(axis, place.place_ct)} first, {why}"
-    if abs(place.at_ct - place.place_ct) <= _THERE_ct:
+    if place.from_below:
+        goal += f"; it comes there upwards over {RUN_UP_m * MM_PER_M:g} mm"
+    elif abs(place.at_ct - place.place_ct) <= _THERE_ct:
         return [f"the axis stands at {_mm(axis, place.place_ct)}, {why}"]
     return [f"the axis moves from {_mm(axis, place.at_ct)} to {goal}"]
 

@@ -21,6 +21,12 @@ def test_the_motion_alone_is_cut_out_with_some_rest() -> None:
     assert (first, last) == pytest.approx((1000 - 113, 5000 + 339), abs=5)
 
 
+def test_a_soft_start_that_the_card_draws_otherwise_is_the_same_motion() -> None:
+    begun_m = 2e-6 * np.linspace(0.0, 1.0, 500) ** 3
+    drawn = np.concatenate([REST, begun_m, np.maximum(MOVE, begun_m[-1]), REST])
+    moving_range(drawn, PERIOD_s, MOVE, 0)
+
+
 @pytest.mark.parametrize("before", [True, False])
 def test_a_jog_of_somebody_else_beside_the_motion_is_found(before: bool) -> None:  # noqa: FBT001
     jog = np.linspace(0.02, 0.0, 2000) if before else np.linspace(0.0, 0.02, 2000)
