@@ -12,7 +12,6 @@ from typing import Any
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller import recovery
-from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import (
