@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -34,13 +35,19 @@ def locks_folder() -> Path:
     """Folder of this user, whatever the present one, for locks that all commands of a host share.
 
     ``$XDG_STATE_HOME/pmac-comp/locks``, below ``~/.local/state`` where that is not set; on Windows
-    below ``%LOCALAPPDATA%``.
+    below ``%LOCALAPPDATA%``. An account without a home that it may write to has it below the folder
+    for temporary files.
     """
     if sys.platform == "win32":
         root = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
-    else:
-        root = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(root) / "pmac-comp" / _LOCKS
+        return Path(root) / "pmac-comp" / _LOCKS
+    if root := os.environ.get("XDG_STATE_HOME"):
+        return Path(root) / "pmac-comp" / _LOCKS
+    folder = Path(os.environ.get("HOME", "")) / ".local" / "state" / "pmac-comp" / _LOCKS
+    there = next((p for p in folder.parents if p.exists()), None)
+    if folder.is_absolute() and there is not None and os.access(there, os.W_OK):
+        return folder
+    return Path(tempfile.gettempdir()) / f"pmac-comp-{os.getuid()}" / _LOCKS
 
 
 def firmware_path(name: str) -> Path:

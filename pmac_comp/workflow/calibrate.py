@@ -96,7 +96,7 @@ def capture_to_folder(
     """
     paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
     require_new(paths, out)
-    with open_axis(url, bench) as axis, borrowing_in(axis, journal), measuring(axis, url):
+    with open_axis(url, bench) as axis, measuring(borrowing_in(axis, journal), url):
         remarks = (*place_remarks(axis.link, axis.bench), *acting_remarks(axis))
         remarks += offset_remarks(axis)
         if tell is not None:
@@ -110,12 +110,11 @@ def capture_to_folder(
     return {"files": paths, "samples": sum(run.n for run in runs), "remarks": remarks}
 
 
-@contextmanager
-def borrowing_in(axis: Axis, journal: Path) -> Iterator[None]:
-    """What a measurement borrows is journalled in the folder named; that of the session if none."""
+def borrowing_in(axis: Axis, journal: Path) -> Axis:
+    """The axis; what it borrows is journalled in the folder named, by default in its own."""
     if journal != DEFAULT_JOURNAL:
         axis.setup.store = journal
-    yield
+    return axis
 
 
 def acting_remarks(axis: Axis) -> tuple[str, ...]:

@@ -17,8 +17,6 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.lease import drop_lease
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_files import read_table_backup
 from pmac_comp.machine.controller.transaction import (
     ChangeKind,
@@ -220,8 +218,7 @@ def rollback_upload(
         temporary.take_off(axis.link, context)
         with untouched():
             sets = tables_coming_back(axis, context)  # none: the axis does not move for it
-            refusals = lease_refusals(axis.link, context) + place_refusals(axis, sets)
-            raise_all(refusals, "The rollback")
+        recovery.refuse_rollback(axis.link, context, place_refusals(axis, sets))
         rest_time_motor(axis)
         stand_to_switch(axis, sets)
         result = recovery.rollback_last(axis.link, context)

@@ -256,7 +256,7 @@ def verify_on_controller(
     stated = load_bench(bench)
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
     drive = None if model is None else load_model(model, stated)
-    with open_axis(url, bench) as axis, borrowing_in(axis, journal), measuring(axis, url):
+    with open_axis(url, bench) as axis, measuring(borrowing_in(axis, journal), url):
         context = context_of(axis)
         require_on_card(axis, context, compensation)
         with (

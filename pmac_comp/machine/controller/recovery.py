@@ -555,6 +555,16 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
     return groups[-1], standing_parts(context, groups[-1])
 
 
+def refuse_rollback(link: Link, context: Context, others: Sequence[SafetyRefusal] = ()) -> None:
+    """Raise what forbids a rollback, and ``others``, with what stands; nothing is changed."""
+    group, parts = upload_to_take_back(context)
+    try:
+        raise_all([*rollback_refusals(link, context, group), *others], "The rollback")
+    except SafetyRefusal as error:
+        _tell_what_stands(link, context, error, parts)
+        raise
+
+
 def rollback_refusals(link: Link, context: Context, group: Journal) -> list[SafetyRefusal]:
     """Refusals because an upload was not the last change, or a later one waits to be settled."""
     newer = [p for p in unsettled(context) if p.journal.group != group.group]
