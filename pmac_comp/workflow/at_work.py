@@ -73,11 +73,12 @@ def measuring(axis: Axis, url: str) -> Iterator[None]:
             axis.setup.hold_card(axis.link, axis.bench, axis.identity)
         try:
             yield
-        except (PmacCompError, KeyboardInterrupt):
+        except (PmacCompError, KeyboardInterrupt) as error:
+            axis.release_after(error)  # what was borrowed is back before somebody else may begin
             with suppress(PmacCompError):
-                axis.link.flush()
                 axis.setup.let_go(axis.link)
             raise
+        axis.release_axis()
         axis.setup.let_go(axis.link)
 
 

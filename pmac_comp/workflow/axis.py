@@ -266,6 +266,16 @@ class Axis:
         """Bring axis definitions back that measurements put aside."""
         self.setup.take_off(self.link)
 
+    def release_after(self, error: BaseException) -> None:
+        """The same though something failed; if that fails too, the error says so."""
+        try:
+            self.release_axis()
+        except PmacCompError as second:
+            error.add_note(
+                f"Axis definitions from before the measurement are not back: {second.message} "
+                "`pmac-comp recover` brings them back."
+            )
+
     def _run_up(self, motion: Motion) -> None:
         """Stand a little way inside the travel, so that every run meets its start the same way.
 

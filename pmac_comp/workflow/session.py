@@ -41,17 +41,6 @@ def open_axis(url: str, bench: str | Bench, *, clock: Clock | None = None) -> It
         try:
             yield axis
         except (PmacCompError, KeyboardInterrupt) as error:
-            _release_after(axis, error)
+            axis.release_after(error)
             raise
         axis.release_axis()
-
-
-def _release_after(axis: Axis, error: BaseException) -> None:
-    """Bring axis definitions back though something failed; if that fails too, say so."""
-    try:
-        axis.release_axis()
-    except PmacCompError as second:
-        error.add_note(
-            f"Axis definitions from before the measurement are not back: {second.message} "
-            "`pmac-comp recover` brings them back."
-        )

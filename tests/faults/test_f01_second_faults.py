@@ -227,6 +227,8 @@ def test_f01_i30_is_as_before_after_a_cut(
     rig = UploadBench(tmp_path, n=24)
     block = rig.bench.context.block
     rig.bench.link.write_buffer(["I30=1", f"I51={int(acting)}", *end_lines(block, 0)])
+    if not acting and not whole_upload:
+        rig.bench.link.command("#1DELETE COMP")  # it would begin to act with ours: refused
     rig.save()
     own = CompTable(2, new_table(400).entries, SPAN_CT)
 

@@ -33,6 +33,7 @@ Change = Callable[[Link, Context], object]
 Ended = PmacCompError | None
 BLOCKS = [LawBlock(), LawBlock(7200)]
 THEIRS = LawParameters(A0=2.5, JL=1.0, T0=150.0, T_LIMIT=500.0)
+_WHOLE_CHANGE_s = 30.0
 HELD = {"PC-TXN-002", "PC-TXN-011", "PC-TXN-013"}  # lease, number, claim
 
 
@@ -96,6 +97,7 @@ def attempt(change: Change, link: Link, context: Context) -> PmacCompError | Non
 def at_request(bench: CardBench, at: int, change: Change, context: Context) -> list[Ended]:
     """Have somebody else change the card at that request; how it ended, once it did."""
     link, told = another_host(bench), list[Ended]()
+    bench.link.timeout_s = _WHOLE_CHANGE_s  # all of their change happens within one request of ours
 
     def act(n: int) -> None:
         if n == at:
@@ -103,6 +105,10 @@ def at_request(bench: CardBench, at: int, change: Change, context: Context) -> l
 
     bench.on_request = act
     return told
+
+
+def tables_of(bench: CardBench) -> object:
+    return bench.i51, *(bench.values("COMP", motor) for motor in (1, 2))
 
 
 def set_gain(link: Link, context: Context) -> None:
@@ -158,12 +164,21 @@ def test_f19_a_rollback_amid_somebody_elses_change_is_refused(
     codes = set()
     for at in thinned(list(range(total)), 30, exhaustive=exhaustive):
         bench = rig.restart()
-        told = at_request(bench, at, recovery.rollback_last, bench.context)
+        untouched, found = tables_of(bench), list[object]()
+
+        def ours(link: Link, context: Context, found: list[object] = found) -> None:
+            try:
+                recovery.rollback_last(link, context)
+            finally:
+                found.append(tables_of(rig.bench))
+
+        told = at_request(bench, at, ours, bench.context)
         attempt(gain_and_table, bench.link, rig.theirs)
         bench.on_request = lambda _n: None
         if told[0] is not None:
             codes.add(told[0].code)
-            assert told[0].left is ControllerState.NEW
+            whole = found[0] == untouched  # their upload switches them off and adds its own
+            assert told[0].left is (ControllerState.NEW if whole else ControllerState.DISABLED), at
             assert bench.values("COMP", 1) is not None
         assert not recovery.left_open(bench.context)
         rig.require_let_go()

@@ -34,11 +34,15 @@ def keys_at(result: Any, place: str) -> list[str]:
 
 def test_json_has_the_agreed_keys(tmp_path: Path) -> None:
     bench = ("--bench", "paper")
-    run = result_of(tmp_path, "capture", "sim://", *bench, "--motion", MOTION, "--yes")["files"][0]
+    run, again = (
+        result_of(tmp_path, "capture", "sim://", *bench, "--motion", MOTION, "--yes", "--out", out)
+        for out in ("runs", "again")
+    )
+    run, again = run["files"][0], again["files"][0]
     found = {
         "identify": result_of(tmp_path, "identify", run, *bench, "--out", "m.json"),
         "diagnose": result_of(tmp_path, "diagnose", run, *bench),
-        "verify": result_of(tmp_path, "verify", *bench, "--before", run, "--after", run),
+        "verify": result_of(tmp_path, "verify", *bench, "--before", run, "--after", again),
     }
     result_of(tmp_path, "compensate", *bench, "--model", "m.json", "--out", "c.json")
     found["upload"] = result_of(tmp_path, "upload", "sim://", "c.json", *bench, "--yes")

@@ -124,7 +124,7 @@ def test_a_torn_upload_is_settled_with_its_own_bench_file(tmp_path: Path) -> Non
     with pytest.raises(LinkLost):
         put_table(bench, first, 1)
     afresh(bench)
-    with pytest.raises(ConfigError, match="p_block begins at P7000"):
+    with pytest.raises(ForeignChange, match="p_block from P7000"):
         recovery.recover(bench.link, second)
     assert recovery.recover(bench.link, first).verdict is ControllerState.OLD
     assert standing(bench) == (0, None, None)
