@@ -19,8 +19,8 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import running_refusals
 from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.temporary import standing
-from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload_checks import buffer_refusals
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of

@@ -12,6 +12,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import temporary
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import own_numbers
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.lease import LEASE_s, drop_lease, hold_lease, renew_lease
 from pmac_comp.machine.controller.link import Link
@@ -23,8 +24,9 @@ from pmac_comp.machine.controller.settings import (
     read_axes,
 )
 from pmac_comp.machine.controller.settings_upload import texts
-from pmac_comp.machine.controller.transaction import RENEW_SHARE, own_numbers, untouched
+from pmac_comp.machine.controller.transaction import RENEW_SHARE
 from pmac_comp.machine.controller.variables import read_many, read_range
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.pvt import PROGRAM_NUMBER
 from pmac_comp.workflow.scales import Scales
 

@@ -39,8 +39,9 @@ from pmac_comp.machine.controller.settings import (
 )
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
 from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal

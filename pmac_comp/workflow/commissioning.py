@@ -17,7 +17,8 @@ from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.as_described import CLOCK, differing_variables
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis

@@ -40,10 +40,11 @@ from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.table_set import read_table, read_tables
 from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables

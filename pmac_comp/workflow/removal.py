@@ -29,8 +29,9 @@ from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
 from pmac_comp.machine.controller.table_set import Key, read_tables
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import remove_tables
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off

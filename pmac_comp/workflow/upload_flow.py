@@ -14,16 +14,12 @@ from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, recovery, temporary
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import ChangeKind
 from pmac_comp.machine.controller.lease import drop_lease
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.table_files import read_table_backup
-from pmac_comp.machine.controller.transaction import (
-    ChangeKind,
-    link_is_lost,
-    mark_left,
-    untouched,
-)
+from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import transaction
+from pmac_comp.machine.controller import journals
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.same_state import stand_ins
@@ -22,7 +22,7 @@ Count = Callable[[int], None]
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[UploadBench]:
     with pytest.MonkeyPatch.context() as patch:
         ids = SameIds()
-        patch.setattr(transaction, "secrets", ids)
+        patch.setattr(journals, "secrets", ids)
         yield UploadBench(tmp_path_factory.mktemp("cuts"), ids=ids)
 
 

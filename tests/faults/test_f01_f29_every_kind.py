@@ -14,13 +14,13 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import (
     guard_install,
+    journals,
     law_arming,
     law_install,
     law_upload,
     motors,
     recovery,
     temporary,
-    transaction,
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters
@@ -30,8 +30,8 @@ from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.settings import Settings, read_axes
 from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.transaction import untouched
 from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import borrowed
@@ -203,7 +203,7 @@ def rig(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> ChangeBench:
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     return ChangeBench(tmp_path, request.param, ids)
 
 

@@ -14,7 +14,7 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import recovery, transaction, upload
+from pmac_comp.machine.controller import journals, recovery, upload
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.manifest import end_lines
 from pmac_comp.machine.controller.recovery import grouped
@@ -91,7 +91,7 @@ def test_f01_recovery_of_any_change_may_be_cut(
 ) -> None:
     """At every byte, both ways, of the recovery of changes that were cut early, amid and late."""
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     rig = ChangeBench(tmp_path, scenario, ids)
     edges = rig.edges(Way.SEND)
     for share in (0.33, 0.67, 0.95) if exhaustive else (0.67,):

@@ -13,7 +13,7 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import recovery, transaction
+from pmac_comp.machine.controller import journals, recovery
 from pmac_comp.machine.controller.law_bank import Index, LawBlock
 from pmac_comp.machine.controller.lease import host_lock
 from tests.faults.change_bench import WATCHED_I, ChangeBench, Standing, standing
@@ -44,7 +44,7 @@ def rig(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> ChangeBench:
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     return ChangeBench(tmp_path, request.param, ids)
 
 

@@ -19,11 +19,11 @@ from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import persist, recovery, upload
 from pmac_comp.machine.controller.claim import FREE, read_claim
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import journals
 from pmac_comp.machine.controller.law_bank import Index, LawBlock
 from pmac_comp.machine.controller.lease import read_clock, renew_lease
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease, LONGEST_LEASE_s
 from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.transaction import journals
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.simulator.card import Card

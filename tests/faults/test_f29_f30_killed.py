@@ -10,7 +10,7 @@ import pytest
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import transaction, upload
+from pmac_comp.machine.controller import journals, upload
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench
@@ -42,7 +42,7 @@ def test_f29_sigkill_at_any_byte(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     rig = UploadBench(tmp_path, ids=ids)
     rig.restart()
     status, total = killed_upload(rig, 1 << 30)

@@ -18,7 +18,7 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import law_upload, recovery, temporary, transaction
+from pmac_comp.machine.controller import journals, law_upload, recovery, temporary
 from pmac_comp.machine.controller.backup import Backup, read_backup
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
@@ -104,7 +104,7 @@ def rig(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> ChangeBench:
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     return ChangeBench(tmp_path / "here", request.param, ids)
 
 
@@ -135,8 +135,8 @@ def changing(rig: ChangeBench) -> list[int]:
 
 
 def is_torn(context: Context) -> bool:
-    return any(transaction.is_torn(j) and not transaction.is_temporary(j)
-               for j in transaction.journals(context))  # fmt: skip
+    return any(journals.is_torn(j) and not journals.is_temporary(j)
+               for j in journals.journals(context))  # fmt: skip
 
 
 def let_lease_end(rig: ChangeBench) -> None:
@@ -216,7 +216,7 @@ def test_f19_tables_half_written_elsewhere_never_act(
 ) -> None:
     """Taken over, they may be replaced or restored, but do not act beside somebody's new table."""
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
 
     def both(link: Link, context: Context) -> None:
         upload_tables(link, context, [new_table(24), MOTOR_2])
@@ -257,7 +257,7 @@ def test_f19_a_rollback_is_not_written_over_somebody_elses_upload(
 ) -> None:
     """What a measurement of another folder borrowed meanwhile is no upload, and no obstacle."""
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     rig = ChangeBench(tmp_path / "here", Scenario("law route", with_table, whole_route), ids)
     assert rig.run() is None
     here = rig.fresh().context
@@ -282,7 +282,7 @@ def test_f29_what_a_measurement_borrowed_is_given_back_before_an_upload(
 ) -> None:
     """Whole, it is taken off first; half-written, the upload is refused until ``recover`` ran."""
     ids = SameIds()
-    monkeypatch.setattr(transaction, "secrets", ids)
+    monkeypatch.setattr(journals, "secrets", ids)
     measurement = next(s for s in SCENARIOS if s.name == "measurement")
     rig = ChangeBench(tmp_path / "here", measurement, ids)
     ended = set()

@@ -18,7 +18,7 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
     StorageFull,
 )
-from pmac_comp.machine.controller import persist, recovery, transaction, upload
+from pmac_comp.machine.controller import journals, persist, recovery, upload
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
@@ -160,8 +160,8 @@ def test_f38_half_a_line_in_the_journal_locks_nobody_out(
     torn = 0
     for n in sent[:: max(1, len(sent) // 6)]:
         rig.upload_with(lambda b, n=n: b.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)]))
-        for journal in transaction.journals(rig.bench.context):
-            torn += transaction.is_torn(journal)
+        for journal in journals.journals(rig.bench.context):
+            torn += journals.is_torn(journal)
             with journal.path.open("ab") as file:
                 file.write(b'5f3a9c11 {"steps": ["se')
         assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
@@ -184,7 +184,7 @@ def test_f38_the_name_of_a_journal_is_on_the_disk_before_its_intent(
     def fsync(fd: int) -> None:
         if stat.S_ISDIR(os.fstat(fd).st_mode):
             known.update(path.name for path in tmp_path.iterdir())
-        for journal in transaction.journals(bench.context):
+        for journal in journals.journals(bench.context):
             if journal.last("intent") is not None and journal.path.name not in intents:
                 intents.append(journal.path.name)
                 assert journal.path.name in known
@@ -193,5 +193,5 @@ def test_f38_the_name_of_a_journal_is_on_the_disk_before_its_intent(
     with recovery.grouped(bench.link, bench.context, "table") as parts:
         upload.upload_tables(bench.link, parts, [rig.new])
     assert intents
-    assert {journal.path.name for journal in transaction.journals(bench.context)} <= known
+    assert {journal.path.name for journal in journals.journals(bench.context)} <= known
     count_runs(1)

@@ -16,7 +16,7 @@ from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.settings import Settings, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.transaction import untouched
+from pmac_comp.machine.controller.verdict import untouched
 
 GUARD: Final = (ProgramKind.PLC, 1)
 GUARD_DEFINITION: Final = 7007

@@ -57,9 +57,10 @@ from pmac_comp.machine.controller.settings import (
     read_settings,
 )
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value, verify_many
+from pmac_comp.machine.controller.verdict import untouched
 
 DEFAULT_RAMP_s: Final = 0.5
 HARDER: Final = 1.5  # than the axis ever accelerates: such a step of the command is no motion

@@ -21,6 +21,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import ROLLED_BACK, ChangeKind
 from pmac_comp.machine.controller.law_arming import arm, disarm
 from pmac_comp.machine.controller.law_bank import (
     BankIndex,
@@ -42,7 +43,7 @@ from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.safety import check_law, raise_all
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.settings_upload import lease_refusals
-from pmac_comp.machine.controller.transaction import ROLLED_BACK, Change, ChangeKind, UploadResult
+from pmac_comp.machine.controller.transaction import Change, UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import same_value, verify_many, write_many
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import DONE, ChangeKind, is_of_block, journals
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import Part, parts_of
 from pmac_comp.machine.controller.settings import (
@@ -24,7 +25,6 @@ from pmac_comp.machine.controller.settings import (
     stands,
 )
 from pmac_comp.machine.controller.settings_upload import read_settings_backup
-from pmac_comp.machine.controller.transaction import DONE, ChangeKind, is_of_block, journals
 
 REMOVAL: Final = "remove"
 UPLOADS: Final = frozenset({"table", "law", "servo", "cam", "program", REMOVAL})

@@ -21,6 +21,15 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
+from pmac_comp.machine.controller.journals import (
+    DONE,
+    ROLLED_BACK,
+    ChangeKind,
+    is_temporary,
+    journals,
+    number_of,
+    own_numbers,
+)
 from pmac_comp.machine.controller.law_arming import disarm, fade_by_hand
 from pmac_comp.machine.controller.law_bank import (
     BLOCK_SIZE,
@@ -66,18 +75,9 @@ from pmac_comp.machine.controller.table_recovery import (
     tables_state,
 )
 from pmac_comp.machine.controller.table_set import TableSet
-from pmac_comp.machine.controller.transaction import (
-    DONE,
-    ROLLED_BACK,
-    ChangeKind,
-    UploadResult,
-    is_temporary,
-    journals,
-    link_is_lost,
-    number_of,
-    own_numbers,
-)
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
+from pmac_comp.machine.controller.verdict import link_is_lost
 
 _FOLLOWING: Final = re.compile(r"I\d+06")
 # What closes the loop: activation, addresses, scales, flags; gains and filters; output and limits.

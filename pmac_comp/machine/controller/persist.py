@@ -12,6 +12,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.backup import FLASH_FAULTS
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import GUARD
+from pmac_comp.machine.controller.journals import ChangeKind
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_install import LAW
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
@@ -19,7 +20,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.settings import Buffer, Settings, read_settings
 from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.transaction import Change, ChangeKind
+from pmac_comp.machine.controller.transaction import Change
 from pmac_comp.machine.wire.numbers import read_number
 
 SAVE_TIMEOUT_s: Final = 15.0

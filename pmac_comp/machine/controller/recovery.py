@@ -21,6 +21,21 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim, release_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import (
+    DONE,
+    KEPT,
+    ROLLED_BACK,
+    ChangeKind,
+    is_of_block,
+    is_temporary,
+    is_torn,
+    journals,
+    number_of,
+    open_group,
+    own_numbers,
+    require_own_block,
+    torn_refusals,
+)
 from pmac_comp.machine.controller.lease import (
     begun_elsewhere,
     give_back,
@@ -52,26 +67,8 @@ from pmac_comp.machine.controller.table_recovery import FOREIGN_TABLES, recover_
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.temporary import standing, take_off
-from pmac_comp.machine.controller.transaction import (
-    DONE,
-    FOUND,
-    KEPT,
-    ROLLED_BACK,
-    ChangeKind,
-    UploadResult,
-    is_of_block,
-    is_temporary,
-    is_torn,
-    journals,
-    link_is_lost,
-    mark_left,
-    number_of,
-    open_group,
-    own_numbers,
-    require_own_block,
-    torn_refusals,
-    untouched,
-)
+from pmac_comp.machine.controller.transaction import FOUND, UploadResult
+from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
 
 
 @contextmanager

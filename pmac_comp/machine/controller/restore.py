@@ -31,9 +31,10 @@ from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Buffer, Settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
-from pmac_comp.machine.controller.transaction import UploadResult, untouched
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import describe
+from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.wire.numbers import read_number
 
 

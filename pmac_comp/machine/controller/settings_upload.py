@@ -20,6 +20,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import ROLLED_BACK, TEMPORARY, ChangeKind
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.lease import parse_lease, read_clock, refuse_foreign_lease
 from pmac_comp.machine.controller.link import Link
@@ -35,13 +36,7 @@ from pmac_comp.machine.controller.settings import (
     require_settings,
     write_settings,
 )
-from pmac_comp.machine.controller.transaction import (
-    ROLLED_BACK,
-    TEMPORARY,
-    Change,
-    ChangeKind,
-    UploadResult,
-)
+from pmac_comp.machine.controller.transaction import Change, UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 
 RUNNING_PROGRAM: Final = 1 << 0  # first word of ??, bit 0 (p. 287)

@@ -12,9 +12,9 @@ from pmac_comp.machine.controller.comp_table import (
     TorqueTable,
 )
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journals import DONE, ChangeKind, journals
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
 from pmac_comp.machine.controller.table_set import TableSet
-from pmac_comp.machine.controller.transaction import DONE, ChangeKind, journals
 
 
 def write_table_backup(path: Path, tables: TableSet, *, enabled: bool) -> None:

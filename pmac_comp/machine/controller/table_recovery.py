@@ -14,6 +14,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.bumpless import switch_refusals
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, ChangeKind, journals
 from pmac_comp.machine.controller.lease import (
     host_lock,
     read_clock,
@@ -31,13 +32,7 @@ from pmac_comp.machine.controller.table_status import (
     read_head,
     table_status,
 )
-from pmac_comp.machine.controller.transaction import (
-    DONE,
-    ROLLED_BACK,
-    ChangeKind,
-    UploadResult,
-    journals,
-)
+from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import Origin, TableUpload
 
 FOREIGN_TABLES: Final = "PC-UPL-060"

@@ -11,6 +11,7 @@ from typing import Final
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, open_again
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
@@ -19,7 +20,6 @@ from pmac_comp.machine.controller.parts import (
     replaced_since,
     take_back,
 )
-from pmac_comp.machine.controller.transaction import DONE, ROLLED_BACK, open_again
 
 _TAKING_BACK: Final = "taking back"  # of an upload that stood whole
 _MOST_LOOKS: Final = 4  # at what was taken back; more than one only where the card was reset

@@ -16,6 +16,7 @@ from pmac_comp.machine.controller import gather, programs
 from pmac_comp.machine.controller.claim import read_claim, release_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import ROLLED_BACK, ChangeKind, is_temporary, journals
 from pmac_comp.machine.controller.lease import host_lock
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.safety import raise_all
@@ -26,13 +27,7 @@ from pmac_comp.machine.controller.settings_upload import (
     read_settings_backup,
     running_refusals,
 )
-from pmac_comp.machine.controller.transaction import (
-    ROLLED_BACK,
-    ChangeKind,
-    is_temporary,
-    journals,
-    untouched,
-)
+from pmac_comp.machine.controller.verdict import untouched
 
 _OF_GATHERING: Final = re.compile(r"I50\d\d")
 

@@ -27,6 +27,7 @@ from pmac_comp.machine.controller.bumpless import step_refusals
 from pmac_comp.machine.controller.comp_table import Table
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, ChangeKind
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import (
@@ -63,18 +64,12 @@ from pmac_comp.machine.controller.table_status import (
     read_head,
     table_status,
 )
-from pmac_comp.machine.controller.transaction import (
-    DONE,
-    ROLLED_BACK,
-    Change,
-    ChangeKind,
-    UploadResult,
-    mark_left,
-)
+from pmac_comp.machine.controller.transaction import Change, UploadResult
 from pmac_comp.machine.controller.upload_checks import PACKET_BYTES, difference, not_at_rest
 from pmac_comp.machine.controller.upload_look import do_and_look
 from pmac_comp.machine.controller.upload_plan import UploadPlan, Wish, look
 from pmac_comp.machine.controller.variables import batches
+from pmac_comp.machine.controller.verdict import mark_left
 
 FRESH_s: Final = 5.0
 

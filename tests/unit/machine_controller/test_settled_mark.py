@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
-from pmac_comp.machine.controller import recovery, taking_back, temporary, transaction
+from pmac_comp.machine.controller import journals, recovery, taking_back, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import ChangeKind, torn_refusals
 from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.transaction import Change, ChangeKind, torn_refusals
+from pmac_comp.machine.controller.transaction import Change
 from pmac_comp.machine.controller.upload import upload_tables
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
@@ -36,9 +37,9 @@ def settled(context: Context, n: int = N_MANY) -> list[Journal]:
 def n_read(context: Context, monkeypatch: pytest.MonkeyPatch) -> int:
     """Journals that one more change reads."""
     seen: list[Journal] = []
-    plain = transaction.is_torn
+    plain = journals.is_torn
     with monkeypatch.context() as patch:
-        patch.setattr(transaction, "is_torn", lambda j: bool(seen.append(j)) or plain(j))
+        patch.setattr(journals, "is_torn", lambda j: bool(seen.append(j)) or plain(j))
         assert not torn_refusals(context)
     return len(seen)
 

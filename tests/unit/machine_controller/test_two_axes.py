@@ -7,12 +7,12 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
 from pmac_comp.machine.controller import (
+    journals,
     law_install,
     law_state,
     law_upload,
     recovery,
     temporary,
-    transaction,
 )
 from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
@@ -285,7 +285,7 @@ def test_a_journal_names_no_backup_outside_its_folder(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     first = axis_of(bench, "first", 7000)
     temporary.put_on(bench.link, first, Settings({"I5190": "77"}))
-    journal = transaction.journals(first)[-1]
+    journal = journals.journals(first)[-1]
     entries = journal.entries()
     journal.path.unlink()
     for entry in entries:
