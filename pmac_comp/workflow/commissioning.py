@@ -11,9 +11,9 @@ from typing import Any
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
-from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import change_settings, texts

@@ -9,7 +9,7 @@ from typing import Any
 from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
-from pmac_comp.machine.controller import law_state, motors, recovery
+from pmac_comp.machine.controller import law_state, motors, recovery, waiting
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim
 from pmac_comp.machine.controller.identity import is_simulated, read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -70,12 +70,12 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)
         law = _law_text(axis.link, block, form, head)
-        elsewhere = recovery.open_elsewhere(axis.link, context)
-        since = recovery.number_since_ours(axis.link, context)
+        elsewhere = waiting.open_elsewhere(axis.link, context)
+        since = waiting.number_since_ours(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
-    still_open = "; ".join(recovery.left_open(context))
+    still_open = "; ".join(waiting.left_open(context))
     advice = f"{still_open}: run `pmac-comp recover`" if still_open else "nothing"
     if elsewhere:
         advice = "a change from another folder or host has not ended: `pmac-comp recover` there"

@@ -11,7 +11,7 @@ from typing import Any
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller import recovery, rollback, waiting
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import (
@@ -145,7 +145,7 @@ def what_is_open(axis: Axis, journal: Path) -> dict[str, Any]:
     """Changes of a folder that were left open, and how the tables stand."""
     context = replace(context_of(axis), store=journal)
     decision = table_status(axis.link, context).decision
-    found = recovery.left_open(context)
+    found = waiting.left_open(context)
     refusals = recovery.recovery_refusals(axis.link, context)
     return {
         "would_settle": list(found),
@@ -172,8 +172,8 @@ def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
         There is no place where its tables could be switched without a step.
     """
     context = replace(context_of(axis), store=journal)
-    group, parts = recovery.upload_to_take_back(context)
-    refusals = recovery.rollback_refusals(axis.link, context, group)
+    group, parts = rollback.upload_to_take_back(context)
+    refusals = rollback.rollback_refusals(axis.link, context, group)
     begin = group.first()
     name = "" if begin is None else str(begin.data.get("name", ""))
     kinds = [part.kind.value for part in parts]

@@ -20,11 +20,11 @@ from pmac_comp.machine.controller import (
     temporary,
 )
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.leftovers import REMOVAL, before_uploads, merged
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
@@ -32,6 +32,7 @@ from pmac_comp.machine.controller.table_set import Key, read_tables
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off

@@ -11,8 +11,8 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.restore import restore
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings

@@ -12,7 +12,7 @@ from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import motors, recovery, temporary
+from pmac_comp.machine.controller import motors, recovery, rollback, temporary
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import ChangeKind
 from pmac_comp.machine.controller.lease import drop_lease
@@ -186,7 +186,7 @@ def tables_coming_back(axis: Axis, context: Context) -> Sets:
     ConfigError
         There is no upload to take back.
     """
-    _, parts = recovery.upload_to_take_back(context)
+    _, parts = rollback.upload_to_take_back(context)
     backups = [
         context.store / Path(str(part.intent.data["backup"])).name
         for part in parts
@@ -214,10 +214,10 @@ def rollback_upload(
         temporary.take_off(axis.link, context)
         with untouched():
             sets = tables_coming_back(axis, context)  # none: the axis does not move for it
-        recovery.refuse_rollback(axis.link, context, place_refusals(axis, sets))
+        rollback.refuse_rollback(axis.link, context, place_refusals(axis, sets))
         rest_time_motor(axis)
         stand_to_switch(axis, sets)
-        result = recovery.rollback_last(axis.link, context)
+        result = rollback.rollback_last(axis.link, context)
         rest_time_motor(axis)  # of a cam that came back
         said = _FLASH
         if persist:

@@ -18,11 +18,11 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import LawHead, read_law_head
 from pmac_comp.machine.controller.open_servos import scratch_remarks
 from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.recovery import waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_set import Key
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
+from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller import recovery, waiting
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import BANK_VALUES, BankIndex, Index, LawBlock
 from pmac_comp.machine.controller.link import Link
@@ -130,9 +130,9 @@ class ChangeBench:
         """Reconnect, recover, and hold the verdict against what stands there."""
         bench = self.fresh()
         if standing(bench) not in (self.before, self.after):
-            assert recovery.left_open(bench.context), "half changed, and `status` does not say so"
+            assert waiting.left_open(bench.context), "half changed, and `status` does not say so"
         result = recovery.recover(bench.link, bench.context, resume=resume)
-        assert recovery.left_open(bench.context) == ()
+        assert waiting.left_open(bench.context) == ()
         self.judge(result.verdict)
         assert bench.p(LawBlock().p(Index.LEASE)) == 0
         return result

@@ -19,15 +19,15 @@ from pmac_comp.machine.controller import (
     law_install,
     law_upload,
     motors,
-    recovery,
+    rollback,
     temporary,
 )
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.settings import Settings, read_axes
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.upload import upload_tables
@@ -187,7 +187,7 @@ SCENARIOS = [
     Scenario("time motor", with_axes, time_motor),
     Scenario("measurement", with_axes, borrowed_axis),
     Scenario("setup", unlike_the_bench, set_up),
-    Scenario("rollback", route_standing, recovery.rollback_last, undoes=True),
+    Scenario("rollback", route_standing, rollback.rollback_last, undoes=True),
 ]
 
 

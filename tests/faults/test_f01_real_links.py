@@ -16,7 +16,7 @@ import pytest
 from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.base.errors import ControllerState, LinkError, PmacCompError
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import recovery, upload
+from pmac_comp.machine.controller import recovery, upload, waiting
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way
 from pmac_comp.machine.transport.url import parse_url
@@ -203,7 +203,7 @@ def test_f01_hop_behind_ssh_ends_in_the_read_back(
                 link.close()
             assert lost.value.left is state_of(bench) is ControllerState.DISABLED
             assert not lost.value.context["confirmed"]
-            assert recovery.left_open(bench.context)
+            assert waiting.left_open(bench.context)
             link, _ = connect(url)
             result = recovery.recover(link, bench.context, resume=resume)
             link.close()
@@ -211,5 +211,5 @@ def test_f01_hop_behind_ssh_ends_in_the_read_back(
         assert result.verdict is (ControllerState.NEW if resume else ControllerState.OLD)
         ends = {ControllerState.OLD, ControllerState.NEW} - {start}
         assert state_of(bench) is (ends.pop() if resume else start)
-        assert recovery.left_open(bench.context) == ()
+        assert waiting.left_open(bench.context) == ()
     count_runs(len(cuts))

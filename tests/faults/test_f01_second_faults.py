@@ -14,10 +14,10 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import journals, recovery, upload
+from pmac_comp.machine.controller import journals, recovery, rollback, upload, waiting
 from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.manifest import end_lines
-from pmac_comp.machine.controller.recovery import grouped
 from pmac_comp.machine.controller.table_files import read_table_backup
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
@@ -123,7 +123,7 @@ def test_f01_rollback_may_be_cut(*, tmp_path: Path, exhaustive: bool, count_runs
     rig = UploadBench(tmp_path, n=24)
     bench = uploaded(rig)
     bench.tap.sent = 0
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     total = bench.tap.sent
     seen = set()
     for n in all_of(range(total)) if exhaustive else range(0, total, total // 24):
@@ -131,14 +131,14 @@ def test_f01_rollback_may_be_cut(*, tmp_path: Path, exhaustive: bool, count_runs
         bench.tap.sent = 0
         bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n)])
         try:
-            recovery.rollback_last(bench.link, bench.context)
+            rollback.rollback_last(bench.link, bench.context)
         except PmacCompError:
             pass
         else:
             assert n >= bench.tap.sent  # random numbers of this run have fewer digits
         seen.add(rig.recover())
         if rig.state is ControllerState.NEW:
-            recovery.rollback_last(rig.bench.link, rig.bench.context)
+            rollback.rollback_last(rig.bench.link, rig.bench.context)
         assert rig.state is ControllerState.OLD
         count_runs(1)
     assert seen == {ControllerState.OLD, ControllerState.NEW}
@@ -188,7 +188,7 @@ def test_f17_rollback_after_a_foreign_change_says_what_it_replaced(
     bench = uploaded(rig)
     foreign = replace(rig.new, entries=tuple(v // 2 for v in rig.new.entries))
     by_hand(bench, foreign)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert rig.state is ControllerState.OLD
     backups = [read_table_backup(path)[0] for path in bench.folder.glob("*.tables.json")]
     assert any(foreign in tables for tables in backups)
@@ -210,11 +210,11 @@ def test_f20_rollback_after_a_reset_does_not_delete_what_somebody_defined_since(
     bench.link.write_buffer(["I51=0", *theirs.lines, "I51=1"])
     for _ in range(2):
         with pytest.raises(ForeignChange, match="COMP of motor #2") as told:
-            recovery.rollback_last(bench.link, bench.context)
+            rollback.rollback_last(bench.link, bench.context)
         assert told.value.left is ControllerState.DISABLED
         assert bench.values("COMP", 2) == list(theirs.entries)
         assert bench.i51 == 1
-        assert recovery.left_open(bench.context) == ()
+        assert waiting.left_open(bench.context) == ()
     count_runs(1)
 
 

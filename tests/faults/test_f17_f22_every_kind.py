@@ -13,7 +13,7 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import journals, recovery
+from pmac_comp.machine.controller import journals, recovery, waiting
 from pmac_comp.machine.controller.law_bank import Index, LawBlock
 from pmac_comp.machine.controller.lease import host_lock
 from tests.faults.change_bench import WATCHED_I, ChangeBench, Standing, standing
@@ -189,7 +189,7 @@ def test_f22_motion_that_starts_in_any_change(
             assert error.left is not None, (k, error)
             assert isinstance(error, SafetyRefusal), (k, error)
         bench = rig.bench
-        if error is not None and recovery.left_open(bench.context):
+        if error is not None and waiting.left_open(bench.context):
             stands = standing(bench)
             with pytest.raises(PmacCompError):
                 recovery.recover(bench.link, bench.context)

@@ -15,11 +15,12 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller import (
     gather,
+    grouping,
     guard_install,
     identity,
     motors,
     programs,
-    recovery,
+    rollback,
     upload,
 )
 from pmac_comp.machine.controller.capture_log import CaptureLog, recover
@@ -73,7 +74,7 @@ def test_f23_enabling_never_jumps_by_more_than_the_bound(tmp_path: Path, count_r
 
 def test_f18_guard_comes_with_tables_and_goes_with_them(tmp_path: Path) -> None:
     bench = make_plc_bench(tmp_path)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         assert "guard" in guard_install.install_guard(bench.link, parts)[0]
         upload.upload_tables(bench.link, parts, [offset_table(3.0)])
     bench.clock.sleep_s(0.1)
@@ -81,7 +82,7 @@ def test_f18_guard_comes_with_tables_and_goes_with_them(tmp_path: Path) -> None:
     bench.clock.sleep_s(0.1)
     assert bench.p(7080) > scans, "the guard runs"
     assert guard_install.install_guard(bench.link, bench.context) == ()
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert bench.link.query("M7007->") == ["*"]
     assert not bench.card.plcs.enabled(1)
     assert bench.values("COMP", 1) is None

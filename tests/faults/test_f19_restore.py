@@ -16,12 +16,15 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller import (
     backup,
+    grouping,
     law_arming,
     law_install,
     law_upload,
     recovery,
     restore,
+    rollback,
     upload,
+    waiting,
 )
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.machine.controller.table_status import read_head
@@ -51,7 +54,7 @@ def changing(bench: CardBench, stored: backup.Backup) -> range:
     bench.on_request = lambda n: held.append(n) if bench.p(7078) else None
     restore.restore(bench.link, bench.context, stored)
     bench.reconnect()
-    assert recovery.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
+    assert rollback.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
     bench.reconnect()
     return range(held[0], held[-1] + 1)
 
@@ -133,7 +136,7 @@ def settle(bench: CardBench) -> None:
         recovery.recover(bench.link, bench.context)
     except ForeignChange:
         recovery.recover(bench.link, bench.context)
-    assert recovery.left_open(bench.context) == ()
+    assert waiting.left_open(bench.context) == ()
 
 
 def test_f29_backup_of_another_bench_file(tmp_path: Path, count_runs: Count) -> None:
@@ -203,7 +206,7 @@ def test_f29_a_refused_restore_keeps_the_undo_of_the_upload_before(
 ) -> None:
     """It changed nothing, and was taken for the last upload, taken back already."""
     bench, stored = restorable(tmp_path)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         upload.upload_tables(bench.link, parts, [new_table(40)])
     files = {path.name for path in tmp_path.iterdir()}
     bench.link.command("#1J/")
@@ -213,13 +216,13 @@ def test_f29_a_refused_restore_keeps_the_undo_of_the_upload_before(
     assert refused.value.left is ControllerState.OLD
     assert {path.name for path in tmp_path.iterdir()} == files
     # Refused later, by what only an upload itself looks at, it leaves an empty journal.
-    with pytest.raises(MotorNotSafe), recovery.grouped(bench.link, bench.context, "next"):
+    with pytest.raises(MotorNotSafe), grouping.grouped(bench.link, bench.context, "next"):
         raise MotorNotSafe("no")
     assert recovery.last_change(bench.context) == "table: done"
-    group, (part,) = recovery.upload_to_take_back(bench.context)
+    group, (part,) = rollback.upload_to_take_back(bench.context)
     assert part.journal.group == group.group
-    assert recovery.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
+    assert rollback.rollback_last(bench.link, bench.context).verdict is ControllerState.OLD
     assert entries(bench) == old_table(40).entries
     with pytest.raises(ConfigError, match="taken back already"):
-        recovery.rollback_last(bench.link, bench.context)
+        rollback.rollback_last(bench.link, bench.context)
     count_runs(2)

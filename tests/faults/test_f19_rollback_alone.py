@@ -9,7 +9,7 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import law_upload, recovery
+from pmac_comp.machine.controller import grouping, law_upload, recovery, rollback, waiting
 from pmac_comp.machine.controller.claim import FREE, read_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
@@ -118,7 +118,7 @@ def set_gain(link: Link, context: Context) -> None:
 
 
 def gain_and_table(link: Link, context: Context) -> None:
-    with recovery.grouped(link, context, "theirs") as parts:
+    with grouping.grouped(link, context, "theirs") as parts:
         set_gain(link, parts)
         upload_tables(link, parts, [replace(new_table(24), motor=2, source=2)])
 
@@ -129,7 +129,7 @@ def test_f19_nobody_changes_the_card_amid_a_rollback(
 ) -> None:
     """At any request of it: refused, or accepted before it began, and then it is refused."""
     rig = TwoHosts(tmp_path, block)
-    total = rig.requests(recovery.rollback_last, rig.bench.context)
+    total = rig.requests(rollback.rollback_last, rig.bench.context)
     refused = 0
     for at in thinned(list(range(total)), 30, exhaustive=exhaustive):
         bench = rig.restart()
@@ -140,7 +140,7 @@ def test_f19_nobody_changes_the_card_amid_a_rollback(
             set_gain(link, context)
 
         told = at_request(bench, at, theirs, rig.theirs)
-        error = attempt(recovery.rollback_last, bench.link, bench.context)
+        error = attempt(rollback.rollback_last, bench.link, bench.context)
         bench.on_request = lambda _n: None
         if held[0]:
             assert error is None, at
@@ -149,7 +149,7 @@ def test_f19_nobody_changes_the_card_amid_a_rollback(
             refused += 1
         elif error is not None:
             assert error.left is ControllerState.NEW
-            assert not recovery.left_open(bench.context)
+            assert not waiting.left_open(bench.context)
         assert (bench.values("COMP", 1) is None) is (error is None)
         rig.require_let_go()
         count_runs(1)
@@ -171,7 +171,7 @@ def test_f19_a_rollback_amid_somebody_elses_change_is_refused(
         def ours(link: Link, context: Context, found: list[object] = found) -> None:
             found.append(tables_of(rig))
             try:
-                recovery.rollback_last(link, context)
+                rollback.rollback_last(link, context)
             finally:
                 found.append(tables_of(rig))
 
@@ -184,7 +184,7 @@ def test_f19_a_rollback_amid_somebody_elses_change_is_refused(
             kept = [tables == untouched for tables in found]
             assert told[0].left in {states[whole] for whole in kept}, at
             assert bench.values("COMP", 1) is not None
-        assert not recovery.left_open(bench.context)
+        assert not waiting.left_open(bench.context)
         rig.require_let_go()
         count_runs(1)
     assert codes & HELD
@@ -198,9 +198,9 @@ def test_f19_a_rollback_that_is_refused_keeps_nobody_out(tmp_path: Path, count_r
     bench.link.command("#1J+")
     bench.clock.sleep_s(0.2)
     with pytest.raises(SafetyRefusal) as refused:
-        recovery.rollback_last(bench.link, bench.context)
+        rollback.rollback_last(bench.link, bench.context)
     assert refused.value.left is ControllerState.NEW
-    assert not recovery.left_open(bench.context)
+    assert not waiting.left_open(bench.context)
     rig.require_let_go()
     bench.link.command("#1J/")
     bench.clock.sleep_s(0.5)
@@ -215,16 +215,16 @@ def test_f19_a_rollback_that_was_cut_is_seen_elsewhere_until_it_is_recovered(
     bench = rig.restart()
     sent: list[int] = []
     bench.on_request = lambda _n: sent.append(bench.tap.sent)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     torn = 0
     for n in thinned(sent, 12, exhaustive=exhaustive):
         bench = rig.restart()
         bench.tap.schedule([Fault(FaultKind.CUT, Way.SEND, n - sent[0])])
         with suppress(PmacCompError):
-            recovery.rollback_last(bench.link, bench.context)
+            rollback.rollback_last(bench.link, bench.context)
         bench.reconnect()
         bench.link.flush()
-        if recovery.left_open(bench.context) and read_change(bench.link, bench.context) > 0:
+        if waiting.left_open(bench.context) and read_change(bench.link, bench.context) > 0:
             with pytest.raises(SafetyRefusal) as refused:
                 law_upload.upload_law(bench.link, rig.theirs, THEIRS)
             assert refused.value.code in {*HELD, "PC-SAF-000"}

@@ -16,7 +16,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import persist, recovery, upload
+from pmac_comp.machine.controller import persist, recovery, upload, waiting
 from pmac_comp.machine.controller.claim import FREE, read_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import journals
@@ -178,7 +178,7 @@ def test_f21_a_link_lost_at_save_needs_no_recovery(
     bench.reconnect()
     assert bench.p(OWNER) == 0
     assert len(journals(bench.context)) == 2
-    assert recovery.left_open(bench.context) == ()
+    assert waiting.left_open(bench.context) == ()
     result = upload.upload_tables(bench.link, bench.context, [new_table(40)])
     assert result.verdict is ControllerState.NEW
     count_runs(1)

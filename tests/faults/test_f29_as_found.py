@@ -9,7 +9,7 @@ import pytest
 from pmac_comp.base.errors import LinkError, PmacCompError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import motors, recovery
+from pmac_comp.machine.controller import motors, recovery, waiting
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.workflow import session
@@ -131,7 +131,7 @@ def test_f24_a_capture_that_fails_leaves_the_card_as_found(
         desk.capture()
     held = unchanged(desk, before)
     assert held or (how == "trip" and before[1])  # a motor that tripped is left killed
-    assert recovery.left_open(desk.bench.context) == ()
+    assert waiting.left_open(desk.bench.context) == ()
     count_runs(1)
 
 
@@ -158,6 +158,6 @@ def test_f29_after_a_kill_recover_leaves_the_card_as_found(
         with session.open_axis("sim://", "paper") as axis:
             context = context_of(axis, desk.store)
             recovery.recover(axis.link, context)
-            assert recovery.left_open(context) == ()
+            assert waiting.left_open(context) == ()
         unchanged(desk, before)
         count_runs(1)

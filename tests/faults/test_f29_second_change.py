@@ -18,7 +18,15 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import journals, law_upload, recovery, temporary
+from pmac_comp.machine.controller import (
+    grouping,
+    journals,
+    law_upload,
+    recovery,
+    rollback,
+    temporary,
+    waiting,
+)
 from pmac_comp.machine.controller.backup import Backup, read_backup
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
@@ -84,7 +92,7 @@ def put_law(link: Link, context: Context) -> None:
 
 
 def put_route(link: Link, context: Context) -> None:
-    with recovery.grouped(link, context, "second") as parts:
+    with grouping.grouped(link, context, "second") as parts:
         upload_tables(link, parts, [OTHER_TABLE])
 
 
@@ -197,17 +205,17 @@ def test_f29_nothing_is_written_over_what_somebody_else_put_on_since(
         recovery.keep(rig.bench.link, elsewhere)
         put_settings(rig.bench.link, elsewhere)
         theirs = standing(rig.fresh())
-        waits = bool(recovery.left_open(here))
-        if waits and recovery.waiting(here):
+        waits = bool(waiting.left_open(here))
+        if waits and waiting.waiting(here):
             with pytest.raises(ForeignChange, match="not written back over it"):
                 recovery.recover(rig.bench.link, here)
             with pytest.raises(PmacCompError):
-                recovery.rollback_last(rig.bench.link, here)
-            assert recovery.left_open(here)
+                rollback.rollback_last(rig.bench.link, here)
+            assert waiting.left_open(here)
         assert not differing(standing(rig.fresh()), theirs), n
         recovery.keep(rig.bench.link, here)
         assert not differing(standing(rig.fresh()), theirs), n
-        assert recovery.left_open(here) == ()
+        assert waiting.left_open(here) == ()
         count_runs(1)
 
 
@@ -248,7 +256,7 @@ def test_f29_a_reset_is_not_taken_for_somebody_else(*, rig: ChangeBench, count_r
         rig.bench.side_port()("$$$")
         rig.fresh()
         recovery.recover(rig.bench.link, here)
-        assert recovery.left_open(here) == ()
+        assert waiting.left_open(here) == ()
         count_runs(1)
 
 
@@ -265,14 +273,14 @@ def test_f19_a_rollback_is_not_written_over_somebody_elses_upload(
     upload_tables(rig.bench.link, elsewhere, [OTHER_TABLE])
     theirs = standing(rig.fresh())
     with pytest.raises(ForeignChange, match="not written back over it") as said:
-        recovery.rollback_last(rig.bench.link, here)
+        rollback.rollback_last(rig.bench.link, here)
     assert said.value.left is ControllerState.NEW
     assert not differing(standing(rig.fresh()), theirs)
     assert rig.run() is None
     here = rig.fresh().context
     borrow(rig.bench.link, elsewhere)
     temporary.take_off(rig.bench.link, elsewhere)
-    recovery.rollback_last(rig.bench.link, here)
+    rollback.rollback_last(rig.bench.link, here)
     assert not differing(standing(rig.fresh()), rig.before)
     count_runs(2)
 
@@ -295,7 +303,7 @@ def test_f29_what_a_measurement_borrowed_is_given_back_before_an_upload(
             rig.recover(resume=True)
         else:
             ended.add("taken off")
-            assert not recovery.left_open(here)
+            assert not waiting.left_open(here)
         found = standing(rig.fresh())
         assert (found.axes, found.variables[-2:]) == (rig.before.axes, rig.before.variables[-2:])
         count_runs(1)
@@ -309,7 +317,7 @@ def test_f29_a_recovery_refused_in_place_says_what_stands(
     bench = make_plc_bench(tmp_path)
     link, context = bench.link, bench.context
     with_table(link, context)
-    with suppress(RuntimeError), recovery.grouped(link, context, "law") as parts:
+    with suppress(RuntimeError), grouping.grouped(link, context, "law") as parts:
         upload_tables(link, parts, [new_table(24)])
         raise RuntimeError
     link.command("#1J=160000")

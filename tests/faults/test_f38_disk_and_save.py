@@ -18,7 +18,7 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
     StorageFull,
 )
-from pmac_comp.machine.controller import journals, persist, recovery, upload
+from pmac_comp.machine.controller import grouping, journals, persist, upload, waiting
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
@@ -165,7 +165,7 @@ def test_f38_half_a_line_in_the_journal_locks_nobody_out(
             with journal.path.open("ab") as file:
                 file.write(b'5f3a9c11 {"steps": ["se')
         assert rig.recover(resume=resume) in {ControllerState.OLD, ControllerState.NEW}
-        assert recovery.left_open(rig.bench.context) == ()
+        assert waiting.left_open(rig.bench.context) == ()
         upload.upload_tables(rig.bench.link, rig.bench.context, [rig.old])
         assert rig.state is ControllerState.OLD
         count_runs(1)
@@ -190,7 +190,7 @@ def test_f38_the_name_of_a_journal_is_on_the_disk_before_its_intent(
                 assert journal.path.name in known
 
     monkeypatch.setattr(os, "fsync", fsync)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         upload.upload_tables(bench.link, parts, [rig.new])
     assert intents
     assert {journal.path.name for journal in journals.journals(bench.context)} <= known

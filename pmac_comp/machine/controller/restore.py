@@ -16,6 +16,7 @@ from pmac_comp.machine.controller.backup import (
     silent,
 )
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.identity import Identity, read_identity
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.link import Link
@@ -27,7 +28,6 @@ from pmac_comp.machine.controller.manifest import (
 )
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.recovery import grouped, waiting_refusals
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Buffer, Settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
@@ -35,6 +35,7 @@ from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.variables import describe
 from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.machine.wire.numbers import read_number
 
 

@@ -1,7 +1,7 @@
 """The parts of an upload taken back together, the last one first, whatever lies between.
 
 What lives here: which parts that concerns, in which order, and what a reset meanwhile changes. How
-one part is taken back is in ``parts``; who may do it, and when, in ``recovery``.
+one part is taken back is in ``parts``; who may do it, and when, in ``waiting``.
 """
 
 from collections.abc import Sequence

@@ -10,11 +10,12 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import (
     block_use,
+    grouping,
     law_install,
     law_state,
     law_upload,
     open_servos,
-    recovery,
+    rollback,
 )
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.law_state import LawForm
@@ -106,12 +107,12 @@ def test_both_forms_on_one_block_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MotorNotSafe, match="PLC 0 evaluates the law"):
         law_install.require_open_servo(bench.link, bench.context, 1)
     bench.link.write_buffer(["#1K", "I159=0"])
-    with recovery.grouped(bench.link, bench.context, "remove") as inner:
+    with grouping.grouped(bench.link, bench.context, "remove") as inner:
         law_install.remove_law(bench.link, inner)
     bench.link.write_buffer(["I159=1", "#1J/"])
     bench.clock.sleep_s(0.1)
     with pytest.raises(MotorNotSafe, match="come back beside the open servo"):
-        recovery.rollback_last(bench.link, bench.context)
+        rollback.rollback_last(bench.link, bench.context)
     law_install.require_open_servo(bench.link, bench.context, 1)
 
 

@@ -18,6 +18,7 @@ from pmac_comp.machine.controller import (
     programs,
     recovery,
     restore,
+    rollback,
     settings_upload,
     sign_check,
     transaction,
@@ -262,7 +263,7 @@ def test_backup_of_everything_comes_back_token_by_token(tmp_path: Path) -> None:
     assert bench.link.query("&1Q7 Q8191") == ["3.25", "0"]
     assert found.running == {4}
     # And the whole of it can be taken back.
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert backup.compare(before, backup.read_backup(bench.link, p_range=(100, 110))) == ()
 
 
@@ -309,10 +310,10 @@ def test_f29_restore_that_is_cut_comes_back_to_what_stood(tmp_path: Path, share:
     restore.restore(bench.link, bench.context, stored)
     # Reading everything takes the first and the last requests; the change lies between.
     reading = sum(1 for _ in requests)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     bench.reconnect()
     first, last = _changing(bench, stored)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     bench.reconnect()
     cut_at = first + int(share * (last - first))
 

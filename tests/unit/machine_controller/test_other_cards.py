@@ -8,13 +8,13 @@ from pmac_comp.base.errors import CommandRefused, ControllerState, MotorNotSafe
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import (
     backup,
+    grouping,
     guard_install,
     identity,
     law_install,
     law_upload,
     motors,
     programs,
-    recovery,
     upload,
 )
 from pmac_comp.machine.controller.law_bank import LawParameters
@@ -38,7 +38,7 @@ def locked(folder: Path) -> CardBench:
 
 def test_password_does_not_hinder_tables_and_motion_programs(tmp_path: Path) -> None:
     bench = locked(tmp_path)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         (said,) = guard_install.install_guard(bench.link, parts)
         result = upload.upload_tables(bench.link, parts, [new_table(40)])
     assert "password" in said

@@ -7,13 +7,15 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState
 from pmac_comp.machine.controller import (
+    grouping,
     guard_install,
     law_arming,
     law_install,
     law_state,
     law_upload,
-    recovery,
+    rollback,
     upload,
+    waiting,
 )
 from pmac_comp.machine.controller.backup import read_backup
 from pmac_comp.machine.controller.law_bank import LawParameters
@@ -30,7 +32,7 @@ THEIRS = ["OPEN PLC 0 CLEAR", "P90=P90+1", "CLOSE", "ENABLE PLC 0"]
 
 
 def put_law_on(bench: CardBench, *, armed: bool = False) -> None:
-    with recovery.grouped(bench.link, bench.context, "law") as parts:
+    with grouping.grouped(bench.link, bench.context, "law") as parts:
         law_install.install_law(bench.link, parts, 1, every_cycles=2)
         law_upload.upload_law(bench.link, parts, LAW)
         if armed:
@@ -42,14 +44,14 @@ def test_a_rollback_leaves_the_program_and_variables_of_somebody_else(tmp_path: 
     before = bench.link.query("I105I106I107M7003->")
     put_law_on(bench)
     bench.link.write_buffer([*THEIRS, "I8=3"])
-    result = recovery.rollback_last(bench.link, bench.context)
+    result = rollback.rollback_last(bench.link, bench.context)
     assert result.verdict is ControllerState.OLD
     assert any("but for I8, PLC 0: somebody else" in note for note in result.notes)
     assert bench.link.query("LIST PLC 0") == ["P90=P90+1", "RET"]
     assert bench.link.query("I8") == ["3"]
     assert plc_runs(bench.link, 0)
     assert bench.link.query("I105I106I107M7003->") == before
-    assert recovery.left_open(bench.context) == ()
+    assert waiting.left_open(bench.context) == ()
 
 
 def test_removing_a_law_leaves_the_program_that_took_its_place(tmp_path: Path) -> None:
@@ -80,11 +82,11 @@ def test_a_guard_that_somebody_stopped_stands_still_after_a_rollback(tmp_path: P
     for table, stopped in ((old_table(8), False), (new_table(8), True)):
         if stopped:
             bench.link.command("DISABLE PLC 1")
-        with recovery.grouped(bench.link, bench.context, "table") as parts:
+        with grouping.grouped(bench.link, bench.context, "table") as parts:
             guard_install.install_guard(bench.link, parts)
             upload.upload_tables(bench.link, parts, [table])
         assert plc_runs(bench.link, 1)
-    result = recovery.rollback_last(bench.link, bench.context)
+    result = rollback.rollback_last(bench.link, bench.context)
     assert result.verdict is ControllerState.OLD
     assert not plc_runs(bench.link, 1)
     assert bench.link.query("LIST PLC 1")
@@ -100,7 +102,7 @@ def test_a_law_that_was_stopped_is_faded_before_it_stops_again(tmp_path: Path) -
     bench.link.command("#1J/")
     bench.clock.sleep_s(1.0)
     assert float(bench.link.query("I129")[0]) == 100.0
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert not plc_runs(bench.link, 0)
     assert bench.link.query("I129RX$10F8") == ["0", "0"]
     assert not law_state.read_law_head(bench.link, bench.context.block).is_armed
@@ -118,7 +120,7 @@ def test_a_restore_lets_a_plc_run_or_stand_as_in_the_backup(*, tmp_path: Path, r
     before = bench.p(100)
     bench.clock.sleep_s(0.2)
     assert (bench.p(100) > before) is runs
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert plc_runs(bench.link, 5) is not runs
 
 
@@ -129,7 +131,7 @@ def test_a_rollback_of_a_restore_leaves_a_program_that_came_since(tmp_path: Path
     bench.link.write_buffer(["OPEN PLC 5 CLEAR", "P100=2", "CLOSE"])
     restore(bench.link, bench.context, stored)
     bench.link.write_buffer(["OPEN PLC 5 CLEAR", "P100=3", "CLOSE"])
-    result = recovery.rollback_last(bench.link, bench.context)
+    result = rollback.rollback_last(bench.link, bench.context)
     assert any("but for PLC 5" in note for note in result.notes)
     assert bench.link.query("LIST PLC 5") == ["P100=3", "RET"]
 

@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
-from pmac_comp.machine.controller import journals, recovery, taking_back, temporary
+from pmac_comp.machine.controller import (
+    grouping,
+    journals,
+    recovery,
+    rollback,
+    taking_back,
+    temporary,
+    waiting,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import ChangeKind, torn_refusals
@@ -80,7 +88,7 @@ def test_an_upload_whose_rollback_was_cut_off_is_found_behind_the_mark(
     """What a measurement borrows and gives back moves the mark past the upload."""
     bench = make_plc_bench(tmp_path)
     link, context = bench.link, bench.context
-    with recovery.grouped(link, context, "table") as parts:
+    with grouping.grouped(link, context, "table") as parts:
         upload_tables(link, parts, [old_table(8)])
     mark = context.store / f"{context.controller}.settled"
     while not mark.exists():
@@ -93,8 +101,8 @@ def test_an_upload_whose_rollback_was_cut_off_is_found_behind_the_mark(
     with monkeypatch.context() as patch:
         patch.setattr(taking_back, "take_back", killed)
         with pytest.raises(LinkLost):
-            recovery.rollback_last(link, context)
-    assert recovery.left_open(context)
+            rollback.rollback_last(link, context)
+    assert waiting.left_open(context)
     assert [r.code for r in torn_refusals(context)] == ["PC-TXN-010"]
     with pytest.raises(SafetyRefusal, match="interrupted and is still open"):
         upload_tables(link, context, [new_table(8)])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import AmplitudeExceeded, ControllerState, SafetyRefusal, VerifyMismatch
-from pmac_comp.machine.controller import recovery, upload
+from pmac_comp.machine.controller import grouping, recovery, rollback, upload
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.manifest import Manifest, ManifestState
 from pmac_comp.machine.controller.table_status import read_head
@@ -35,12 +35,12 @@ def test_an_upload_does_not_switch_on_what_was_off(tmp_path: Path) -> None:
 def test_a_removal_leaves_others_on_or_off(tmp_path: Path, on: int) -> None:
     bench = CardBench(tmp_path)
     bench.link.write_buffer([*FOREIGN, *NEW.lines, f"I51={on}"])
-    with recovery.grouped(bench.link, bench.context, "remove") as parts:
+    with grouping.grouped(bench.link, bench.context, "remove") as parts:
         upload.remove_tables(bench.link, parts, [(TableKind.COMP, 1)])
     assert (bench.i51, bench.values("COMP", 1), bench.values("COMP", 3)) == (on, None, ENTRIES)
     assert recovery.recover(bench.link, bench.context).verdict is ControllerState.NEW
     assert bench.i51 == on
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert bench.i51 == on
     assert tuple(bench.values("COMP", 1) or ()) == NEW.entries
 
@@ -73,15 +73,15 @@ def test_a_table_that_does_not_end_with_0_comes_back_as_it_was(
     )
     before = at_zero(bench)
     assert bool(before) is bool(i30)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         result = upload.upload_tables(bench.link, parts, [replace(NEW, motor=2, source=2)])
     assert (at_zero(bench), result.notes) == (before, ())
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert at_zero(bench) == before
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         upload.upload_tables(bench.link, parts, [NEW])
     assert at_zero(bench) == 0
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert at_zero(bench) == before
 
 
@@ -111,7 +111,7 @@ def header_of(bench: CardBench) -> str:
 
 def put(bench: CardBench, *entries: int, by_desired: bool = True) -> None:
     table = CompTable(1, entries, 640000, by_desired=by_desired)
-    with recovery.grouped(bench.link, bench.context, "table") as parts:
+    with grouping.grouped(bench.link, bench.context, "table") as parts:
         upload.upload_tables(bench.link, parts, [table])
 
 
@@ -125,7 +125,7 @@ def test_a_table_with_the_same_entries_is_looked_up_as_meant(
     bench.link.write_buffer(["I30=0", f"#1DEFINE COMP 4,#1{d},#1,640000", "16 32 16 0", "I51=1"])
     put(bench, 16, 32, 16, 0, by_desired=by_desired)
     assert header_of(bench) == f"4,#1{other},#1,640000"
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert header_of(bench) == f"4,#1{d},#1,640000"
 
 
@@ -134,7 +134,7 @@ def test_a_rollback_brings_the_lookup_back(tmp_path: Path, d: str) -> None:
     bench = CardBench(tmp_path)
     bench.link.write_buffer(["I30=0", f"#1DEFINE COMP 4,#1{d},#1,640000", "16 32 16 0", "I51=1"])
     put(bench, 16, 48, 16, 0, by_desired=not d)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert header_of(bench) == f"4,#1{d},#1,640000"
 
 
@@ -151,7 +151,7 @@ def test_on_a_card_that_does_not_list_it_the_journal_knows_the_lookup(
     monkeypatch.setattr(bench.link, "query", without_d)
     put(bench, 16, 32, 16, 0)
     put(bench, 16, 48, 16, 0)
-    recovery.rollback_last(bench.link, bench.context)
+    rollback.rollback_last(bench.link, bench.context)
     assert (header_of(bench), bench.values("COMP", 1)) == ("4,#1D,#1,640000", [16, 32, 16, 0])
 
 

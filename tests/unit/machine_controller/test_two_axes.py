@@ -7,12 +7,15 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
 from pmac_comp.machine.controller import (
+    grouping,
     journals,
     law_install,
     law_state,
     law_upload,
     recovery,
+    rollback,
     temporary,
+    waiting,
 )
 from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
@@ -38,7 +41,7 @@ def axis_of(bench: CardBench, folder: str, first_p: int) -> Context:
 
 
 def put_table(bench: CardBench, context: Context, motor: int, factor: int = 1) -> None:
-    with recovery.grouped(bench.link, context, "table") as parts:
+    with grouping.grouped(bench.link, context, "table") as parts:
         upload_tables(bench.link, parts, [table_of(motor, factor)])
 
 
@@ -54,7 +57,7 @@ def test_rollback_leaves_the_tables_of_another_axis(tmp_path: Path, before: int)
         put_table(bench, first, 1, before)
     put_table(bench, first, 1)
     put_table(bench, second, 2)
-    recovery.rollback_last(bench.link, first)
+    rollback.rollback_last(bench.link, first)
     old = [before * k for k in ENTRIES] if before else None
     assert standing(bench) == (1, old, list(ENTRIES))
 
@@ -63,10 +66,10 @@ def test_a_removal_that_is_taken_back_leaves_them_too(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
     put_table(bench, first, 1)
-    with recovery.grouped(bench.link, first, "remove") as parts:
+    with grouping.grouped(bench.link, first, "remove") as parts:
         remove_tables(bench.link, parts, [(TableKind.COMP, 1)])
     put_table(bench, second, 2)
-    recovery.rollback_last(bench.link, first)
+    rollback.rollback_last(bench.link, first)
     assert standing(bench) == (1, list(ENTRIES), list(ENTRIES))
 
 
@@ -88,13 +91,13 @@ def test_a_rollback_that_is_cut_anywhere_leaves_them_too(tmp_path: Path) -> None
         put_table(bench, second, 2, 1 + cut % 3)
         afresh(bench, Fault(FaultKind.CUT, Way.SEND, cut))
         try:
-            recovery.rollback_last(bench.link, first)
+            rollback.rollback_last(bench.link, first)
             ended = True
         except LinkLost:
             afresh(bench)
             verdict = recovery.recover(bench.link, first).verdict
             if verdict is ControllerState.NEW:  # the rollback had not begun
-                recovery.rollback_last(bench.link, first)
+                rollback.rollback_last(bench.link, first)
         assert standing(bench) == (1, None, [(1 + cut % 3) * k for k in ENTRIES]), cut
         cut += 40
     assert cut > 600
@@ -106,13 +109,13 @@ def test_an_upload_is_not_taken_back_with_the_bench_file_of_another_axis(tmp_pat
     first, second = axis_of(bench, "both", 7000), axis_of(bench, "both", 7200)
     law_install.install_law(bench.link, first, 1)
     for factor in (1.0, 2.0):
-        with recovery.grouped(bench.link, first, "law") as parts:
+        with grouping.grouped(bench.link, first, "law") as parts:
             law_upload.upload_law(bench.link, parts, LawParameters(V0=factor))
     with pytest.raises(ConfigError, match="p_block begins at P7000") as refused:
-        recovery.rollback_last(bench.link, second)
+        rollback.rollback_last(bench.link, second)
     assert refused.value.left is ControllerState.OLD
     assert all(bench.p(n) == 0.0 for n in range(7200, 7270))
-    recovery.rollback_last(bench.link, first)
+    rollback.rollback_last(bench.link, first)
     bank = law_state.read_law_head(bench.link, first.block).bank
     assert law_state.read_bank(bench.link, first.block, bank) == LawParameters(V0=1.0)
 
@@ -162,7 +165,7 @@ def test_what_one_axis_took_back_is_not_foreign_to_the_other(*, tmp_path: Path, 
     else:
         put_table(bench, first, 1)
         put_table(bench, second, 2)
-        recovery.rollback_last(bench.link, first)
+        rollback.rollback_last(bench.link, first)
     stood = standing(bench)
     assert stood == (1, list(ENTRIES) if torn else None, list(ENTRIES))
     told = recovery.recover(bench.link, second)
@@ -183,13 +186,13 @@ def claimed(bench: CardBench) -> int:
 def test_a_change_with_another_block_is_seen_while_it_is_under_way(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
-    with recovery.grouped(bench.link, first, "table") as parts:
+    with grouping.grouped(bench.link, first, "table") as parts:
         upload_tables(bench.link, parts, [table_of(1)])
         # Between the parts too, where the lease is given back.
         with pytest.raises(ForeignChange, match="p_block from P7000") as refused:
             put_table(bench, second, 2)
         assert refused.value.left is ControllerState.OLD
-        assert [r.code for r in recovery.waiting_refusals(bench.link, second)] == ["PC-TXN-013"]
+        assert [r.code for r in waiting.waiting_refusals(bench.link, second)] == ["PC-TXN-013"]
         with pytest.raises(ForeignChange, match="p_block from P7000"):
             upload_tables(bench.link, second, [table_of(2)])
     assert claimed(bench) == FREE

@@ -19,7 +19,14 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_install, law_state, recovery, sign_check
+from pmac_comp.machine.controller import (
+    law_install,
+    law_state,
+    recovery,
+    rollback,
+    sign_check,
+    waiting,
+)
 from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
 from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import plc_runs
@@ -111,7 +118,7 @@ def test_servo_receives_what_the_law_says_and_rollback_takes_it_away(
     switch(axis, context, compensation, on=False)
     off = axis.run(MOTION)
     assert np.max(np.abs(off.desired_m - off.commanded_position_m)) < 1e-9
-    recovery.rollback_last(axis.link, context)
+    rollback.rollback_last(axis.link, context)
     assert len(read_tables(axis.link)) == 0
 
 
@@ -240,7 +247,7 @@ def test_a_value_that_cannot_be_said_is_no_lost_link(
     assert refused.value.context["confirmed"]
     assert len(read_tables(axis.link)) == 0
     assert axis.link.query("I51") == ["0"]
-    assert recovery.left_open(context_of(axis, tmp_path)) == ()
+    assert waiting.left_open(context_of(axis, tmp_path)) == ()
 
 
 def test_cost_is_stated_and_a_cheaper_way_offered() -> None:
@@ -342,7 +349,7 @@ def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
     axis.kill()
     stood = bank_on(axis, tmp_path)
     deploy(axis, Compensation("law", friction_law()), context)
-    recovery.rollback_last(axis.link, context)
+    rollback.rollback_last(axis.link, context)
     assert stood is not None
     assert bank_on(axis, tmp_path) == stood
 
@@ -353,7 +360,7 @@ def test_a_killed_motor_does_not_keep_a_law_from_coming_back(axis: Axis, tmp_pat
     stood = bank_on(axis, tmp_path)
     deploy(axis, Compensation("law", friction_law(), LEAD), context)
     axis.kill()
-    recovery.rollback_last(axis.link, context)
+    rollback.rollback_last(axis.link, context)
     assert bank_on(axis, tmp_path) == stood
     assert axis.link.query("P7002P7003") == ["1", "0"]
     axis.enable()
@@ -418,7 +425,7 @@ def test_what_a_stopped_plc_0_left_fades(
     axis.link.clock.sleep_s(0.5)
     words: list[tuple[int, float]] = []
     monkeypatch.setattr(axis.link.clock, "sleep_s", seen(axis, card, words))
-    recovery.rollback_last(axis.link, context)
+    rollback.rollback_last(axis.link, context)
     torque = [value for _, value in words]
     assert abs(torque[0]) > 100.0
     assert np.max(np.abs(np.diff(torque))) <= 0.03 * abs(torque[0])

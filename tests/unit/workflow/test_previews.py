@@ -10,7 +10,7 @@ import pytest
 from pmac_comp.base.errors import ConfigError, ForeignChange
 from pmac_comp.cli.compensation import _told
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import recovery
+from pmac_comp.machine.controller import grouping, rollback
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.axis import Axis
@@ -50,14 +50,14 @@ def test_rollback_and_recovery_are_told_from_what_stands(axis: Axis, tmp_path: P
     assert what_is_open(axis, tmp_path)["would_settle"] == []
     assert read_tables(axis.link) == stands
     assert files_of(tmp_path) == kept
-    recovery.rollback_last(axis.link, context)
+    rollback.rollback_last(axis.link, context)
     with pytest.raises(ConfigError, match="taken back already"):
         what_was_uploaded(axis, tmp_path)
 
 
 def test_recovery_names_an_upload_that_was_interrupted(axis: Axis, tmp_path: Path) -> None:
     context = context_of(axis, tmp_path)
-    with pytest.raises(RuntimeError), recovery.grouped(axis.link, context, "law"):
+    with pytest.raises(RuntimeError), grouping.grouped(axis.link, context, "law"):
         raise RuntimeError
     assert what_is_open(axis, tmp_path)["would_settle"] == ["an upload (law) was interrupted"]
 
@@ -70,7 +70,7 @@ def test_a_rehearsal_names_what_the_command_is_refused_for(axis: Axis, tmp_path:
     remove_from(axis, elsewhere, standing_on(axis))
     (told,) = what_was_uploaded(axis, here.store)["refusals"]
     with pytest.raises(ForeignChange) as refused:
-        recovery.rollback_last(axis.link, here)
+        rollback.rollback_last(axis.link, here)
     assert refused.value.message == told
     assert any("refused: Another folder" in line
                for line in _told("take back", what_was_uploaded(axis, here.store)))  # fmt: skip

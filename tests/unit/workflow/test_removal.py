@@ -10,7 +10,7 @@ from pmac_comp.machine.controller import law_install, law_state, motors
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.recovery import rollback_last
+from pmac_comp.machine.controller.rollback import rollback_last
 from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status

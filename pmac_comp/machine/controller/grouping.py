@@ -1,0 +1,139 @@
+"""An upload of several parts: all of them end as ``NEW``, or none."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pmac_comp.base.errors import (
+    ChangeInterrupted,
+    ControllerState,
+    PmacCompError,
+    StorageFull,
+    VerifyMismatch,
+)
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.journals import (
+    DONE,
+    open_group,
+)
+from pmac_comp.machine.controller.lease import (
+    read_lease,
+    release_lease,
+)
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.parts import (
+    Part,
+    missing,
+    parts_of,
+)
+from pmac_comp.machine.controller.taking_back import take_group_back
+from pmac_comp.machine.controller.temporary import take_off
+from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
+from pmac_comp.machine.controller.waiting import end_change, one_at_a_time, waiting_refusals
+
+
+@contextmanager
+def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
+    """Hold the parts of an upload together: all of them end as NEW, or none.
+
+    A part that fails while the link lives has the parts before it taken back at once; after a
+    lost link or a kill ``recover`` does it.
+
+    Parameters
+    ----------
+    link, context
+        Conversation, limits and folder.
+    name : str
+        What the upload is, for people.
+
+    Yields
+    ------
+    Context
+        To be used for the parts.
+    """
+    with one_at_a_time(context):
+        with untouched():
+            journal, inner = _begin(link, context, name)
+        with _whole_or_taken_back(link, context, journal):
+            yield inner
+            _require_whole(link, context, journal.group)
+            release_lease(link, context, number=-journal.group)
+        try:
+            journal.write(DONE)
+        except StorageFull as error:
+            mark_left(error, ControllerState.NEW, confirmed=True)
+            error.hint = (
+                "All of the upload stands, but is not noted: `pmac-comp recover` takes it back."
+            )
+            raise
+
+
+def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
+    for refusal in waiting_refusals(link, context):
+        raise refusal
+    take_off(link, context)  # what a measurement borrowed must not become part of an upload
+    return open_group(context, name)
+
+
+@contextmanager
+def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        error = ChangeInterrupted(
+            "Stopped on request between the parts of the upload.",
+            code="PC-REC-002",
+            hint="The parts before were taken back; `pmac-comp status` shows what stands.",
+        )
+        _take_back_after(link, context, group, error)
+        raise error from stop
+    except PmacCompError as error:
+        if not link_is_lost(error):
+            _take_back_after(link, context, group, error)
+        elif error.left is None or _done_before(context, group):
+            # What a part says of itself is not true of an upload whose first parts stand.
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
+        raise
+
+
+def _done_before(context: Context, group: Journal) -> bool:
+    return any(p.journal.group == group.group and p.closing == DONE for p in parts_of(context))
+
+
+def _require_whole(link: Link, context: Context, group: int) -> None:
+    """Every part still stands at the end: a reset in between takes the first ones away.
+
+    What was put on last is looked at last: who touches a bank switches the law off with it.
+    """
+    touched: set[object] = set()
+    standing: list[Part] = []
+    for part in reversed([p for p in parts_of(context) if p.journal.group == group]):
+        # Some parts an upload can do without; such a one was taken back.
+        if part.closing == DONE and not part.items & touched:
+            standing.append(part)
+        touched |= part.items
+    for part in reversed(standing):
+        wrong = missing(link, context, part)
+        if wrong:
+            raise VerifyMismatch(
+                f"A part of the upload does not stand at its end: {wrong}.",
+                code="PC-REC-003",
+                hint="Was the controller reset, or does somebody else write to it?",
+            )
+
+
+def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
+    try:
+        notes = take_group_back(link, context, group)
+    except PmacCompError as second:
+        error.add_note(f"The parts before could not be taken back: {second.message}")
+        mark_left(error, ControllerState.DISABLED, confirmed=False)
+        return
+    mark_left(error, ControllerState.OLD, confirmed=True)
+    for note in notes:
+        error.add_note(note)
+    try:
+        if read_lease(link, context).owner in {0, context.owner}:
+            end_change(link, context)
+    except PmacCompError as second:
+        error.add_note(f"The end of the upload could not be noted: {second.message}")
