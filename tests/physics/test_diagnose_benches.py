@@ -74,7 +74,7 @@ def test_a_bias_is_named_although_a_cable_that_rests_far_away_fits_it_as_well():
     assert abs(abs(found.estimates[0].value) - 40.0) < 3.0 * found.estimates[0].std
 
 
-@pytest.mark.parametrize("share", [0.5, 1.5])
+@pytest.mark.parametrize("share", [0.5, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_other_servo_gains_than_the_typical_ones_lead_to_no_other_name(share):
     given = dict(BENCH.controller.ivariables)
     name = next(key for key in given if key.upper().endswith("30"))
@@ -117,6 +117,7 @@ def test_cogging_is_found_without_a_torque_channel():
     assert found.estimates[0].value == pytest.approx(0.06, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_bias_out_of_the_library_is_not_called_a_cable():
     library = {n: effect_library()[n] for n in ("cable_drag", "backlash")}
     found = diagnose(runs(BENCH, {"bias_force": {"force_N": 80.0}}), BENCH, effects=library)

@@ -86,7 +86,9 @@ def test_a_pump_that_knows_nothing_of_the_runs_is_named_with_its_force():
     assert found.gap_after_um < 1.3 * found.noise_floor_um
 
 
-@pytest.mark.parametrize("clock", ["dated", "unknown", "restarts"])
+@pytest.mark.parametrize(
+    "clock", ["dated", *(pytest.param(c, marks=pytest.mark.slow) for c in ("unknown", "restarts"))]
+)
 def test_growth_is_named_whether_runs_restart_it_or_are_pieces_of_a_session(clock):
     final, time_constant_s = 40e-6, 12.0
     runs = []

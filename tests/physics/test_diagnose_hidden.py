@@ -64,6 +64,7 @@ def test_a_payload_is_found_although_mass_has_a_tolerance():
     assert found.gap_before_um > 2.0 * found.gap_after_um
 
 
+@pytest.mark.slow
 def test_a_wobble_of_the_screw_is_told_from_an_eccentric_encoder():
     found, hidden = run(["lead_cyclic"], 7)
     assert found.named[0] == "lead_cyclic" or {"lead_cyclic"} <= set(found.tied[0])

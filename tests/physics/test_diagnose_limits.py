@@ -89,6 +89,7 @@ def test_what_a_twin_in_its_place_leaves_makes_the_answer_unknown(effect, values
     assert found.verdict == "unknown"
 
 
+@pytest.mark.slow
 def test_what_grows_slowly_is_found_wherever_the_scale_has_its_zero():
     grown = runs({"thermal_growth": {"final_um_per_m": 15.0, "time_constant_s": 2.0}})
     captures = [

@@ -8,7 +8,7 @@ from pmac_comp.physics.identify.scale_age import measured_scale_age
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
-from tests.physics.identified import identified
+from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")
 
@@ -24,7 +24,7 @@ def shown(effects: PlantEffects, *, seed: int = 4) -> Shown:
 
 
 def test_a_drive_with_neither_shows_no_late_scale_and_no_bed() -> None:
-    runs, model = identified(BENCH, {}, seed=3)
+    runs, model = identified(BENCH, {}, seed=3, without=SLOW)
     assert measured_scale_age(runs, BENCH, model) is None
     assert measured_bed(runs, BENCH, model) is None
 

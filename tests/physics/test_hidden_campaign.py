@@ -168,7 +168,7 @@ def test_the_report_prints_every_aim_and_explains_what_it_missed(
 
 def test_a_campaign_is_resumed_and_its_rows_are_whole(tmp_path: Path) -> None:
     out = tmp_path / "rows.jsonl"
-    harness.work(("hidden", 5, 3.0, out))
+    harness.work(("hidden", 5, 2.0, out))
     assert harness.read(out)[0]["hidden"].keys() == {"bias_force"}
     first = harness.read(out)[0]
     assert first["named"][:1] == ["bias_force"]

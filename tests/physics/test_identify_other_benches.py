@@ -88,6 +88,7 @@ def test_intervals_hold_where_coarse_counts_dither_friction() -> None:
     assert max(off) < 2.5
 
 
+@pytest.mark.slow
 def test_intervals_of_a_slender_screw_hold_what_no_bench_file_states() -> None:
     bench = bench_of(SLENDER, "2 m of 12 mm")
     plant = make_plant(bench, effects={}, seed=1)

@@ -107,7 +107,8 @@ def some_runs(bench: Bench, effects: PlantEffects, seed: int = 0) -> list[Captur
     return [closed_loop_capture(bench, plant, m.position_m) for m in motions]
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.slow
 def test_presliding_is_found_beside_a_misfit_that_is_not_of_friction(seed: int) -> None:
     # Cogging and a joint that stiffens leave as much elsewhere as presliding does at reversals.
     effects = {
@@ -141,6 +142,7 @@ def test_a_scale_that_is_read_much_too_late_is_no_friction(time_us: float) -> No
     assert noise.motor_m < 0.5e-6
 
 
+@pytest.mark.slow
 def test_a_guide_with_much_viscous_friction_has_no_late_scale() -> None:
     stiff = {"viscous": {"guide_Ns_per_m": 700.0}}
     found = identify_with_friction(some_runs(BENCH, stiff, 7), BENCH)
@@ -148,6 +150,7 @@ def test_a_guide_with_much_viscous_friction_has_no_late_scale() -> None:
     assert found.parameters["viscous.guide_Ns_per_m"].value == pytest.approx(700.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_stribeck_friction_is_found_behind_coarse_counts_and_torque_ripple() -> None:
     # Around reversals the base model leaves no more over elsewhere than Coulomb friction would.
     bench = load_bench("paper")

@@ -24,7 +24,7 @@ BENCH = load_bench("paper_x4")
             marks=pytest.mark.slow,
         ),
         (46, 0.06, {}),
-        (7.5, 0.1, {}),
+        pytest.param(7.5, 0.1, {}, marks=pytest.mark.slow),
     ],
     ids=["slow-and-ripple", "fast", "on-wheels"],
 )

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import Final
 
 from pmac_comp.base.errors import CommandRefused, ConfigError, VerifyMismatch
@@ -236,6 +237,7 @@ def canonical(lines: Iterable[str]) -> tuple[str, ...]:
     return tuple(parts)
 
 
+@lru_cache(maxsize=4096)  # the statements of one program are compared again and again
 def _spell(line: str) -> str:
     outside = re.split(r'("[^"]*")', line)
     text = "".join(

@@ -114,7 +114,8 @@ def total_viscous_Nms(model: DriveModel) -> float:
     return turning + own["viscous.guide_Ns_per_m"] * BENCH.lead_m_per_rad**2
 
 
-@pytest.mark.parametrize("force_N", [pytest.param(150.0, marks=pytest.mark.slow), -60.0])
+@pytest.mark.parametrize("force_N", [150.0, -60.0])
+@pytest.mark.slow
 def test_load_that_presses_the_nut_on_one_flank_is_found_with_the_gap(force_N: float) -> None:
     loaded = DriveModel.base(BENCH, TRUE).with_effect("bias_force", {"force_N": force_N})
     true = loaded.with_effect("backlash", {"gap_m": 4e-6})
