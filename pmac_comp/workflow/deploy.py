@@ -20,6 +20,8 @@ from pmac_comp.machine.controller import (
     bumpless,
     guard_install,
     law_arming,
+    law_checks,
+    law_goal,
     law_install,
     law_state,
     law_upload,
@@ -199,11 +201,11 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
         refusals += jog_refusals(link, axis.motor)
     if route == "law":
         every = compensation.law.every_cycles
-        refusals += law_install.law_refusals(link, context, axis.motor, every_cycles=every)
+        refusals += law_checks.law_refusals(link, context, axis.motor, every_cycles=every)
         load = read_load(link, axis.bench.servo_period_s)
         refusals += cost_refusals(axis.bench, compensation.law, load)
     if route == "servo":
-        refusals += law_install.servo_refusals(link, context, axis.motor)
+        refusals += law_checks.servo_refusals(link, context, axis.motor)
         refusals += _busy_servo_refusals(axis, context, compensation)
     if route in TORQUE_ROUTES:
         refusals += _torque_refusals(axis.bench, compensation)
@@ -253,7 +255,7 @@ def guard_download(axis: Axis, context: Context) -> list[str]:
 
 def law_download(axis: Axis, context: Context) -> list[str]:
     """PLC 0 as an upload of a law would write it; nothing where it stands already."""
-    law = law_install.law_program(context.block, axis.motor)
+    law = law_goal.law_program(context.block, axis.motor)
     return [] if programs.is_present(axis.link, law) else _download_lines([law])
 
 

@@ -216,7 +216,7 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 
 def _compensation(axis: "Axis") -> Iterator[Finding]:
-    from pmac_comp.machine.controller.law_install import owner_refusals
+    from pmac_comp.machine.controller.law_checks import owner_refusals
     from pmac_comp.machine.controller.table_status import table_status
     from pmac_comp.workflow.deploy import context_of
 

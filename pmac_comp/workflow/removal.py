@@ -13,6 +13,7 @@ from typing import Any
 from pmac_comp.machine.controller import (
     guard_install,
     law_arming,
+    law_goal,
     law_install,
     law_state,
     motors,
@@ -88,7 +89,7 @@ def standing_on(axis: Axis) -> Standing:
     """Tables of the bench's motors and the law of its motor; nothing is changed."""
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
-    in_plc_0 = law_install.law_stands(axis.link, context_of(axis))
+    in_plc_0 = law_goal.law_stands(axis.link, context_of(axis))
     return Standing(tables, _form_of_law(axis), _beside(axis), in_plc_0)
 
 
@@ -96,7 +97,7 @@ def _beside(axis: Axis) -> Settings:
     """What of ours stands beside tables and law, switched off, emptied or undefined."""
     link, guard = axis.link, guard_install.guard_program(_block(axis)).tokens
     motions = [(ProgramKind.PROG, number) for number in (CAM_PROGRAM, COMPENSATED_PROGRAM)]
-    defined = law_install.definitions(axis.motor)
+    defined = law_goal.definitions(axis.motor)
     asked = Settings(
         definitions=defined, programs=dict.fromkeys([*motions, guard_install.GUARD], ())
     )
@@ -113,11 +114,11 @@ def _beside(axis: Axis) -> Settings:
 
 def _not_of_others(axis: Axis, goal: Settings) -> Settings:
     """Without what law and guard of another axis use as well, where one of them stands."""
-    places = Settings(programs={law_install.LAW: (), guard_install.GUARD: ()})
+    places = Settings(programs={law_goal.LAW: (), guard_install.GUARD: ()})
     found = read_settings(axis.link, places).programs
     guard = guard_install.guard_program(_block(axis)).tokens
     kept = dict(goal.definitions)
-    if found[law_install.LAW]:
+    if found[law_goal.LAW]:
         kept = {n: text for n, text in kept.items() if n == guard_install.GUARD_DEFINITION}
         goal = replace(goal, variables={k: v for k, v in goal.variables.items() if k != "I8"})
     if programs.canonical(found[guard_install.GUARD]) not in {(), guard}:
@@ -138,7 +139,7 @@ def _form_of_law(axis: Axis) -> LawForm:
     head = law_state.read_law_head(link, context.block)
     if head.motor != axis.motor:
         return LawForm.NONE
-    if law_install.law_stands(link, context) or law_install.follows(link, axis.motor):
+    if law_goal.law_stands(link, context) or law_goal.follows(link, axis.motor):
         return LawForm.PLC
     return law_state.running_form(link, head)
 

@@ -23,7 +23,7 @@ from pmac_comp.machine.controller import (
     backup,
     guard_install,
     law_arming,
-    law_install,
+    law_goal,
     persist,
     programs,
     recovery,
@@ -174,7 +174,7 @@ def test_f18_another_client_enables_during_the_upload(
     rig = UploadBench(tmp_path, n=40)
     link = rig.bench.link
     if guarded:
-        link.write_buffer([f"M{n}->{d}" for n, d in law_install.definitions(1).items()])
+        link.write_buffer([f"M{n}->{d}" for n, d in law_goal.definitions(1).items()])
         programs.download(link, guard_install.guard_program(rig.bench.context.block))
         link.write_buffer(["I5=3", "ENABLE PLC 1"])
         rig.bench.clock.sleep_s(0.05)

@@ -5,7 +5,7 @@ from typing import Final
 
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.law_install import law_program
+from pmac_comp.machine.controller.law_goal import law_program
 
 _INTERPRETED_us: Final = 3.0  # an operation at 80 MHz (User Manual)
 _COMPILED_us: Final = 1.0  # in floating point, in which the open servo is written

@@ -36,7 +36,8 @@ from pmac_comp.machine.controller.law_bank import (
     MASTER_WORD_ADDRESS,
     LawParameters,
 )
-from pmac_comp.machine.controller.law_install import beside_open_servo, follows
+from pmac_comp.machine.controller.law_checks import beside_open_servo
+from pmac_comp.machine.controller.law_goal import follows
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
 from pmac_comp.machine.controller.lease import (

@@ -14,7 +14,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import GUARD
 from pmac_comp.machine.controller.journals import ChangeKind
 from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.law_install import LAW
+from pmac_comp.machine.controller.law_goal import LAW
 from pmac_comp.machine.controller.law_state import read_bank, read_law_head
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors

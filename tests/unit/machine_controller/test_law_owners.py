@@ -11,6 +11,8 @@ from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import (
     block_use,
     grouping,
+    law_checks,
+    law_goal,
     law_install,
     law_state,
     law_upload,
@@ -72,13 +74,13 @@ def test_a_law_moves_to_another_motor_over_what_it_left_behind(tmp_path: Path) -
 
 def test_a_motor_that_the_card_commutates_has_no_torque_in_its_offset() -> None:
     # The simulated card commutates none, so what stands there is written down.
-    law = law_install.law_program(LawBlock(), 1)
-    found = Settings({"I101": "1", "I129": "0"}, programs={law_install.LAW: ()})
-    (refusal,) = law_install._output_refusals(1, found, law)
+    law = law_goal.law_program(LawBlock(), 1)
+    found = Settings({"I101": "1", "I129": "0"}, programs={law_goal.LAW: ()})
+    (refusal,) = law_checks._output_refusals(1, found, law)
     assert "commutated by the card" in refusal.message
     assert "--route servo" in refusal.hint
-    own = Settings({"I101": "0", "I129": "0"}, programs={law_install.LAW: ()})
-    assert law_install._output_refusals(1, own, law) == []
+    own = Settings({"I101": "0", "I129": "0"}, programs={law_goal.LAW: ()})
+    assert law_checks._output_refusals(1, own, law) == []
 
 
 def servo_bench(folder: Path) -> CardBench:
@@ -136,19 +138,19 @@ def test_plc_0_and_the_open_servo_of_another_motor_are_not_put_on_one_block(
     assert open_servos.scratch_remarks(bench.link, block, 1) == ()
     assert block_use.block_refusals(bench.link, block) == []
     before = [bench.link.query(text) for text in ("I106I8", "P7000..7009")]
-    told = law_install.law_refusals(bench.link, bench.context, 1)
+    told = law_checks.law_refusals(bench.link, bench.context, 1)
     assert [r.code for r in told] == ["PC-LAW-052"]
     with pytest.raises(MotorNotSafe, match="open servo runs for motor #3"):
         law_install.install_law(bench.link, bench.context, 1)
     assert [bench.link.query(text) for text in ("I106I8", "P7000..7009")] == before
     # Another block has none of it, nor has this one once that motor is out and it is cleared.
     elsewhere = replace(bench.context, block=LawBlock(7200))
-    assert law_install.law_refusals(bench.link, elsewhere, 1) == []
+    assert law_checks.law_refusals(bench.link, elsewhere, 1) == []
     bench.link.write_buffer(["I359=0", "P7158..7159=0"])
     law_install.install_law(bench.link, bench.context, 1)
     bench.link.command("I359=1")
     bench.clock.sleep_s(0.01)
-    told = law_install.law_refusals(bench.link, bench.context, 1)
+    told = law_checks.law_refusals(bench.link, bench.context, 1)
     assert [r.code for r in told] == ["PC-LAW-052"]
 
 
@@ -156,7 +158,7 @@ def test_a_law_of_another_motor_is_not_replaced(tmp_path: Path) -> None:
     """Both motors would follow one master word: what one needs would move the other."""
     bench = CardBench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
-    (refusal,) = law_install.law_refusals(bench.link, bench.context, 2)
+    (refusal,) = law_checks.law_refusals(bench.link, bench.context, 2)
     assert "holds the law of motor #1" in refusal.message
     with pytest.raises(SafetyRefusal, match="holds the law of motor #1"):
         law_install.install_law(bench.link, bench.context, 2)

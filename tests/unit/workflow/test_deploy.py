@@ -20,7 +20,7 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import (
-    law_install,
+    law_goal,
     law_state,
     recovery,
     rollback,
@@ -335,14 +335,14 @@ def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
 ) -> None:
     """Its PLC 0 takes any sealed bank: one that holds other values must not be left to it."""
     context = context_of(axis, tmp_path)
-    whole = law_install.law_program
+    whole = law_goal.law_program
 
     def earlier(block: LawBlock, motor: int) -> Program:
         ours = whole(block, motor)
         return replace(ours, lines=(ours.lines[0], "P7119=0", *ours.lines[1:]))
 
     with monkeypatch.context() as before:
-        before.setattr(law_install, "law_program", earlier)
+        before.setattr(law_goal, "law_program", earlier)
         for k in range(uploads):
             law = replace(LAW, coulomb_m=(1.0 + k) * LAW.coulomb_m)
             deploy(axis, Compensation("law", law), context)

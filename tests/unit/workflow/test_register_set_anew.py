@@ -9,7 +9,7 @@ import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import law_install, law_state
+from pmac_comp.machine.controller import law_goal, law_state
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, WorkIndex
 from pmac_comp.simulator.card import Card
@@ -100,7 +100,7 @@ def test_a_home_search_runs_through_its_trigger(tmp_path: Path, route: str) -> N
 def test_a_motion_harder_than_the_bench_file_says_is_a_motion(tmp_path: Path, route: str) -> None:
     """Only a single step of the command is none: the law follows from the second cycle on."""
     with armed(route, tmp_path) as (axis, card, context):
-        limit = law_install.HARDER * context.limits.hardest_ct_per_s2 * BENCH.servo_period_s**2
+        limit = law_goal.HARDER * context.limits.hardest_ct_per_s2 * BENCH.servo_period_s**2
         work = Index.WORK_PLC if route == "law" else Index.WORK_SERVO
         speed = context.block.p(work + WorkIndex.VELOCITY)
         axis.link.write_buffer(["I119=100", "I120=0", "I121=0", "I122=100"])  # a step of the speed
