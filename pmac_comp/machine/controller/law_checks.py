@@ -7,16 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from pmac_comp.base.errors import (
-    ControllerState,
-    MotorNotSafe,
-    SafetyRefusal,
-)
+from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.guard_install import (
-    is_foreign,
-)
+from pmac_comp.machine.controller.guard_install import is_foreign
 from pmac_comp.machine.controller.law_bank import (
     MASTER_WORD_ADDRESS,
     SIGNATURE_SERVO,
@@ -45,12 +39,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.open_servos import scratch_refusals
 from pmac_comp.machine.controller.programs import Program
-from pmac_comp.machine.controller.settings import (
-    MOTORS,
-    Settings,
-    differences,
-    plc_runs,
-)
+from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, plc_runs
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.controller.verdict import untouched

@@ -6,9 +6,7 @@ what forbids them (``law_checks``), writing them (``law_install``).
 
 from typing import Final
 
-from pmac_comp.base.errors import (
-    CommandRefused,
-)
+from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
@@ -27,17 +25,11 @@ from pmac_comp.machine.controller.law_bank import (
     Index,
     LawBlock,
 )
-from pmac_comp.machine.controller.law_state import (
-    LawForm,
-    LawHead,
-)
+from pmac_comp.machine.controller.law_state import LawForm, LawHead
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.settings import (
-    Settings,
-    read_settings,
-)
+from pmac_comp.machine.controller.settings import Settings, read_settings
 from pmac_comp.machine.controller.settings_upload import texts
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 

@@ -5,14 +5,10 @@ What may not: coefficients (``law_upload``), the gain (``law_arming``), what for
 (``law_checks``).
 """
 
-from pmac_comp.base.errors import (
-    VerifyMismatch,
-)
+from pmac_comp.base.errors import VerifyMismatch
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_arming import disarm
-from pmac_comp.machine.controller.law_bank import (
-    Index,
-)
+from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.law_checks import (
     in_open_servo,
     install_refusals,
@@ -27,16 +23,10 @@ from pmac_comp.machine.controller.law_goal import (
     law_stands,
     servo_missing,
 )
-from pmac_comp.machine.controller.law_state import (
-    LawForm,
-    is_running,
-    read_law_head,
-)
+from pmac_comp.machine.controller.law_state import LawForm, is_running, read_law_head
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import (
-    Settings,
-)
+from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.settings_upload import SettingsUpload
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.variables import read_one, verify_many
