@@ -21,10 +21,13 @@ from pmac_comp.workflow.scales import Scales
 PROGRAM_NUMBER = 703  # of runs that are only measured
 _LISTED_DIGITS = 9  # one fewer than the ten that a listing shows
 _SHORTEST_CYCLES = 11  # 4.9 ms at 442 us: well above the card's calculation time of a block
+_SHORTEST_ALONE_CYCLES = 7  # 3.1 ms: of one between longer ones, which the card calculates ahead
 _LONGEST_DOUBLINGS = 6
 _PVT_ERROR_m = 0.02e-6
+_BETWEEN_CORNERS, _BETWEEN_CORNERS_CYCLES = 25.0, 60.0  # times that, of a segment so short
 _SAME_CYCLES = 1e-6
 _REACH = 4  # samples of a cubic; fourth differences across a corner
+_TWO_CORNERS = 2 * _REACH  # fourth differences across two that are close
 _LEAST_BEND_ct = 1e-6  # fourth difference: positions are not rounded more coarsely
 _SHARP, _SMOOTH_FRAC = 30.0, 0.85  # times what so many of the fourth differences stay below
 _JERK_FRAC = 0.03  # of a step of the acceleration: a cubic does not bend so little by a jerk
@@ -106,7 +109,13 @@ def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
     """Ends of the segments through a trajectory, and the largest error of the cubics in counts."""
     speed = _speed(position)
     nodes, worst = [_Node(0.0, float(position[0]), float(speed[0]))], 0.0
-    for corner in _with_room(_corners(position), position):
+    off = _BETWEEN_CORNERS * tolerance
+    for corner in _with_room(_corners(position, speed), position, speed):
+        error = _cubic_error(position, nodes[-1], corner)
+        # Between corners a cubic that is off a little beats two where the acceleration steps.
+        if corner.cycle - nodes[-1].cycle <= _BETWEEN_CORNERS_CYCLES and error <= off:
+            nodes.append(corner)
+            worst = max(worst, error)
         while nodes[-1] is not corner:
             node, error = _next_node(position, speed, nodes[-1], corner, tolerance)
             nodes.append(node)
@@ -114,13 +123,31 @@ def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
     return nodes, worst
 
 
-def _with_room(corners: list[_Node], position: FloatArray) -> list[_Node]:
-    """Corners with room for a segment on both sides, and the end, where the axis stands."""
+def _with_room(corners: list[_Node], position: FloatArray, speed: FloatArray) -> list[_Node]:
+    """Corners with room for a segment on both sides, and the end, where the axis stands.
+
+    Two that are close, as around a short plateau of the acceleration, are one in their middle: the
+    cubics to both sides of it have nearly one acceleration there, one that ran across both steps.
+    """
     kept = [_Node(float(position.size - 1), float(position[-1]), 0.0)]
-    for corner in reversed(corners):
-        if _SHORTEST_CYCLES < corner.cycle < kept[0].cycle - _SHORTEST_CYCLES:
+    for corner in reversed(_merged(corners, position, speed)):
+        room = kept[0].cycle - corner.cycle
+        alone = len(kept) == 1 or kept[1].cycle - kept[0].cycle >= _SHORTEST_CYCLES
+        shortest = _SHORTEST_ALONE_CYCLES if len(kept) > 1 and alone else _SHORTEST_CYCLES
+        if corner.cycle > _SHORTEST_CYCLES and room > shortest:
             kept.insert(0, corner)
     return kept
+
+
+def _merged(corners: list[_Node], position: FloatArray, speed: FloatArray) -> list[_Node]:
+    merged: list[_Node] = []
+    for corner in corners:
+        if merged and corner.cycle - merged[-1].cycle <= _SHORTEST_ALONE_CYCLES:
+            k = round(0.5 * (merged[-1].cycle + corner.cycle))
+            merged[-1] = _Node(float(k), float(position[k]), float(speed[k]))
+        else:
+            merged.append(corner)
+    return merged
 
 
 def _next_node(
@@ -148,7 +175,7 @@ def _speed(position: FloatArray) -> FloatArray:
     return np.asarray(speed)
 
 
-def _corners(position: FloatArray) -> list[_Node]:
+def _corners(position: FloatArray, speed: FloatArray) -> list[_Node]:
     """Where the jerk or the acceleration of a trajectory steps, between its samples.
 
     Fourth differences of cubics are zero but for the four across a corner. The difference of the
@@ -161,7 +188,11 @@ def _corners(position: FloatArray) -> list[_Node]:
     corners = []
     for run in stretches(across):
         k = run.start + _REACH - 1  # last sample before the corner
-        if run.stop - run.start > _REACH or k + _REACH >= position.size:
+        if k + _REACH >= position.size or run.stop - run.start > _TWO_CORNERS:
+            continue
+        if run.stop - run.start > _REACH:  # two that are too close to be told apart
+            k = run.start + (run.stop - run.start + _REACH - 1) // 2
+            corners.append(_Node(float(k), float(position[k]), float(speed[k])))
             continue
         at = np.arange(float(_REACH))
         left = np.polyfit(at - 3.0, position[k - 3 : k + 1] - position[k], 3)
@@ -170,8 +201,8 @@ def _corners(position: FloatArray) -> list[_Node]:
         has_step = abs(square) > _LEAST_BEND_ct and abs(cubic) < _JERK_FRAC * abs(square)
         root = -0.5 * line / square if has_step else -square / (3.0 * cubic)
         s = min(max(root, -1.0), 2.0)
-        speed = float(np.polyval(np.polyder(left), s))
-        corners.append(_Node(k + s, float(position[k] + np.polyval(left, s)), speed))
+        place = float(position[k] + np.polyval(left, s))
+        corners.append(_Node(k + s, place, float(np.polyval(np.polyder(left), s))))
     return corners
 
 
