@@ -391,6 +391,9 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     if law.torque_place_Nm_per_m != 0.0:
         lead_m_per_rad = law.turn_m / (2.0 * math.pi)
         out["load that rises along the travel N/m"] = law.torque_place_Nm_per_m / lead_m_per_rad
+    if law.torque_uneven_Nm_s_per_m != 0.0:
+        out["friction more in positive direction Nm/(m/s)"] = law.torque_uneven_Nm_s_per_m
+        out["friction more in positive direction um/(m/s)"] = law.viscous_uneven_s * UM_PER_M
     if law.gap_half_m > 0.0:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M

@@ -33,8 +33,8 @@ _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
 _SIXTEENTHS = 16.0
 # Coefficients of a law that many drives do without.
-_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH"})
-_ELASTIC = frozenset({"A0", "V0", "S0", "GW"})  # they change along the travel with the screw
+_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH", "VU", "TU"})
+_ELASTIC = frozenset({"A0", "V0", "S0", "GW", "VU"})  # they change along the travel with the screw
 
 _COLUMNS = ("quantity", "old", "new", "unit")
 
@@ -227,6 +227,8 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
         ("torque, per acceleration", "TJ", torque / m * period**2, "Nm/(m/s2)"),
         ("torque, per speed", "TB", torque / m * period, "Nm/(m/s)"),
         ("torque, friction", "TC", torque, "Nm"),
+        ("law, per speed more one way", "VU", period * UM_PER_M, "um/(m/s)"),
+        ("torque, per speed more one way", "TU", torque / m * period, "Nm/(m/s)"),
         ("torque, constant", "T0", torque, "Nm"),
         ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
         ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),

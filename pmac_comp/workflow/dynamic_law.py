@@ -19,6 +19,7 @@ from pmac_comp.physics.compensate.clearance import given_m
 from pmac_comp.physics.compensate.constant import (
     BY_PLACE,
     LOAD,
+    UNEVEN,
     with_constant_torque,
     with_load,
 )
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
-_TURN_EFFECTS = frozenset({"cogging", "friction_per_rev"})
+_FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry"})
 Progress = Callable[[str, float], None]
 
 
@@ -262,12 +263,14 @@ def stribeck_friction(model: "DriveModel") -> Stribeck | None:
 
 
 def without_turn(model: "DriveModel") -> "DriveModel":
-    """The model without the torque per turn that captures show: it is fed forward from them.
+    """The model without the torque, per turn or more one way, that captures show.
+
+    It is fed forward from them.
 
     A model that holds the effect explains it, and nothing would be left in the captures to read.
     """
     for name in model.effects:
-        if split_name(name)[0] in _TURN_EFFECTS:
+        if split_name(name)[0] in _FED_FORWARD:
             model = model.without_effect(name)
     return model
 
@@ -317,7 +320,7 @@ def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[
 def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
     """What load the captures showed that the model does not hold, for people."""
     noted = law.provenance.get(LOAD)
-    by_place = _by_place_remarks(bench, law)
+    by_place = _by_place_remarks(bench, law) + _uneven_remarks(law)
     if noted is None:
         return by_place
     torque_Nm = noted["torque_Nm"]
@@ -328,6 +331,21 @@ def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
         "law sends it; "
         "should the load change, capture and compute again",
         *by_place,
+    ]
+
+
+def _uneven_remarks(law: CompensationLaw) -> list[str]:
+    """That friction rises faster with the speed one way than the other."""
+    noted = law.provenance.get(UNEVEN)
+    if noted is None:
+        return []
+    per_speed, fastest = noted["torque_Nm_s_per_m"], noted["speed_m_per_s"]
+    more, less = ("positive", "negative") if per_speed > 0.0 else ("negative", "positive")
+    return [
+        f"friction rises faster with the speed in {more} direction: at {fastest * MM_PER_M:.0f} "
+        f"mm/s the runs need {abs(per_speed) * fastest:.2g} +- "
+        f"{noted['two_std_Nm_s_per_m'] * fastest:.1g} N m more there than the mean of both, and as "
+        f"much less in {less} direction. The law sends it"
     ]
 
 

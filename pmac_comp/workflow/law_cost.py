@@ -67,6 +67,7 @@ def _lacks(law: CompensationLaw) -> list[str]:
         "cogging": law.ripple_Nm != 0.0,
         "place": law.torque_place_Nm_per_m != 0.0,
         "gap": law.gap_half_m > 0.0,
+        "uneven": law.torque_uneven_Nm_s_per_m != 0.0,
         "bed": law.bed_share > 0.0,
         "stribeck": law.has_stribeck,
     }

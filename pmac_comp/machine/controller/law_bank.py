@@ -49,10 +49,12 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
+        with a GH of zero (1 + C1 r) (e + VU |v|) + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r
-        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + TG (g - l) + BT b
+        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + BT b
+        + TG (g - l), with a GH of zero + TU |v|
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -87,10 +89,11 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 8  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 9  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
+_OF_GAP, _WITHOUT_GAP = ("TG", "GB"), ("TU", "VU")  # in one place each
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS")  # nothing without a jerk limit
 
 
@@ -153,8 +156,10 @@ class BankIndex(IntEnum):
     GL = 3  # share of the way to a new flank that the motor goes in a pass
     S0 = 4  # counts
     TG = 5  # DAC units while the nut crosses its clearance
+    TU = 5  # without a clearance: DAC units per (count/SC), viscous friction more one way
     RF = 6  # 1/SC, share of the friction torque that fades in a cycle of rest
     GB = 7  # counts, elastic correction of the constant load that the nut carries
+    VU = 7  # without a clearance: counts per (count/SC), what the screw makes of TU
     S_INV = 8  # 1/counts, inverse of the break-away distance of s
     TJ = 9  # DAC units per (count/SC^2)
     TB = 10  # DAC units per (count/SC)
@@ -247,6 +252,11 @@ def bank_seal(values: Sequence[float]) -> int:
     return zlib.crc32(text.encode("ascii"), _LAYOUT) & (SEAL - 1) | SEAL
 
 
+def _absent(clearance: float) -> tuple[str, ...]:
+    """Coefficients whose place others have: a law with a clearance has its own there."""
+    return _WITHOUT_GAP if clearance > 0.0 else _OF_GAP
+
+
 @dataclass(frozen=True)
 class LawParameters:
     """Coefficients of the law in counts and servo cycles (the module docstring has the law).
@@ -285,6 +295,8 @@ class LawParameters:
     RF: float = 0.01
     UF: float = 0.004
     TG: float = 0.0
+    VU: float = 0.0
+    TU: float = 0.0
     BS: float = 0.0
     BD: float = 0.0
     BO: float = 0.0
@@ -314,6 +326,14 @@ class LawParameters:
                 "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
                 code="PC-LAW-006",
             )
+        misplaced = [n for n in _absent(self.GH) if getattr(self, n) != 0.0]
+        if misplaced:
+            wanted = "none" if self.GH > 0.0 else "a positive one"
+            raise ConfigError(
+                f"GH = {self.GH:g}, but {' and '.join(misplaced)} of the law need {wanted}.",
+                code="PC-LAW-009",
+                hint="A law takes up a clearance or has friction that differs by direction.",
+            )
         if not (0.0 <= self.RF <= 1.0 and 0.0 <= self.UF <= 1.0):
             raise ConfigError(
                 f"RF = {self.RF} or UF = {self.UF} is not a share of friction from 0 to 1.",
@@ -328,11 +348,17 @@ class LawParameters:
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * BANK_VALUES
-        for item in fields(self):
-            bank[BankIndex[item.name]] = getattr(self, item.name)
+        for name in self._names(self.GH):
+            bank[BankIndex[name]] = getattr(self, name)
         if sealed:
             bank[BankIndex.SEALED] = bank_seal(bank)
         return tuple(bank)
+
+    @classmethod
+    def _names(cls, clearance: float) -> list[str]:
+        """Coefficients of a bank, with or without a clearance."""
+        absent = _absent(clearance)
+        return [item.name for item in fields(cls) if item.name not in absent]
 
     @classmethod
     def from_values(cls, values: Sequence[float]) -> "LawParameters":
@@ -353,7 +379,8 @@ class LawParameters:
                 "pmac-comp did.",
             )
         try:
-            return cls(**{item.name: values[BankIndex[item.name]] for item in fields(cls)})
+            names = cls._names(values[BankIndex.GH])
+            return cls(**{name: values[BankIndex[name]] for name in names})
         except ConfigError as error:
             raise VerifyMismatch(
                 f"The bank is sealed but holds no law of this version: {error.message}",
@@ -436,7 +463,10 @@ def evaluate(
     q = q + p.BT * felt
     elastic = p.A0 * a + p.V0 * v + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
-    if p.GH > 0.0:
+    if p.GH == 0.0:
+        c = c + (1.0 + p.C1 * r) * p.VU * np.abs(v)
+        q = q + p.TU * np.abs(v)
+    else:
         foreseen = p.GB + elastic + p.L1 * p.A0 * j
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank

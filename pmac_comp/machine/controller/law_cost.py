@@ -17,6 +17,7 @@ _PARTS = {
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
     "gap": "IF(P7186>0)",
+    "uneven": "IF(P7186=0)",
     "bed": "IF(P7140>0)",
     "stribeck": "IF(P7146>0)",
 }
@@ -27,8 +28,8 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
     a law that lacks some of: friction by the turn (``friction_per_turn``), ``cogging``, a load by
-    place (``place``), the gap of a nut (``gap``), a bed that swings (``bed``), Stribeck friction
-    (``stribeck``).
+    place (``place``), the gap of a nut (``gap``), friction that differs by direction (``uneven``),
+    a bed that swings (``bed``), Stribeck friction (``stribeck``).
     """
     skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
     if set(lacks) >= _BY_TURN:
@@ -36,7 +37,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     return sum(_operations(line) for line in _pass(law_program(LawBlock(), 1).lines, skipped))
 
 
-_BY_TURN = {"friction_per_turn", "cogging"}  # without both a pass leaves out what they share
+_BY_TURN = {"friction_per_turn", "cogging", "uneven"}  # they share a test that a pass may spare
 _SKIPPED = (
     "IF(M7003=1)",
     "IF(M7000-P7100!=P7154)",
@@ -90,6 +91,7 @@ def law_cost_cycles(lacks: Collection[str] = ()) -> float:
 _SERVO_LAW = "IF(MTRNUM=P7007)"
 _SERVO_PARTS = {
     "gap": "IF(P(P7144+26)>0)",
+    "uneven": "IF(P(P7144+5)!=0)",
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }

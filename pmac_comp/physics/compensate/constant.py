@@ -1,4 +1,4 @@
-"""Torque that a drive needs in both directions alike, constant or by place, found in captures.
+"""Torque that a drive needs in both directions alike, found in captures.
 
 What lives here: the regression that parts it from friction. What may not: the model's fit,
 controllers.
@@ -7,11 +7,14 @@ A slanted axis, a counterweight or a cable asks for torque that friction does no
 look the same, and a law that takes all that the output holds for friction begins the next motion
 with friction on the wrong side. Under way they part: friction turns with the direction, a constant
 load does not. So the mean of both directions is what the load needs, whatever the friction is. What
-rises along the travel is a spring: a gas spring, a cable chain, a cover.
+rises along the travel is a spring: a gas spring, a cable chain, a cover. What rises with the speed,
+either way, is viscous friction that differs between the directions.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +25,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 
 LOAD = "load"  # of a law's provenance, where captures show one
 BY_PLACE = "torque_by_place"  # the same where it rises along the travel
+UNEVEN = "uneven"  # the same where viscous friction differs between the directions
 _CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
 _LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
 _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
@@ -29,14 +33,18 @@ _LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
 _PLACE_FRAC = 0.05  # of the friction torque: what a load by place has at the runs' ends
 _PLACE_SURE = 1.5  # times two standard deviations
 _PLACE = 4  # its column
+_UNEVEN_FRAC = 0.05  # of the friction torque: what goes with the speed has at the runs' highest
+_UNEVEN_SURE = 1.5  # times two standard deviations
+_UNEVEN_ALONE = 0.05  # runs of few speeds part it from a constant poorly, as its std says
+_EVEN = 5  # the column of the speed's size
 
 
 @dataclass(frozen=True)
 class ConstantTorque:
     """Torque in N m that a model lacks in both directions, and two standard deviations of it.
 
-    That of the middle of the runs in m, and how it rises along them: in N m per m, from end to end
-    in m.
+    That of the middle of the runs in m, how it rises along them: in N m per m, from end to end in
+    m; and how it rises with the speed either way, up to the highest of the runs.
     """
 
     torque_Nm: float
@@ -45,6 +53,9 @@ class ConstantTorque:
     slope_two_std_Nm_per_m: float = 0.0
     reach_m: float = 0.0
     middle_m: float = 0.0
+    uneven_Nm_s_per_m: float = 0.0
+    uneven_two_std_Nm_s_per_m: float = 0.0
+    fastest_m_per_s: float = 0.0
 
     @property
     def rises(self) -> bool:
@@ -74,16 +85,33 @@ def with_constant_torque(
     captures : sequence of Capture
         Runs without compensation, with torque.
     """
-    found = constant_torque(loop, captures)
+    least_Nm = _UNEVEN_FRAC * law.torque_coulomb_Nm
+    found = constant_torque(
+        loop, captures, least_uneven_Nm=least_Nm if law.gap_half_m == 0.0 else math.inf
+    )
     if found is None:
         return law
-    law = _with_load_by_place(law, found)
+    law = _with_uneven(_with_load_by_place(law, found), found)
     least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
     if abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
         return law
     law = with_load(law, constant_Nm=found.torque_Nm)
     noted = {"torque_Nm": found.torque_Nm, "two_std_Nm": found.two_std_Nm}
     return replace(law, provenance={**law.provenance, LOAD: noted})
+
+
+def _with_uneven(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw:
+    """Law that sends what viscous friction has more one way than the other."""
+    if found.uneven_Nm_s_per_m == 0.0:
+        return law
+    noted = {
+        "torque_Nm_s_per_m": found.uneven_Nm_s_per_m,
+        "two_std_Nm_s_per_m": found.uneven_two_std_Nm_s_per_m,
+        "speed_m_per_s": found.fastest_m_per_s,
+    }
+    trim = {**law.provenance.get("trim", {}), "torque_uneven_Nm_s_per_m": found.uneven_Nm_s_per_m}
+    law = law.with_values(torque_uneven_Nm_s_per_m=found.uneven_Nm_s_per_m)
+    return replace(law, provenance={**law.provenance, "trim": trim, UNEVEN: noted})
 
 
 def with_load(
@@ -113,7 +141,9 @@ def _with_load_by_place(law: CompensationLaw, found: ConstantTorque) -> Compensa
     return replace(law, provenance={**law.provenance, BY_PLACE: noted})
 
 
-def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTorque | None:
+def constant_torque(
+    loop: LoopRunner, captures: Sequence[Capture], *, least_uneven_Nm: float = math.inf
+) -> ConstantTorque | None:
     """Constant torque that captures show beyond a model; None where they cannot tell.
 
     What friction, damping or mass of the model miss, and what changes along the travel, is fitted
@@ -126,6 +156,8 @@ def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTo
         Closed loop of the model.
     captures : sequence of Capture
         Runs without compensation.
+    least_uneven_Nm : float
+        What viscous friction must differ by at the highest speed of the runs to be told at all.
 
     Source
     ------
@@ -143,42 +175,60 @@ def constant_torque(loop: LoopRunner, captures: Sequence[Capture]) -> ConstantTo
     reach_m = float(np.ptp(columns[:, _PLACE]))
     middle_m = float(columns[:, _PLACE].mean())
     columns[:, _PLACE] -= middle_m
+    fastest = float(np.max(columns[:, _EVEN]))
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
     columns /= size
-    found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
-    left_Nm = rest_Nm - columns @ found
-    constant = _of_column(columns, 0, rest_Nm, left_Nm, begins)
-    if constant is None:
+    part = partial(_of_column, columns, rest_Nm=rest_Nm, begins=begins, alone=_UNEVEN_ALONE)
+    with_speed = part(_EVEN) or (0.0, 0.0)
+    uneven, uneven_two_std = (value / float(size[_EVEN]) for value in with_speed)
+    if abs(uneven) <= max(_UNEVEN_SURE * uneven_two_std, least_uneven_Nm / fastest):
+        uneven, columns = 0.0, columns[:, :_EVEN]
+        part = partial(_of_column, columns, rest_Nm=rest_Nm, begins=begins, alone=_LEAST_ALONE)
+    constant = part(0)
+    if constant is None and uneven == 0.0:
         return None
-    rise, rise_two_std = _of_column(columns, _PLACE, rest_Nm, left_Nm, begins) or (0.0, 0.0)
+    rise, rise_two_std = part(_PLACE) or (0.0, 0.0)
     unit_m = float(size[_PLACE])
-    return ConstantTorque(*constant, rise / unit_m, rise_two_std / unit_m, reach_m, middle_m)
+    return ConstantTorque(
+        *(constant or (0.0, 0.0)),
+        slope_Nm_per_m=rise / unit_m,
+        slope_two_std_Nm_per_m=rise_two_std / unit_m,
+        reach_m=reach_m,
+        middle_m=middle_m,
+        uneven_Nm_s_per_m=uneven,
+        uneven_two_std_Nm_s_per_m=uneven_two_std,
+        fastest_m_per_s=fastest,
+    )
 
 
 def _of_column(
-    columns: FloatArray, which: int, rest_Nm: FloatArray, left_Nm: FloatArray, begins: BoolArray
+    columns: FloatArray, which: int, *, rest_Nm: FloatArray, begins: BoolArray, alone: float
 ) -> tuple[float, float] | None:
     """Torque that goes with a column and two standard deviations; None where others imitate it."""
+    found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
+    left_Nm = rest_Nm - columns @ found
     own, others = columns[:, which], np.delete(columns, which, axis=1)
-    alone = own - others @ np.linalg.lstsq(others, own, rcond=1e-6)[0]
-    weight = float(alone @ alone)
-    if weight < _LEAST_ALONE * own.size:
+    apart = own - others @ np.linalg.lstsq(others, own, rcond=1e-6)[0]
+    weight = float(apart @ apart)
+    if weight < alone * own.size:
         return None
-    sums = np.add.reduceat(left_Nm * alone, np.flatnonzero(begins))
+    sums = np.add.reduceat(left_Nm * apart, np.flatnonzero(begins))
     few = sums.size / (sums.size - 1.0)
     two_std = 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
-    return float(alone @ rest_Nm) / weight, two_std
+    return float(apart @ rest_Nm) / weight, two_std
 
 
 def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Columns one, direction, speed, acceleration, place; torque beyond the model; first rows.
+    """Columns one, direction, speed, acceleration, place, speed's size; torque beyond the model.
 
-    Rows are those on which the direction is clear; the last array marks the first of each stretch.
+    The third array marks the first row of each stretch.
+    Rows are those on which the direction is clear.
     """
     r, period = capture.commanded_position_m, capture.sample_period_s
     measured = np.zeros(0) if capture.torque_command_Nm is None else capture.torque_command_Nm
     v = np.gradient(r, period)
-    columns = np.column_stack([np.ones_like(r), np.sign(v), v, np.gradient(v, period), r])
+    a = np.gradient(v, period)
+    columns = np.column_stack([np.ones_like(r), np.sign(v), v, a, r, np.abs(v)])
     use, stretch = _clear_way(r)
     use &= capture.mask
     numbers = stretch[use]

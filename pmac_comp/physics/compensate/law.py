@@ -18,12 +18,16 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     f  = B + e + L A0 j                                 with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
-    correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
+    correction = (1 + K x) (e + VU |v|) + G (h - h0) + J0 j     added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
+    torque = TJ a + TK k + TI (j1 - j2) + TB v + TU |v| + (TC + TS w + TE |a| + TR sin(m q + PR)) t
              + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
+
+Friction that differs between the directions is the mean of both, a constant (T0), and what grows
+with the speed either way: VU and TU. A controller has their places where a law without a gap would
+have G's, so a law has one of the two.
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
@@ -150,6 +154,9 @@ class CompensationLaw:
         M, D and O of a bed that swings; without a share there is none.
     torque_bed_Nm_s2_per_m : float
         TY.
+    viscous_uneven_s, torque_uneven_Nm_s_per_m : float
+        VU and TU, by which viscous friction is more in positive direction and less in negative; not
+        beside a gap.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
@@ -206,6 +213,8 @@ class CompensationLaw:
     bed_damping_per_s: float = 0.0
     bed_stiffness_per_s2: float = 0.0
     torque_bed_Nm_s2_per_m: float = 0.0
+    viscous_uneven_s: float = 0.0
+    torque_uneven_Nm_s_per_m: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -238,6 +247,12 @@ class CompensationLaw:
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
+        if self.gap_half_m > 0.0 and (self.viscous_uneven_s or self.torque_uneven_Nm_s_per_m):
+            raise ModelError(
+                "A law takes up a gap or has viscous friction that differs by direction, not both.",
+                code="PC-DYN-024",
+                hint="Compute the compensation again from a model.",
+            )
         bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
         stribeck = ("stribeck_m", "torque_stribeck_Nm")
         not_negative = ("rest_fade_per_s", "rest_unwind_per_s", *stribeck, *bed)
@@ -263,7 +278,8 @@ class CompensationLaw:
         # A bed that an acceleration began to swing meets the next one with twice its share.
         swung = 1.0 + 2.0 * self.bed_share
         fast = swung * abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
-        fast += abs(self.viscous_s) * self.valid_speed_m_per_s
+        viscous_s = abs(self.viscous_s) + abs(self.viscous_uneven_s)
+        fast += viscous_s * self.valid_speed_m_per_s
         return fast + abs(self.coulomb_m) + self.stribeck_m + self.gap_half_m
 
     @property
@@ -296,6 +312,7 @@ TORQUE_NAMES = (
     "gap_torque_Nm",
     "torque_stribeck_Nm",
     "torque_bed_Nm_s2_per_m",
+    "torque_uneven_Nm_s_per_m",
 )
 
 
@@ -504,7 +521,7 @@ def _evaluate(
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
     torque_constant, torque_place, torque_breakaway, rest_fade, rest_unwind = p[13:18]
     gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[25:33]
-    bed_share, torque_bed, origin = p[33], p[36], p[37]
+    bed_share, torque_bed, viscous_uneven, torque_uneven, origin = p[33], p[36], p[37], p[38], p[39]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = j = j1 = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
@@ -532,9 +549,8 @@ def _evaluate(
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
         wave, cogging = _by_turn(p[18:25], r[k] + lookahead * v)
-        sent = (
-            torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2) + torque_viscous * v
-        )
+        sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
+        sent += torque_viscous * v + torque_uneven * abs(v)
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging
@@ -544,7 +560,8 @@ def _evaluate(
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s
-        correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
+        along = 1.0 + slope * (r[k] - origin)
+        correction[k] = along * (e + viscous_uneven * abs(v)) + jerk * j
         if gap_half > 0.0:
             f = gap_load + e + lookahead * inertia * j
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))

@@ -24,6 +24,7 @@ from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 
 _LEAST_GAIN_FRAC = 0.05  # of the unexplained rms: less than this is not worth a change
 _LEAST_GRIP_FRAC = 0.01  # the same of another break-away distance: it acts at reversals only
+_UNEVEN = "viscous_uneven_s"
 _TERMS = ("inertia_s2", "viscous_s", "coulomb_m", "compliance_slope_per_m")
 
 
@@ -67,7 +68,7 @@ def trimmed_law(
     # The error is what the law takes away: its terms grow by minus the error's.
     values = {
         name: getattr(law, name) - float(change)
-        for name, change in zip(_TERMS, best.changes, strict=True)
+        for name, change in zip(_names(law), best.changes, strict=True)
     }
     if law.gap_half_m > 0.0:
         values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
@@ -136,8 +137,16 @@ def _terms(
     along = 1.0 + law.compliance_slope_per_m * x
     friction_m, _ = friction_levels(law, v)
     elastic = law.inertia_s2 * a + law.viscous_s * v + friction_m * s
-    terms = np.column_stack([along * a, along * v, along * s, x * elastic])[run.use]
+    columns = [along * a, along * v, along * s, x * elastic]
+    if _UNEVEN in _names(law):
+        columns.append(along * np.abs(v))
+    terms = np.column_stack(columns)[run.use]
     return terms, run.rest_m - (along * friction_m * (own - s))[run.use]
+
+
+def _names(law: CompensationLaw) -> tuple[str, ...]:
+    """Terms that are corrected: friction that differs by direction where the torque shows it."""
+    return (*_TERMS, _UNEVEN) if law.torque_uneven_Nm_s_per_m != 0.0 else _TERMS
 
 
 def shows_reversal(
@@ -165,7 +174,7 @@ def shows_reversal(
         return True  # nothing speaks against it
     trim = law.provenance.get("trim", {})
     own_m = law.breakaway_m - trim.get("breakaway_m", 0.0)
-    changes = np.array([trim.get(name, 0.0) for name in _TERMS])
+    changes = np.array([trim.get(name, 0.0) for name in _names(law)])
     without, beside = [], []
     for run in (_run(law, loop, capture, lead) for capture in usable):
         terms, rest = _terms(law, run, law.breakaway_m, own_m)

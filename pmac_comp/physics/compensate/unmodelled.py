@@ -144,7 +144,9 @@ def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadM
     r, period = capture.commanded_position_m, capture.sample_period_s
     per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
     load_Nm = law.torque_place_Nm_per_m * (r - r[0])  # at the start the integrator holds it
-    added_Nm = gripping_torque(law, capture) - per_turn - load_Nm
+    speed = np.gradient(r, period)
+    uneven_Nm = law.torque_uneven_Nm_s_per_m * np.abs(speed)
+    added_Nm = gripping_torque(law, capture) - per_turn - load_Nm - uneven_Nm
     signals = loop(r, None, added_Nm, held_at_start_Nm(capture))
     table = capture.table_position_m if capture.table_position_m is not None else r
     static = 0.0 if lead is None else lead.at(r)

@@ -125,6 +125,10 @@ LAW = LawParameters(
 )  # fmt: skip
 
 
+# Without a clearance, whose places in the bank hold friction that differs by direction.
+UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, TG=0.0, VU=0.0061, TU=0.22)
+
+
 def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
@@ -149,13 +153,14 @@ def gathered_motion(bench: CardBench) -> GatherResult:
     return result.require_whole()
 
 
-def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
+@pytest.mark.parametrize("law", [LAW, UNEVEN], ids=["clearance", "uneven"])
+def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
-    result = run_with_law(bench, LAW)
+    result = run_with_law(bench, law)
     commanded = result.raw["commanded"] / UNIT
     assert np.ptp(commanded) > 4000
-    expected = evaluate(LAW, commanded, clamp_ct=60.0)
+    expected = evaluate(law, commanded, clamp_ct=60.0)
     assert expected.n_clamped == 0
     # The gathered word is what PLC 0 wrote after the cycle: within half a unit of 1/1024 count.
     word = result.raw["word"] / 1024.0
@@ -172,7 +177,7 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path) -> None:
 def in_passes(law: LawParameters, n: int) -> LawParameters:
     """The law as it reads where a pass of n servo cycles is the unit of time."""
     powers = {"A0": 2, "V0": 1, "J0": 3, "L1": 1, "JL": -3, "TJ": 2, "TK": 3, "TI": 3, "TB": 1,
-              "TE": 2, "RF": -1, "UF": -1, "BS": 2}  # fmt: skip
+              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1}  # fmt: skip
     return replace(law, **{k: getattr(law, k) / n**power for k, power in powers.items()})
 
 
@@ -196,11 +201,14 @@ def deviation_ct(result: GatherResult, law: LawParameters, n: int) -> np.ndarray
     return min(tried, key=lambda left: float(np.max(np.abs(left))))
 
 
-def test_plc_form_of_every_second_cycle_computes_the_same_law(tmp_path: Path) -> None:
+@pytest.mark.parametrize("law", [LAW, UNEVEN], ids=["clearance", "uneven"])
+def test_plc_form_of_every_second_cycle_computes_the_same_law(
+    tmp_path: Path, law: LawParameters
+) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1, every_cycles=2)
     # Of a bed, a gap's lag and Stribeck's speed the bank holds figures by the pass.
-    law = replace(LAW, BS=0.0, BT=0.0)
+    law = replace(law, BS=0.0, BT=0.0)
     left = deviation_ct(run_with_law(bench, law), law, 2)
     assert np.max(np.abs(left)) < 0.03
 
@@ -231,7 +239,9 @@ def make_servo_bench(tmp_path: Path) -> CardBench:
 PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction by the turn
 
 
-@pytest.mark.parametrize("law", [LAW, PUSHING], ids=["friction by the turn", "second cogging"])
+@pytest.mark.parametrize(
+    "law", [LAW, PUSHING, UNEVEN], ids=["friction by the turn", "second cogging", "uneven"]
+)
 def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
@@ -460,14 +470,14 @@ def test_cost_of_the_law_is_counted() -> None:
     assert 0.5 * law_cost.law_cost_cycles() < 0.81 * period  # with everything: every second cycle
     assert law_cost.law_cost_cycles() == pytest.approx(240.0 * operations)
     # What a law does not have is passed over, at the price of a test.
-    parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck"}
+    parts = {"friction_per_turn", "cogging", "place", "gap", "uneven", "bed", "stribeck"}
     plain = law_cost.operation_count(parts)
     assert plain < 0.5 * operations
     for lacks in parts:
         assert plain < law_cost.operation_count((lacks,)) < operations
     # Torque by the turn, a gap or a bed fit into every cycle, beside phase, servo and background
     # tasks.
-    for has in ({"friction_per_turn", "cogging"}, {"gap"}, {"bed"}):
+    for has in ({"friction_per_turn", "cogging"}, {"gap"}, {"uneven"}, {"bed"}):
         assert law_cost.law_cost_cycles(parts - has) < 0.81 * period
 
 
@@ -477,9 +487,13 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
 ) -> None:
     """Task times of a card whose law moves, over those of the same loop without a law."""
     bench = make_servo_bench(tmp_path)
-    zero = {"gap": {"GH": 0.0, "GW": 0.0}, "bed": {"BS": 0.0}, "stribeck": {"SS": 0.0}}
-    lacking = zero.keys() - parts
-    law = replace(LAW, **{k: v for part in lacking for k, v in zero[part].items()})
+    zero = {
+        "gap": {"GH": 0.0, "GW": 0.0, "GB": 0.0, "TG": 0.0},
+        "bed": {"BS": 0.0},
+        "stribeck": {"SS": 0.0},
+    }
+    lacking = {*(zero.keys() - parts), "uneven"}
+    law = replace(LAW, **{k: v for part in zero.keys() - parts for k, v in zero[part].items()})
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
     bench.link.command("#1J=20000")

@@ -8,6 +8,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import (
     BY_PLACE,
     LOAD,
+    UNEVEN,
     constant_torque,
     with_constant_torque,
 )
@@ -87,6 +88,28 @@ def test_load_that_the_model_holds_is_not_sent_twice() -> None:
 def test_friction_alone_is_no_load() -> None:
     runs = captures({"stribeck": {"excess_N": 20.0}}, there_only=False)
     assert with_constant_torque(LAW, model_loop(MODEL), runs) == LAW
+
+
+@pytest.mark.parametrize("fraction", [0.4, -0.3])
+def test_viscous_friction_that_differs_by_direction_is_found(fraction: float) -> None:
+    guide_Ns_per_m = 600.0
+    effects = {
+        "coulomb": {"guide_N": 60.0, "nut_Nm": 0.15, "motor_Nm": 0.2},
+        "viscous": {"guide_Ns_per_m": guide_Ns_per_m},
+        "friction_asymmetry": {"fraction": fraction, "place": "viscous"},
+    }
+    runs = captures(effects, there_only=False)
+    law = with_constant_torque(LAW, model_loop(MODEL), runs)
+    true = fraction * guide_Ns_per_m * BENCH.lead_m_per_rad
+    noted = law.provenance[UNEVEN]
+    assert law.torque_uneven_Nm_s_per_m == noted["torque_Nm_s_per_m"]
+    assert law.torque_uneven_Nm_s_per_m == pytest.approx(true, rel=0.15)
+    assert noted["two_std_Nm_s_per_m"] < 0.5 * abs(true)
+    assert noted["speed_m_per_s"] == pytest.approx(0.126, rel=0.05)
+    assert model_law(law).torque_uneven_Nm_s_per_m == 0.0  # the model's word is without it
+    # A law that takes up a gap has no place for it.
+    loose = LAW.with_values(gap_half_m=1e-6, gap_width_m=1e-6, coulomb_m=1e-6)
+    assert with_constant_torque(loose, model_loop(MODEL), runs).torque_uneven_Nm_s_per_m == 0.0
 
 
 def test_runs_of_one_direction_cannot_tell() -> None:

@@ -6,7 +6,7 @@ import pytest
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.law_bank import evaluate
+from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law, friction_levels
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.workflow.rendering import law_parameters
@@ -70,8 +70,36 @@ def test_correction_is_minus_the_quasi_static_error_where_friction_is_settled() 
 
 @pytest.mark.parametrize("load_m", [0.0, -0.7e-6])
 def test_law_in_counts_gives_the_same_correction_and_torque(load_m: float) -> None:
+    agree_in_counts(LAW.with_values(gap_load_m=load_m, rest_fade_per_s=9.0, rest_unwind_per_s=14.0))
+
+
+def test_friction_that_differs_by_direction_takes_the_places_of_a_gap() -> None:
+    none = dict.fromkeys(("gap_half_m", "gap_width_m", "gap_torque_Nm"), 0.0)
+    uneven = {"viscous_uneven_s": 1.5e-6, "torque_uneven_Nm_s_per_m": 0.4}
+    agree_in_counts(LAW.with_values(**none, **uneven))
+    with pytest.raises(ModelError, match="not both"):
+        LAW.with_values(**uneven)
+    with pytest.raises(ConfigError, match="VU"):
+        LawParameters(GH=1.0, GW=1.0, S0=1.0, VU=0.1)
+    with pytest.raises(ConfigError, match="TG"):
+        LawParameters(TG=3.0)
+    kept = LawParameters(VU=0.1, TU=0.2)
+    assert LawParameters.from_values(kept.values()) == kept
+
+
+def test_friction_by_direction_goes_with_the_speed_either_way() -> None:
+    law = CompensationLaw(
+        viscous_uneven_s=1.5e-6, torque_uneven_Nm_s_per_m=0.4, torque_limit_Nm=9.0
+    )
+    got = evaluate_law(law, SINE.position_m, PERIOD)
+    speed = np.abs(np.gradient(SINE.position_m, PERIOD))
+    assert np.max(np.abs(got.correction_m - 1.5e-6 * speed)) < 5e-9
+    assert np.max(np.abs(got.torque_Nm - 0.4 * speed)) < 2e-3
+
+
+def agree_in_counts(law: CompensationLaw) -> None:
+    """What a controller makes of a law is what the law says."""
     scales = Scales.of(BENCH)
-    law = LAW.with_values(gap_load_m=load_m, rest_fade_per_s=9.0, rest_unwind_per_s=14.0)
     here = evaluate_law(law, SINE.position_m, PERIOD)
     there = evaluate(
         law_parameters(law, scales), SINE.position_m / scales.motor_m_per_ct, clamp_ct=60.0
