@@ -5,7 +5,7 @@ import math
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.constant import BY_PLACE, LOAD
+from pmac_comp.physics.compensate.constant import BY_PLACE, LOAD, UNEVEN
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import STATIC_EFFECTS, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -88,6 +88,14 @@ def test_load_that_only_the_runs_know_is_said_with_its_force() -> None:
     (said,) = constant_remarks(BENCH, CompensationLaw(provenance=noted))
     assert "+0.096 +- 0.0004 N m" in said
     assert "+60 N" in said
+
+
+def test_friction_that_is_more_one_way_is_said_with_what_it_takes() -> None:
+    noted = {UNEVEN: {"torque_Nm_s_per_m": -0.4, "two_std_Nm_s_per_m": 0.05, "speed_m_per_s": 0.35}}
+    (said,) = constant_remarks(BENCH, CompensationLaw(provenance=noted))
+    assert "faster with the speed in negative direction: at 350 mm/s" in said
+    assert "0.14 +- 0.02 N m more" in said
+    assert "less in positive direction" in said
 
 
 def test_a_torque_that_changes_along_the_travel_is_said():
