@@ -74,11 +74,13 @@ def with_unwinding(
     load_Nm : float
         Torque that holds the constant load of the model.
     """
-    # Torque for what captures show beyond the model would push the model about.
+    # What is sent for what captures show beyond the model would push the model about.
     own = law.with_values(
         ripple_Nm=0.0,
         turn_friction_Nm=0.0,
         torque_place_Nm_per_m=0.0,
+        torque_uneven_Nm_s_per_m=0.0,
+        viscous_uneven_s=0.0,
         torque_constant_Nm=load_Nm,
     )
     runs = [_lags(own, loop, motion, latency_cycles) for motion in resting_moves(bench)]
