@@ -22,7 +22,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.drive_lag import found_drive_lag, lag_note, lag_remarks
-from pmac_comp.workflow.dynamic_law import without_turn
+from pmac_comp.workflow.dynamic_law import without_fed_forward
 from pmac_comp.workflow.late_scale import (
     in_time,
     noted_age,
@@ -159,7 +159,7 @@ def _with_hidden_friction(
 def _begun(shown: Shown) -> Shown:
     """With what friction held as the runs began."""
     n = len(shown.captures)
-    runs = with_starts(without_turn(shown.model), [*shown.captures, *shown.slow])
+    runs = with_starts(without_fed_forward(shown.model), [*shown.captures, *shown.slow])
     return replace(shown, captures=tuple(runs[:n]), slow=tuple(runs[n:]))
 
 

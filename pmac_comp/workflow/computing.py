@@ -38,7 +38,7 @@ from pmac_comp.workflow.dynamic_law import (
     law_remarks,
     turn_errors,
     with_unmodelled,
-    without_turn,
+    without_fed_forward,
 )
 from pmac_comp.workflow.foreseen import (
     check_amplitude,
@@ -160,7 +160,7 @@ def compute_compensation(
         law = replace(trimmed, provenance=provenance)
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
-    loop = model_loop(without_turn(model))
+    loop = model_loop(without_fed_forward(model))
     law = with_unwinding(law, loop, bench, LATENCY_CYCLES[route], load_torque_Nm(model))
     if captures:
         law = with_unmodelled(bench, law, model, captures, lead)
@@ -314,7 +314,7 @@ def compensate_files(
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
     if route == "law" and share_frac(loaded, law) > CHEAP_FRAC:
-        whole = without_turn(made_with(drive, law))
+        whole = without_fed_forward(made_with(drive, law))
         offers = cheaper_laws(loaded, whole, model_law(law), progress, whole=law)
     return {
         "route": route,

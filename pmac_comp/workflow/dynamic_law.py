@@ -87,7 +87,7 @@ def dynamic_law(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    loop = model_loop(without_turn(model))
+    loop = model_loop(without_fed_forward(model))
 
     def designed(model: "DriveModel", loop: LoopRunner, noted: dict[str, Any]) -> CompensationLaw:
         return design_law(
@@ -117,7 +117,7 @@ def dynamic_law(
         # What grips late also lets go of the table late: the whole law is fitted anew with it.
         noted = {GRIP: gripping.torque_breakaway_m}
         model = gripping_model(model, replace(law, provenance=noted))
-        loop = model_loop(without_turn(model))
+        loop = model_loop(without_fed_forward(model))
         law = designed(model, loop, noted)
     else:
         law = gripping
@@ -171,7 +171,7 @@ def turn_errors(
     Cogging shakes the table at any speed, and more where it passes the first mode: a table that
     took it for a lead error of the screw would shake the axis anew at all other speeds.
     """
-    loop, delay_s = model_loop(without_turn(model)), drive_delay_s(model)
+    loop, delay_s = model_loop(without_fed_forward(model)), drive_delay_s(model)
     if law.torque_limit_Nm == 0.0 and captures:  # a route without torque has not looked for it
         found = turn_torque(law, loop, (*captures, *slow), drive_delay_s=delay_s)
         law = with_turn_torque(law, found)
@@ -203,7 +203,7 @@ def nut_gap(model: "DriveModel") -> NutGap | None:
     A soft zone of the nut counts as the clearance that it has beyond the stiff spring, all of it
     taken up at the zone's edge.
     """
-    half_m, edge_N, rest = 0.0, 0.0, without_turn(model)
+    half_m, edge_N, rest = 0.0, 0.0, without_fed_forward(model)
     chain = model.kernel_vector()
     for name in model.effects:
         bare, place = split_name(name)
@@ -262,7 +262,7 @@ def stribeck_friction(model: "DriveModel") -> Stribeck | None:
     )
 
 
-def without_turn(model: "DriveModel") -> "DriveModel":
+def without_fed_forward(model: "DriveModel") -> "DriveModel":
     """The model without the torque, per turn or more one way, that captures show.
 
     It is fed forward from them.
@@ -286,7 +286,7 @@ def with_unmodelled(
     fine = _EXTENSION_STEPS if bench.encoder.extension == "1/T" else 1.0
     rest = unmodelled(
         law,
-        model_loop(without_turn(model)),
+        model_loop(without_fed_forward(model)),
         captures,
         lead,
         motor_step_m=bench.motor_resolution_m / fine,

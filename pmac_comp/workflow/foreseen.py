@@ -16,7 +16,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import design_motions, model_loop, start_law
 from pmac_comp.physics.compensate.exact import Aim, LEARNING_CUTOFF_Hz, zero_phase
-from pmac_comp.workflow.dynamic_law import without_turn
+from pmac_comp.workflow.dynamic_law import without_fed_forward
 from pmac_comp.workflow.late_scale import in_time
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.rendering import cam_shape
@@ -123,7 +123,7 @@ def check_amplitude(
         largest_um = _largest_of_motion_um(bench, model, require_motion(route, motion), aim)
     elif route in TORQUE_ROUTES:
         motions = design_motions(bench)
-        loop = model_loop(without_turn(model))
+        loop = model_loop(without_fed_forward(model))
         law = start_law(bench, loop, motions, latency_cycles=LATENCY_CYCLES[route])
         largest_um = law.largest_correction_m * UM_PER_M
     else:

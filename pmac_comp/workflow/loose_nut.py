@@ -14,7 +14,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.dynamic_law import nut_gap, without_turn
+from pmac_comp.workflow.dynamic_law import nut_gap, without_fed_forward
 from pmac_comp.workflow.static_map import bench_map
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def found_clearance(
     if not captures:
         return None
     lead = bench_map(bench, slow) if slow else None
-    return measured_clearance(without_turn(model), (*captures, *slow), lead)
+    return measured_clearance(without_fed_forward(model), (*captures, *slow), lead)
 
 
 def clearance_note(clearance: Clearance | None) -> dict[str, Any]:

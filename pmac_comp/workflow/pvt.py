@@ -105,17 +105,22 @@ class _Node(NamedTuple):
     speed: float
 
 
+def _at_sample(k: int, position: FloatArray, speed: FloatArray) -> _Node:
+    return _Node(float(k), float(position[k]), float(speed[k]))
+
+
 def _nodes(position: FloatArray, tolerance: float) -> tuple[list[_Node], float]:
     """Ends of the segments through a trajectory, and the largest error of the cubics in counts."""
     speed = _speed(position)
-    nodes, worst = [_Node(0.0, float(position[0]), float(speed[0]))], 0.0
+    nodes, worst = [_at_sample(0, position, speed)], 0.0
     off = _BETWEEN_CORNERS * tolerance
     for corner in _with_room(_corners(position, speed), position, speed):
-        error = _cubic_error(position, nodes[-1], corner)
         # Between corners a cubic that is off a little beats two where the acceleration steps.
-        if corner.cycle - nodes[-1].cycle <= _BETWEEN_CORNERS_CYCLES and error <= off:
-            nodes.append(corner)
-            worst = max(worst, error)
+        if corner.cycle - nodes[-1].cycle <= _BETWEEN_CORNERS_CYCLES:
+            error = _cubic_error(position, nodes[-1], corner)
+            if error <= off:
+                nodes.append(corner)
+                worst = max(worst, error)
         while nodes[-1] is not corner:
             node, error = _next_node(position, speed, nodes[-1], corner, tolerance)
             nodes.append(node)
@@ -132,8 +137,8 @@ def _with_room(corners: list[_Node], position: FloatArray, speed: FloatArray) ->
     kept = [_Node(float(position.size - 1), float(position[-1]), 0.0)]
     for corner in reversed(_merged(corners, position, speed)):
         room = kept[0].cycle - corner.cycle
-        alone = len(kept) == 1 or kept[1].cycle - kept[0].cycle >= _SHORTEST_CYCLES
-        shortest = _SHORTEST_ALONE_CYCLES if len(kept) > 1 and alone else _SHORTEST_CYCLES
+        before_long = len(kept) > 1 and kept[1].cycle - kept[0].cycle >= _SHORTEST_CYCLES
+        shortest = _SHORTEST_ALONE_CYCLES if before_long else _SHORTEST_CYCLES
         if corner.cycle > _SHORTEST_CYCLES and room > shortest:
             kept.insert(0, corner)
     return kept
@@ -144,7 +149,7 @@ def _merged(corners: list[_Node], position: FloatArray, speed: FloatArray) -> li
     for corner in corners:
         if merged and corner.cycle - merged[-1].cycle <= _SHORTEST_ALONE_CYCLES:
             k = round(0.5 * (merged[-1].cycle + corner.cycle))
-            merged[-1] = _Node(float(k), float(position[k]), float(speed[k]))
+            merged[-1] = _at_sample(k, position, speed)
         else:
             merged.append(corner)
     return merged
@@ -160,7 +165,7 @@ def _next_node(
         end = corner
         if corner.cycle - begin.cycle >= length + _SHORTEST_CYCLES + 1:
             k = math.ceil(begin.cycle) + length
-            end = _Node(float(k), float(position[k]), float(speed[k]))
+            end = _at_sample(k, position, speed)
         error = _cubic_error(position, begin, end)
         if error <= tolerance:
             break
@@ -192,7 +197,7 @@ def _corners(position: FloatArray, speed: FloatArray) -> list[_Node]:
             continue
         if run.stop - run.start > _REACH:  # two that are too close to be told apart
             k = run.start + (run.stop - run.start + _REACH - 1) // 2
-            corners.append(_Node(float(k), float(position[k]), float(speed[k])))
+            corners.append(_at_sample(k, position, speed))
             continue
         at = np.arange(float(_REACH))
         left = np.polyfit(at - 3.0, position[k - 3 : k + 1] - position[k], 3)

@@ -12,20 +12,10 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import (
-    DONE,
-    open_group,
-)
-from pmac_comp.machine.controller.lease import (
-    read_lease,
-    release_lease,
-)
+from pmac_comp.machine.controller.journals import DONE, open_group
+from pmac_comp.machine.controller.lease import read_lease, release_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.parts import (
-    Part,
-    missing,
-    parts_of,
-)
+from pmac_comp.machine.controller.parts import Part, missing, parts_of
 from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.temporary import take_off
 from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched

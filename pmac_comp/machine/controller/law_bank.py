@@ -44,17 +44,15 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     b = (b - h y) / (1 + h)                               what the table feels of it, but
         between -y - B0 (1 + s) and -y + B0 (1 - s)     B0 = S0 + SX
     z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction
-    e = A0 a + V0 v + (S0 + SX w) s + b
+    e = A0 a + V0 v + VU |v| + (S0 + SX w) s + b         VU, TU: only with a GH of zero
     f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
-        with a GH of zero (1 + C1 r) (e + VU |v|) + J0 j
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r
-        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + BT b
-        + TG (g - l), with a GH of zero + TU |v|
+    q = TJ a + TK k + TI (j' - j") + TB v + TU |v| + (TC + TX w + TE |a|) t + T0 + TP r
+        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + TG (g - l) + BT b
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -456,17 +454,15 @@ def evaluate(
     cogging = wave + p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
-    q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t + p.T0 + p.TP * r + cogging
+    q = p.TJ * a + p.TK * answered + kick + p.TB * v + p.TU * np.abs(v) + level * t
+    q = q + p.T0 + p.TP * r + cogging
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
-    elastic = p.A0 * a + p.V0 * v + (p.S0 + p.SX * slow) * s + felt
+    elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
-    if p.GH == 0.0:
-        c = c + (1.0 + p.C1 * r) * p.VU * np.abs(v)
-        q = q + p.TU * np.abs(v)
-    else:
+    if p.GH > 0.0:
         foreseen = p.GB + elastic + p.L1 * p.A0 * j
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank

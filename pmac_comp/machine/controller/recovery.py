@@ -6,11 +6,7 @@ the parts of an upload are taken back together in ``taking_back``.
 
 from dataclasses import replace
 
-from pmac_comp.base.errors import (
-    ControllerState,
-    PmacCompError,
-    SafetyRefusal,
-)
+from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import (
     DONE,
@@ -23,10 +19,7 @@ from pmac_comp.machine.controller.journals import (
     journals,
     require_own_block,
 )
-from pmac_comp.machine.controller.lease import (
-    read_change,
-    release_lease,
-)
+from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     how_it_stands,

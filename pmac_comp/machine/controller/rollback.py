@@ -12,16 +12,8 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import (
-    KEPT,
-    ROLLED_BACK,
-    own_numbers,
-    require_own_block,
-)
-from pmac_comp.machine.controller.lease import (
-    read_change,
-    release_lease,
-)
+from pmac_comp.machine.controller.journals import KEPT, ROLLED_BACK, own_numbers, require_own_block
+from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,

@@ -6,12 +6,7 @@ And who may settle them: nothing is written back over what somebody else has cha
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
-from pmac_comp.base.errors import (
-    ControllerState,
-    ForeignChange,
-    PmacCompError,
-    SafetyRefusal,
-)
+from pmac_comp.base.errors import ControllerState, ForeignChange, PmacCompError, SafetyRefusal
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim, release_claim
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
@@ -33,12 +28,7 @@ from pmac_comp.machine.controller.lease import (
     take_lease,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.parts import (
-    Part,
-    parts_of,
-    unsettled,
-    what_stands,
-)
+from pmac_comp.machine.controller.parts import Part, parts_of, unsettled, what_stands
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.temporary import standing
 from pmac_comp.machine.controller.transaction import FOUND
@@ -115,7 +105,7 @@ def waiting_parts(context: Context) -> list[Part]:
 
 def left_open(context: Context) -> tuple[str, ...]:
     """Changes of this folder that began and did not end, in words; ``recover`` settles them."""
-    torn = [j for j in journals(context) if j.kind == ChangeKind.GROUP.value and j.is_open]
+    torn = torn_groups(context)
     if torn:
         begin = torn[-1].first()
         name = "" if begin is None else begin.data.get("name", "")

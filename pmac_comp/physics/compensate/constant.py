@@ -85,10 +85,9 @@ def with_constant_torque(
     captures : sequence of Capture
         Runs without compensation, with torque.
     """
-    least_Nm = _UNEVEN_FRAC * law.torque_coulomb_Nm
-    found = constant_torque(
-        loop, captures, least_uneven_Nm=least_Nm if law.gap_half_m == 0.0 else math.inf
-    )
+    has_room = law.gap_half_m == 0.0
+    least_uneven_Nm = _UNEVEN_FRAC * law.torque_coulomb_Nm if has_room else math.inf
+    found = constant_torque(loop, captures, least_uneven_Nm=least_uneven_Nm)
     if found is None:
         return law
     law = _with_uneven(_with_load_by_place(law, found), found)
@@ -178,21 +177,20 @@ def constant_torque(
     fastest = float(np.max(columns[:, _EVEN]))
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
     columns /= size
-    part = partial(_of_column, columns, rest_Nm=rest_Nm, begins=begins, alone=_UNEVEN_ALONE)
-    with_speed = part(_EVEN) or (0.0, 0.0)
-    uneven, uneven_two_std = (value / float(size[_EVEN]) for value in with_speed)
+    fit = partial(_of_columns, rest_Nm=rest_Nm, begins=begins)
+    with_speed, constant, rise = fit(columns, (_EVEN, 0, _PLACE), alone=_UNEVEN_ALONE)
+    uneven, uneven_two_std = (value / float(size[_EVEN]) for value in with_speed or (0.0, 0.0))
     if abs(uneven) <= max(_UNEVEN_SURE * uneven_two_std, least_uneven_Nm / fastest):
-        uneven, columns = 0.0, columns[:, :_EVEN]
-        part = partial(_of_column, columns, rest_Nm=rest_Nm, begins=begins, alone=_LEAST_ALONE)
-    constant = part(0)
-    if constant is None and uneven == 0.0:
-        return None
-    rise, rise_two_std = part(_PLACE) or (0.0, 0.0)
+        uneven = 0.0
+        constant, rise = fit(columns[:, :_EVEN], (0, _PLACE), alone=_LEAST_ALONE)
+        if constant is None:
+            return None
+    slope, slope_two_std = rise or (0.0, 0.0)
     unit_m = float(size[_PLACE])
     return ConstantTorque(
         *(constant or (0.0, 0.0)),
-        slope_Nm_per_m=rise / unit_m,
-        slope_two_std_Nm_per_m=rise_two_std / unit_m,
+        slope_Nm_per_m=slope / unit_m,
+        slope_two_std_Nm_per_m=slope_two_std / unit_m,
         reach_m=reach_m,
         middle_m=middle_m,
         uneven_Nm_s_per_m=uneven,
@@ -201,21 +199,31 @@ def constant_torque(
     )
 
 
-def _of_column(
-    columns: FloatArray, which: int, *, rest_Nm: FloatArray, begins: BoolArray, alone: float
-) -> tuple[float, float] | None:
-    """Torque that goes with a column and two standard deviations; None where others imitate it."""
+def _of_columns(
+    columns: FloatArray,
+    which: Sequence[int],
+    *,
+    rest_Nm: FloatArray,
+    begins: BoolArray,
+    alone: float,
+) -> list[tuple[float, float] | None]:
+    """Torque that goes with columns and two standard deviations; None where others imitate one."""
     found, *_ = np.linalg.lstsq(columns, rest_Nm, rcond=1e-6)
     left_Nm = rest_Nm - columns @ found
-    own, others = columns[:, which], np.delete(columns, which, axis=1)
-    apart = own - others @ np.linalg.lstsq(others, own, rcond=1e-6)[0]
-    weight = float(apart @ apart)
-    if weight < alone * own.size:
-        return None
-    sums = np.add.reduceat(left_Nm * apart, np.flatnonzero(begins))
-    few = sums.size / (sums.size - 1.0)
-    two_std = 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
-    return float(apart @ rest_Nm) / weight, two_std
+    firsts = np.flatnonzero(begins)
+
+    def of(column: int) -> tuple[float, float] | None:
+        own, others = columns[:, column], np.delete(columns, column, axis=1)
+        apart = own - others @ np.linalg.lstsq(others, own, rcond=1e-6)[0]
+        weight = float(apart @ apart)
+        if weight < alone * own.size:
+            return None
+        sums = np.add.reduceat(left_Nm * apart, firsts)
+        few = sums.size / (sums.size - 1.0)
+        two_std = 2.0 * float(np.sqrt(few * np.sum(sums**2))) / weight
+        return float(apart @ rest_Nm) / weight, two_std
+
+    return [of(column) for column in which]
 
 
 def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, BoolArray]:

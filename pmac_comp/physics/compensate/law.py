@@ -14,11 +14,11 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     y" = -M a - D y' - O y                              acceleration of the bed that swings
     b' = |v| (y" - b) / break-away distance             what the table feels of it
     w  = 1 / (1 + q + q^2/2),  q = (p' / VS)^2           what speed leaves of Stribeck friction
-    e  = A0 (a + b) + V0 v + (S0 + SS w) s              elastic, as the force in the nut
+    e  = A0 (a + b) + V0 v + VU |v| + (S0 + SS w) s              elastic, as the force in the nut
     f  = B + e + L A0 j                                 with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
-    correction = (1 + K x) (e + VU |v|) + G (h - h0) + J0 j     added to the command
+    correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     torque = TJ a + TK k + TI (j1 - j2) + TB v + TU |v| + (TC + TS w + TE |a| + TR sin(m q + PR)) t
              + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
@@ -559,9 +559,9 @@ def _evaluate(
             swing, bed_speed, bed = _swung(p[33:36], a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
-        e = inertia * (a + felt) + viscous * v + (coulomb + stribeck * slow) * s
-        along = 1.0 + slope * (r[k] - origin)
-        correction[k] = along * (e + viscous_uneven * abs(v)) + jerk * j
+        e = inertia * (a + felt) + viscous * v + viscous_uneven * abs(v)
+        e += (coulomb + stribeck * slow) * s
+        correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
             f = gap_load + e + lookahead * inertia * j
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))

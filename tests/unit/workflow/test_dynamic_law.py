@@ -16,7 +16,7 @@ from pmac_comp.workflow.dynamic_law import (
     constant_remarks,
     dynamic_law,
     nut_gap,
-    without_turn,
+    without_fed_forward,
 )
 
 BENCH = load_bench("paper")
@@ -26,8 +26,8 @@ def test_torque_per_turn_is_read_from_captures_whether_or_not_the_model_holds_it
     base = DriveModel.base(BENCH)
     grown = base.with_effect("cogging", {"amplitude_Nm": 0.08}).with_effect("friction_per_rev", {})
     grown = grown.with_effect("backlash", {"gap_m": 5e-6})
-    assert without_turn(grown).effects == (*base.effects, "backlash")
-    assert without_turn(base).effects == base.effects
+    assert without_fed_forward(grown).effects == (*base.effects, "backlash")
+    assert without_fed_forward(base).effects == base.effects
 
 
 def test_delays_that_a_diagnosis_found_are_those_of_the_law() -> None:
