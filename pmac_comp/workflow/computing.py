@@ -384,6 +384,9 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         what = "cogging" if law.turn_order < 0.0 else "friction that changes"
         times = f"{abs(law.turn_order):.0f} times a turn"
         out[f"{what} {times}, amplitude Nm"] = law.turn_friction_Nm
+    if law.turn_share != 0.0:
+        times = f"{law.turn_order:.0f} times a turn"
+        out[f"torque that ripples {times}, share of it %"] = 100.0 * law.turn_share
     if law.torque_impulse_Nm_s3_per_m != 0.0:
         # By a step of the jerk as a move of 5 m/s2 with an S-curve of 15 ms begins with.
         kick_Nm = law.torque_impulse_Nm_s3_per_m * 5.0 / 0.015

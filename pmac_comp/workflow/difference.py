@@ -33,7 +33,7 @@ _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
 _SIXTEENTHS = 16.0
 # Coefficients of a law that many drives do without.
-_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH", "VU", "TU"})
+_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH", "VU", "TU", "RS"})
 _ELASTIC = frozenset({"A0", "V0", "S0", "GW", "VU"})  # they change along the travel with the screw
 
 _COLUMNS = ("quantity", "old", "new", "unit")
@@ -233,6 +233,7 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
         ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
         ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),
         ("torque, friction per turn", "TR", torque, "Nm"),
+        ("torque, share that ripples", "RS", 100.0, "%"),
         ("torque, while the nut crosses", "TG", torque, "Nm"),
         ("torque, cogging", "TH", torque, "Nm"),
     ]

@@ -41,10 +41,10 @@ from pmac_comp.physics.compensate.grip import (
     gripping_torque,
     slides,
 )
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
-from pmac_comp.physics.compensate.unmodelled import only_turn, unmodelled
+from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
-_FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry"})
+_FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", "torque_ripple"})
 Progress = Callable[[str, float], None]
 
 
@@ -175,11 +175,9 @@ def turn_errors(
     if law.torque_limit_Nm == 0.0 and captures:  # a route without torque has not looked for it
         found = turn_torque(law, loop, (*captures, *slow), drive_delay_s=delay_s)
         law = with_turn_torque(law, found)
-    if law.ripple_Nm == 0.0 and law.turn_friction_Nm == 0.0:
+    if law.ripple_Nm == 0.0 and law.turn_friction_Nm == 0.0 and law.turn_share == 0.0:
         return [np.zeros(run.n) for run in slow]
-    turn = only_turn(law).with_values(
-        lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm
-    )
+    turn = law.with_values(lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm)
     turn = replace(turn, every_cycles=1)
     return [_turn_error(turn, loop, run, gripping_torque(law, run)) for run in slow]
 
@@ -188,7 +186,7 @@ def _turn_error(
     turn: CompensationLaw, loop: LoopRunner, run: Capture, grip_Nm: FloatArray
 ) -> FloatArray:
     r = run.commanded_position_m
-    shaken = loop(r, None, grip_Nm - evaluate_law(turn, r, run.sample_period_s).torque_Nm)
+    shaken = loop(r, None, grip_Nm - turn_torque_Nm(turn, r, run.sample_period_s))
     plain = loop(r, None, grip_Nm)
     return np.asarray(
         shaken.table_position_m

@@ -68,6 +68,7 @@ def _lacks(law: CompensationLaw) -> list[str]:
         "place": law.torque_place_Nm_per_m != 0.0,
         "gap": law.gap_half_m > 0.0,
         "uneven": law.torque_uneven_Nm_s_per_m != 0.0,
+        "ripple": law.turn_share != 0.0,
         "bed": law.bed_share > 0.0,
         "stribeck": law.has_stribeck,
     }

@@ -53,6 +53,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + TU |v| + (TC + TX w + TE |a|) t + T0 + TP r
         + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + TG (g - l) + BT b
+    q = q + (q + RT a) (o + o^2)    o = RS sin(NR p + PR)   RS, RT: only with a GH of zero
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -87,12 +88,13 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 9  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 10  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
-_OF_GAP, _WITHOUT_GAP = ("TG", "GB"), ("TU", "VU")  # in one place each
-_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS")  # nothing without a jerk limit
+_OF_GAP, _WITHOUT_GAP = ("TG", "GB", "GL", "GW"), ("TU", "VU", "RS", "RT")  # in one place each
+# Nothing without a jerk limit.
+_OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS", "RT")
 
 
 class Index(IntEnum):
@@ -152,6 +154,7 @@ class BankIndex(IntEnum):
     C1 = 1  # 1/counts, change of the compliance along the travel
     V0 = 2  # counts per (count/SC)
     GL = 3  # share of the way to a new flank that the motor goes in a pass
+    RS = 3  # without a clearance: share of the torque that ripples, of order NR and phase PR
     S0 = 4  # counts
     TG = 5  # DAC units while the nut crosses its clearance
     TU = 5  # without a clearance: DAC units per (count/SC), viscous friction more one way
@@ -168,6 +171,7 @@ class BankIndex(IntEnum):
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant, at position zero
     GW = 17  # counts, elastic correction at which all of GH is taken up
+    RT = 17  # without a clearance: DAC units per (count/SC^2), torque that the loop itself sends
     TR = 18  # DAC units, friction per turn, or a second cogging
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
@@ -295,6 +299,8 @@ class LawParameters:
     TG: float = 0.0
     VU: float = 0.0
     TU: float = 0.0
+    RS: float = 0.0
+    RT: float = 0.0
     BS: float = 0.0
     BD: float = 0.0
     BO: float = 0.0
@@ -324,13 +330,20 @@ class LawParameters:
                 "GH needs a positive S0, which tells the flank of the gap, and a positive GW.",
                 code="PC-LAW-006",
             )
-        misplaced = [n for n in _absent(self.GH) if getattr(self, n) != 0.0]
+        unset = {item.name: item.default for item in fields(self)}
+        misplaced = [n for n in _absent(self.GH) if getattr(self, n) != unset[n]]
         if misplaced:
             wanted = "none" if self.GH > 0.0 else "a positive one"
             raise ConfigError(
                 f"GH = {self.GH:g}, but {' and '.join(misplaced)} of the law need {wanted}.",
                 code="PC-LAW-009",
-                hint="A law takes up a clearance or has friction that differs by direction.",
+                hint="A law takes up a clearance, or has friction that differs by direction and "
+                "torque that ripples in proportion.",
+            )
+        if self.RS != 0.0 and self.TR != 0.0:
+            raise ConfigError(
+                "RS and TR are both a wave of order NR; a law has one of the two.",
+                code="PC-LAW-013",
             )
         if not (0.0 <= self.RF <= 1.0 and 0.0 <= self.UF <= 1.0):
             raise ConfigError(
@@ -452,6 +465,7 @@ def evaluate(
     level = p.TC + p.TX * slow + p.TE * np.abs(a)
     wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
     cogging = wave + p.TH * np.sin(np.radians(p.NH * angle + p.PH))
+    rippling = p.RS * np.sin(np.radians(p.NR * angle + p.PR))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
     q = p.TJ * a + p.TK * answered + kick + p.TB * v + p.TU * np.abs(v) + level * t
@@ -460,6 +474,7 @@ def evaluate(
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
+    q = q + (q + p.RT * a) * (rippling + rippling**2)
     elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:

@@ -17,7 +17,8 @@ _PARTS = {
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
     "gap": "IF(P7186>0)",
-    "uneven": "IF(P7186=0)",
+    "uneven": "IF(P7165!=0)",
+    "ripple": "IF(P7163!=0)",
     "bed": "IF(P7140>0)",
     "stribeck": "IF(P7146>0)",
 }
@@ -29,15 +30,19 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled) of
     a law that lacks some of: friction by the turn (``friction_per_turn``), ``cogging``, a load by
     place (``place``), the gap of a nut (``gap``), friction that differs by direction (``uneven``),
-    a bed that swings (``bed``), Stribeck friction (``stribeck``).
+    torque that ripples in proportion (``ripple``), a bed that swings (``bed``), Stribeck friction
+    (``stribeck``).
     """
     skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
     if set(lacks) >= _BY_TURN:
         skipped.add("IF(P7188>0)")
+    if "gap" not in lacks:
+        skipped.add(_WITHOUT_GAP)
     return sum(_operations(line) for line in _pass(law_program(LawBlock(), 1).lines, skipped))
 
 
-_BY_TURN = {"friction_per_turn", "cogging", "uneven"}  # they share a test that a pass may spare
+_BY_TURN = {"friction_per_turn", "cogging", "uneven", "ripple"}  # they share a test
+_WITHOUT_GAP = "IF(P7186=0)"  # within that
 _SKIPPED = (
     "IF(M7003=1)",
     "IF(M7000-P7100!=P7154)",
@@ -92,9 +97,11 @@ _SERVO_LAW = "IF(MTRNUM=P7007)"
 _SERVO_PARTS = {
     "gap": "IF(P(P7144+26)>0)",
     "uneven": "IF(P(P7144+5)!=0)",
+    "ripple": "IF(P(P7144+3)!=0)",
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }
+_SERVO_WITHOUT_GAP = "IF(P(P7144+26)=0)"
 _SERVO_SKIPPED = (
     "IF(F2=0 OR P7142>16 OR P7142=0)",
     "IF(P7143!=P7001+1)",
@@ -128,6 +135,8 @@ def servo_operation_count(lacks: Collection[str] = ()) -> int:
     computed here in any case; leaving them out saves nothing.
     """
     skipped = {*_SERVO_SKIPPED, *(_SERVO_PARTS[k] for k in lacks if k in _SERVO_PARTS)}
+    if "gap" not in lacks:
+        skipped.add(_SERVO_WITHOUT_GAP)
     lines = _servo_lines()
     first = lines.index(_SERVO_LAW)
     return sum(_operations(line) for line in _pass(lines[first : _servo_end(lines)], skipped))

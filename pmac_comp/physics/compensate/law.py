@@ -21,13 +21,19 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     torque = TJ a + TK k + TI (j1 - j2) + TB v + TU |v| + (TC + TS w + TE |a| + TR sin(m q + PR)) t
-             + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b     added to the output
+             + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b
+    torque = torque + (torque + RT a) (o + o^2),  o = RS sin(m q + PR)    added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
 
+A motor whose torque constant ripples makes 1 - o of the torque that it is sent. What is sent is
+therefore divided by that, by the first terms of the series (a hundredth is left of o = 0.2), and so
+is RT a, which the loop sends by itself. In simulation 9 % of ripple left twice the aim
+of e_r, and of the total error 0.17 in place of 0.09.
+
 Friction that differs between the directions is the mean of both, a constant (T0), and what grows
-with the speed either way: VU and TU. A controller has their places where a law without a gap would
-have G's, so a law has one of the two.
+with the speed either way: VU and TU. A controller has their places, and those of RS and RT, where a
+law without a gap would have G's, so a law has one of the two.
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
@@ -157,6 +163,9 @@ class CompensationLaw:
     viscous_uneven_s, torque_uneven_Nm_s_per_m : float
         VU and TU, by which viscous friction is more in positive direction and less in negative; not
         beside a gap.
+    turn_share, torque_loop_Nm_s2_per_m : float
+        RS, share of the torque that ripples m times per turn, in place of TR and not beside a gap,
+        and RT, torque per acceleration that the loop sends beside the law.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
@@ -215,6 +224,8 @@ class CompensationLaw:
     torque_bed_Nm_s2_per_m: float = 0.0
     viscous_uneven_s: float = 0.0
     torque_uneven_Nm_s_per_m: float = 0.0
+    turn_share: float = 0.0
+    torque_loop_Nm_s2_per_m: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -247,10 +258,18 @@ class CompensationLaw:
                 code="PC-DYN-022",
                 hint="Compute the compensation again from a model.",
             )
-        if self.gap_half_m > 0.0 and (self.viscous_uneven_s or self.torque_uneven_Nm_s_per_m):
+        without_gap = (self.viscous_uneven_s, self.torque_uneven_Nm_s_per_m, self.turn_share)
+        if self.gap_half_m > 0.0 and any(without_gap):
             raise ModelError(
-                "A law takes up a gap or has viscous friction that differs by direction, not both.",
+                "A law takes up a gap, or has viscous friction that differs by direction and "
+                "torque that ripples in proportion, not both.",
                 code="PC-DYN-024",
+                hint="Compute the compensation again from a model.",
+            )
+        if self.turn_share != 0.0 and self.turn_friction_Nm != 0.0:
+            raise ModelError(
+                "A law has one wave of order turn_order: turn_share or turn_friction_Nm.",
+                code="PC-DYN-025",
                 hint="Compute the compensation again from a model.",
             )
         bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
@@ -313,6 +332,7 @@ TORQUE_NAMES = (
     "torque_stribeck_Nm",
     "torque_bed_Nm_s2_per_m",
     "torque_uneven_Nm_s_per_m",
+    "turn_share",
 )
 
 
@@ -427,6 +447,12 @@ def _followed(state: float, way: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _faded(s: float, t: float, rest: float, unwinds: float, fades: float) -> tuple[float, float]:
+    """Friction states of table and torque after a pass of a rest, by the shares that fade in it."""
+    return (s * (1.0 - unwinds), t * (1.0 - fades)) if rest < REST_CYCLES else (s, t)
+
+
+@njit(cache=True, nogil=True)
 def _flank(force: float, width: float) -> float:
     """Flank from -1 to 1 that a force holds; it and the width by the correction they make, m."""
     return force / max(width, abs(force))
@@ -447,11 +473,16 @@ def _slow_share(speed: _Speed) -> _Speed:
 
 
 @njit(cache=True, nogil=True)
-def _by_turn(p: FloatArray, place: float) -> tuple[float, float]:
-    """Friction and cogging by the turn at a place; ``p`` is turn, TR, m, PR, TH, n, PH."""
+def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, float]:
+    """Friction, cogging and share of the torque by the turn at a place.
+
+    ``p`` is turn, TR, m, PR, TH, n, PH; of a wave of the torque constant, ``share`` of it, more has
+    to be sent by the first terms of what undoes it.
+    """
     angle = 2.0 * math.pi * place / p[0]
-    wave, cogging = p[1] * math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
-    return (wave, cogging) if p[2] > 0.0 else (0.0, cogging + wave)
+    sine, cogging = math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
+    more = share * sine + (share * sine) ** 2
+    return (p[1] * sine, cogging, more) if p[2] > 0.0 else (0.0, cogging + p[1] * sine, more)
 
 
 @njit(cache=True, nogil=True)
@@ -521,7 +552,8 @@ def _evaluate(
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
     torque_constant, torque_place, torque_breakaway, rest_fade, rest_unwind = p[13:18]
     gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[25:33]
-    bed_share, torque_bed, viscous_uneven, torque_uneven, origin = p[33], p[36], p[37], p[38], p[39]
+    bed_share, torque_bed = p[33], p[36]
+    viscous_uneven, torque_uneven, turn_share, torque_loop, origin = p[37:42]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = j = j1 = s = t = rest = beyond = wound = bed = bed_speed = felt = 0.0
@@ -538,9 +570,7 @@ def _evaluate(
             rest += every
             if seen and k > 0:
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
-            if rest < REST_CYCLES:
-                t *= 1.0 - rest_fade * period
-                s *= 1.0 - rest_unwind * period
+            s, t = _faded(s, t, rest, rest_unwind * period, rest_fade * period)
         else:
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
@@ -548,7 +578,7 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging = _by_turn(p[18:25], r[k] + lookahead * v)
+        wave, cogging, more = _by_turn(p[18:25], turn_share, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
         sent += torque_viscous * v + torque_uneven * abs(v)
         slow = _slow_share(step / period / fading)
@@ -567,5 +597,5 @@ def _evaluate(
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             sent += gap_torque * behind
-        torque[k] = sent
+        torque[k] = sent + (sent + torque_loop * a) * more
     return correction, torque

@@ -78,6 +78,7 @@ def with_unwinding(
     own = law.with_values(
         ripple_Nm=0.0,
         turn_friction_Nm=0.0,
+        turn_share=0.0,
         torque_place_Nm_per_m=0.0,
         torque_uneven_Nm_s_per_m=0.0,
         viscous_uneven_s=0.0,

@@ -3,10 +3,11 @@
 What lives here: the orders of the cogging from steady runs, and the amplitudes from all runs. What
 may not: the model's fit, controllers.
 
-Cogging pushes whichever way the motor turns. A motor whose torque constant ripples, or teeth that
-grip, give a wave that changes its sign with the friction: it has the order of the cogging or is the
-nut's, once per turn. A motor may also have a second order of cogging, as of its poles beside that
-of its slots. A law has room for one cogging and one of the others: for the two that explain most.
+Cogging pushes whichever way the motor turns. Teeth that grip give a wave that changes its sign with
+the friction: it has the order of the cogging or is the nut's, once per turn. A motor may also have
+a second order of cogging, as of its poles beside that of its slots. The torque constant of a motor
+ripples too: that wave goes with the torque, shows most where a run accelerates, and has an order of
+its own. A law has room for one cogging and one of the others: for the two that explain most.
 
 A model without these effects misses the motor's position by what the loop lets through of them.
 What it would let through of a known torque is simulated, so the amplitudes come out of a linear
@@ -16,8 +17,10 @@ regression with the loop, the delay and the friction in it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
@@ -25,6 +28,7 @@ from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
+from pmac_comp.physics.signals.trajectory import trapezoid
 
 _HIGHEST_ORDER = 60
 _LEAST_TURNS = 3.0
@@ -34,10 +38,22 @@ _NEIGHBOURS = 6
 _MOST_ORDERS = 3  # that are tried
 _LEAST_ORDER = 3  # below, friction per turn and lead wobble live
 _PROBE_Nm = 0.02  # torque whose effect is simulated
+_LEAST_RUNS = 4  # fewer do not tell how far the share of the torque that ripples scatters
+_SURE = 5.0  # standard deviations of it: of 60 orders none came out above 3 by chance
+_PULSE_LASTS_s = 0.3  # of the answer of the loop to a pulse of torque
+_CRUISE_FRAC = 0.99  # of the highest speed of a move
 _LEAST_GAIN_FRAC = 0.01  # of the residual's power: less is not worth its time in each pass
 _DECIMATION = 3
 _FIRST, _SECOND = slice(0, 2), slice(2, 4)  # columns of the regression
 _MOTOR = 0  # of the channels; the other is table minus motor
+
+
+class Kind(Enum):
+    """What a wave over the turn goes with."""
+
+    PUSHES = auto()  # nothing: cogging
+    GRIPS = auto()  # the friction
+    RIPPLES = auto()  # the torque
 
 
 @dataclass(frozen=True)
@@ -50,24 +66,27 @@ class TurnTorque:
         Order of the cogging per turn, 0 for none.
     ripple_Nm, ripple_phase_rad : float
         Amplitude and phase of ``sin(order angle + phase)``.
-    second_Nm, second_phase_rad : float
-        The same of the second wave.
+    second_size, second_phase_rad : float
+        The same of the second wave, in N m, or the share of the torque where that ripples.
     second_order : int
         Order of that per turn.
-    second_pushes : bool
-        Whether it is cogging as well; else it is friction, times the direction.
+    second_kind : Kind
+        What it goes with: cogging as well, friction or torque.
     explained : float
         Share of what the model left of the motor's position that these explain.
+    whole_Nm_s2_per_m : float
+        Torque per acceleration of the model.
     """
 
     order: int
     ripple_Nm: float
     ripple_phase_rad: float
-    second_Nm: float
+    second_size: float
     second_phase_rad: float
     second_order: int
-    second_pushes: bool
+    second_kind: Kind
     explained: float
+    whole_Nm_s2_per_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,11 +94,11 @@ class _Wave:
     """A wave over the turn and what it does.
 
     ``responses`` of its cosine and its sine, in m per N m, shape (n, 2, 2): of all runs, by part of
-    the wave, and of motor and table minus motor.
+    the wave, and of motor and table minus motor; of a wave that goes with the torque, in m.
     """
 
     order: int
-    pushes: bool
+    kind: Kind
     responses: FloatArray
 
 
@@ -108,16 +127,23 @@ def turn_torque(
     orders = cogging_orders(captures, [r[:, _MOTOR] for r in rests], law.turn_m)
     plain = [loop(capture.commanded_position_m, None, None) for capture in captures]
 
-    def wave(order: int, *, pushes: bool) -> _Wave:
-        shapes = [_shapes(law, c, order, drive_delay_s, pushes=pushes) for c in captures]
-        return _Wave(order, pushes, _responses(loop, captures, plain, shapes))
+    def wave(order: int, kind: Kind) -> _Wave:
+        goes_with = [_goes_with(law, c, one, kind) for c, one in zip(captures, plain, strict=True)]
+        shapes = [
+            _shapes(law, c, order, drive_delay_s, size)
+            for c, size in zip(captures, goes_with, strict=True)
+        ]
+        return _Wave(order, kind, _responses(loop, captures, plain, shapes))
 
-    once = wave(1, pushes=False)
-    coggings = [wave(order, pushes=True) for order in orders]
-    pairs = [(_nothing(once), once)] if not coggings else []
+    once = wave(1, Kind.GRIPS)
+    coggings = [wave(order, Kind.PUSHES) for order in orders]
+    rippling = _ripple_order(law, loop, captures, plain, rests, drive_delay_s)
+    ripples = [] if rippling is None else [wave(rippling, Kind.RIPPLES)]
+    pairs = [(_nothing(once), second) for second in (once, *ripples)] if not coggings else []
     for first in coggings:
         others = [other for other in coggings if other is not first]
-        pairs += [(first, second) for second in (once, wave(first.order, pushes=False), *others)]
+        gripping = wave(first.order, Kind.GRIPS)
+        pairs += [(first, second) for second in (once, gripping, *others, *ripples)]
     steady = _responses(loop, captures, plain, [_steady_shapes(law, c) for c in captures])
     tried = [(*pair, np.hstack([*(one.responses for one in pair), steady])) for pair in pairs]
     first, second, responses = min(tried, key=lambda one: float(_missed(one[2], rest).sum()))
@@ -127,21 +153,22 @@ def turn_torque(
     shares = [_missed(_without(responses, pair), rest) - least for pair in (_FIRST, _SECOND)]
     gains = [float(gain) if gain > _LEAST_GAIN_FRAC else 0.0 for gain in map(np.max, shares)]
     ripple_Nm, ripple_phase_rad = _wave(found[_FIRST], gains[0])
-    second_Nm, second_phase_rad = _wave(found[_SECOND], gains[1])
+    second_size, second_phase_rad = _wave(found[_SECOND], gains[1])
     return TurnTorque(
         order=first.order if ripple_Nm else 0,
         ripple_Nm=ripple_Nm,
         ripple_phase_rad=ripple_phase_rad,
-        second_Nm=second_Nm,
+        second_size=second_size,
         second_phase_rad=second_phase_rad,
         second_order=second.order,
-        second_pushes=second.pushes,
+        second_kind=second.kind,
         explained=sum(max(float(s[_MOTOR]), 0.0) for s, g in zip(shares, gains, strict=True) if g),
+        whole_Nm_s2_per_m=_per_acceleration(law, captures, plain),
     )
 
 
 def _nothing(like: _Wave) -> _Wave:
-    return _Wave(0, pushes=True, responses=np.zeros_like(like.responses))
+    return _Wave(0, Kind.PUSHES, np.zeros_like(like.responses))
 
 
 def _missed(responses: FloatArray, rest: FloatArray) -> FloatArray:
@@ -173,13 +200,17 @@ def _wave(found: FloatArray, gain_frac: float) -> tuple[float, float]:
 def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:
     """Law with the torque per turn, which it looks ahead for as for friction."""
     order, phase_rad = found.second_order, found.second_phase_rad
-    if found.second_pushes:  # the law knows it by an order below zero: sin(x) = sin(pi - x)
-        order, phase_rad = -order, math.pi - phase_rad
+    if found.second_kind is Kind.PUSHES:  # the law knows it by an order below zero
+        order, phase_rad = -order, math.pi - phase_rad  # sin(x) = sin(pi - x)
+    ripples = found.second_kind is Kind.RIPPLES and found.second_size > 0.0
+    loop_Nm_s2_per_m = found.whole_Nm_s2_per_m - law.torque_inertia_Nm_s2_per_m
     return law.with_values(
         ripple_Nm=found.ripple_Nm,
         ripple_order=float(found.order),
         ripple_phase_rad=found.ripple_phase_rad,
-        turn_friction_Nm=found.second_Nm,
+        turn_friction_Nm=0.0 if ripples else found.second_size,
+        turn_share=found.second_size if ripples else 0.0,
+        torque_loop_Nm_s2_per_m=loop_Nm_s2_per_m if ripples else 0.0,
         turn_order=float(order),
         turn_phase_rad=phase_rad,
     )
@@ -228,6 +259,90 @@ def _order_scores(
     return scores
 
 
+def _ripple_order(
+    law: CompensationLaw,
+    loop: LoopRunner,
+    captures: Sequence[Capture],
+    plain: Sequence[LoopSignals],
+    rests: Sequence[FloatArray],
+    delay_s: float,
+) -> int | None:
+    """Order per turn of a ripple of the torque that the motor's residual shows, None without one.
+
+    A motor ripples by the same share in all runs, whatever torque they take: what only fits to one
+    of them is none. What the loop makes of torque is taken from its answer to a pulse: simulated
+    for each order it would take minutes. A law with a gap has no room for one.
+
+    Source
+    ------
+    Scatter of the share by leaving out one run after another (jackknife, Efron 1982).
+    """
+    if law.gap_half_m > 0.0 or law.torque_limit_Nm == 0.0 or len(captures) < _LEAST_RUNS:
+        return None
+    answer = _pulse_answer(loop, captures[0])
+    orders = range(1, _HIGHEST_ORDER + 1)
+    normal, moment = (
+        np.empty((len(captures), len(orders), 2, 2)),
+        np.empty((len(captures), len(orders), 2)),
+    )
+    for k, (capture, one, rest) in enumerate(zip(captures, plain, rests, strict=True)):
+        length = next_fast_len(capture.n + answer.size)
+        gains = rfft(answer, length)
+        left = rest[:, _MOTOR] - rest[:, _MOTOR].mean()
+        torque = _goes_with(law, capture, one, Kind.RIPPLES)
+        for i, order in enumerate(orders):
+            shapes = np.array(_shapes(law, capture, order, delay_s, torque))
+            moved = irfft(rfft(shapes, length) * gains, length)[:, : capture.n]
+            moved -= moved.mean(axis=1, keepdims=True)
+            normal[k, i], moment[k, i] = moved @ moved.T, moved @ left
+    share = _solved(normal.sum(0), moment.sum(0))
+    others = _solved(normal.sum(0) - normal, moment.sum(0) - moment)
+    n = len(captures)
+    variance = (n - 1.0) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=(0, 2))
+    sure = np.hypot(*share.T) / np.sqrt(np.maximum(variance, 1e-30))
+    best = int(np.argmax(sure))
+    return best + 1 if sure[best] > _SURE else None
+
+
+def _solved(normal: FloatArray, moment: FloatArray) -> FloatArray:
+    """Cosine and sine parts of orders, shape (..., 2), by their normal equations."""
+    little = 1e-12 * np.trace(normal, axis1=-2, axis2=-1)[..., None, None] + 1e-30
+    return np.linalg.solve(normal + little * np.eye(2), moment[..., None])[..., 0]
+
+
+def _pulse_answer(loop: LoopRunner, like: Capture) -> FloatArray:
+    """Motor's answer in m per N m to one sample of torque while it moves."""
+    period = like.sample_period_s
+    r = like.commanded_position_m
+    move = trapezoid(
+        period_s=period,
+        distance_m=max(float(np.ptp(r)), 0.02),
+        speed_m_per_s=0.05,
+        acceleration_m_per_s2=0.5,
+        s_curve_s=0.05,
+        start_m=float(np.min(r)),
+    ).position_m
+    cruising = np.flatnonzero(np.diff(move) > _CRUISE_FRAC * np.max(np.diff(move)))
+    at = int(cruising[cruising.size // 3])  # friction, which would hold the motor, stays as it is
+    pulse = np.zeros(move.size)
+    pulse[at] = _PROBE_Nm
+    moved = loop(move, None, -pulse).motor_position_m - loop(move, None, None).motor_position_m
+    return np.asarray(moved[at : at + round(_PULSE_LASTS_s / period)] / _PROBE_Nm)
+
+
+def _per_acceleration(
+    law: CompensationLaw, captures: Sequence[Capture], plain: Sequence[LoopSignals]
+) -> float:
+    """Torque per acceleration of the model in N m per m/s2, friction and speed beside it."""
+    columns, torques = [], []
+    for capture, one in zip(captures, plain, strict=True):
+        v = _speed(capture)
+        a = np.gradient(v, capture.sample_period_s)
+        columns.append(np.column_stack([a, v, _state(law, capture), np.ones_like(v)]))
+        torques.append(one.torque_Nm)
+    return float(_regression(np.concatenate(columns), np.concatenate(torques))[0])
+
+
 def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:
     """Motor and table minus motor that the model does not explain, m, shape (n, 2)."""
     missing = gripping_torque(law, capture)
@@ -245,14 +360,22 @@ def _error(signals: LoopSignals) -> FloatArray:
     return signals.table_position_m - signals.motor_position_m
 
 
+def _goes_with(
+    law: CompensationLaw, capture: Capture, plain: LoopSignals, kind: Kind
+) -> FloatArray:
+    """What a wave is multiplied by: friction's direction, the torque in N m, or one."""
+    if kind is Kind.GRIPS:
+        return _state(law, capture)
+    return plain.torque_Nm if kind is Kind.RIPPLES else np.ones(capture.n)
+
+
 def _shapes(
-    law: CompensationLaw, capture: Capture, order: int, delay_s: float, *, pushes: bool
+    law: CompensationLaw, capture: Capture, order: int, delay_s: float, size: FloatArray
 ) -> list[FloatArray]:
-    """Cosine and sine of an order over the turn, times the friction unless it pushes."""
+    """Cosine and sine of an order over the turn, times a size."""
     v = _speed(capture)
     angle = order * 2.0 * math.pi * (capture.motor_position_m + v * delay_s) / law.turn_m
-    state = 1.0 if pushes else _state(law, capture)
-    return [state * np.cos(angle), state * np.sin(angle)]
+    return [size * np.cos(angle), size * np.sin(angle)]
 
 
 def _steady_shapes(law: CompensationLaw, capture: Capture) -> list[FloatArray]:

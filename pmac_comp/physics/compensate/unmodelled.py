@@ -36,7 +36,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.grip import gripping_torque
-from pmac_comp.physics.compensate.law import TORQUE_NAMES, CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.promise import MotionPromise
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
@@ -44,7 +44,7 @@ from pmac_comp.physics.compensate.starts import held_at_start_Nm
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25
 _MOST_OFF = 0.9
-_TURN = ("turn_friction_Nm", "ripple_Nm")
+_TURN = dict.fromkeys(("turn_friction_Nm", "turn_share", "ripple_Nm"), 0.0)
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _three(values_um: Sequence[float], floor_um: float) -> tuple[float, float, f
 def _rests(law: CompensationLaw, loop: LoopRunner, capture: Capture, lead: LeadMap | None) -> _Rest:
     """What is left of the mechanical and the total error of a run."""
     r, period = capture.commanded_position_m, capture.sample_period_s
-    per_turn = evaluate_law(only_turn(law), r, period).torque_Nm
+    per_turn = turn_torque_Nm(law, r, period)
     load_Nm = law.torque_place_Nm_per_m * (r - r[0])  # at the start the integrator holds it
     speed = np.gradient(r, period)
     uneven_Nm = law.torque_uneven_Nm_s_per_m * np.abs(speed)
@@ -170,17 +170,19 @@ def _std_um(values: FloatArray) -> float:
     return float(np.std(values) * UM_PER_M)
 
 
-def only_turn(law: CompensationLaw) -> CompensationLaw:
-    """The torque per turn alone."""
-    others = dict.fromkeys((name for name in TORQUE_NAMES if name not in _TURN), 0.0)
-    return law.with_values(**others)
+def turn_torque_Nm(law: CompensationLaw, position_m: FloatArray, period_s: float) -> FloatArray:
+    """What of its torque a law sends by the turn along a commanded position, shape (n,)."""
+    whole, others = (
+        evaluate_law(one, position_m, period_s).torque_Nm for one in (law, law.with_values(**_TURN))
+    )
+    return np.asarray(whole - others)
 
 
 def model_law(law: CompensationLaw) -> CompensationLaw:
     """The law as the model alone gives it: without what captures added to it."""
     trim = law.provenance.get("trim", {})
     own = {name: getattr(law, name) - change for name, change in trim.items()}
-    return law.with_values(**{**own, **dict.fromkeys(_TURN, 0.0)})
+    return law.with_values(**{**own, **_TURN})
 
 
 def open_at_rest_um(law: CompensationLaw, position_m: FloatArray) -> float:

@@ -126,7 +126,8 @@ LAW = LawParameters(
 
 
 # Without a clearance, whose places in the bank hold friction that differs by direction.
-UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, TG=0.0, VU=0.0061, TU=0.22)
+UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, VU=0.0061, TU=0.22)
+RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0)  # and torque that ripples in proportion
 
 
 def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
@@ -177,7 +178,7 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawPara
 def in_passes(law: LawParameters, n: int) -> LawParameters:
     """The law as it reads where a pass of n servo cycles is the unit of time."""
     powers = {"A0": 2, "V0": 1, "J0": 3, "L1": 1, "JL": -3, "TJ": 2, "TK": 3, "TI": 3, "TB": 1,
-              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1}  # fmt: skip
+              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1, "RT": 2}  # fmt: skip
     return replace(law, **{k: getattr(law, k) / n**power for k, power in powers.items()})
 
 
@@ -240,7 +241,9 @@ PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction
 
 
 @pytest.mark.parametrize(
-    "law", [LAW, PUSHING, UNEVEN], ids=["friction by the turn", "second cogging", "uneven"]
+    "law",
+    [LAW, PUSHING, UNEVEN, RIPPLING],
+    ids=["friction by the turn", "second cogging", "uneven", "ripple"],
 )
 def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
@@ -300,7 +303,11 @@ def stepped_motion(bench: CardBench, first: int) -> tuple[np.ndarray, np.ndarray
     return np.array(commanded), np.array(sent).T
 
 
-@pytest.mark.parametrize("law", [LAW, PUSHING], ids=["friction by the turn", "second cogging"])
+@pytest.mark.parametrize(
+    "law",
+    [LAW, PUSHING, UNEVEN, RIPPLING],
+    ids=["friction by the turn", "second cogging", "uneven", "ripple"],
+)
 def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_servo_bench(tmp_path)
     law_upload.upload_law(bench.link, bench.context, law)
@@ -464,20 +471,24 @@ def test_files_move_to_another_block_and_motor() -> None:
 
 
 def test_cost_of_the_law_is_counted() -> None:
-    operations = law_cost.operation_count()
-    assert operations > 60
-    period = 442e-6 * 80e6  # CPU cycles of a servo period at 80 MHz
-    assert 0.5 * law_cost.law_cost_cycles() < 0.81 * period  # with everything: every second cycle
-    assert law_cost.law_cost_cycles() == pytest.approx(240.0 * operations)
-    # What a law does not have is passed over, at the price of a test.
-    parts = {"friction_per_turn", "cogging", "place", "gap", "uneven", "bed", "stribeck"}
+    without_gap = {"uneven", "ripple"}  # a law has these or a gap
+    parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck"} | without_gap
     plain = law_cost.operation_count(parts)
-    assert plain < 0.5 * operations
-    for lacks in parts:
-        assert plain < law_cost.operation_count((lacks,)) < operations
+    assert plain > 60
+    period = 442e-6 * 80e6  # CPU cycles of a servo period at 80 MHz
+    # All that a law may have at once: every second cycle.
+    for lacking in (without_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):
+        operations = law_cost.operation_count(lacking)
+        assert law_cost.law_cost_cycles(lacking) == pytest.approx(240.0 * operations)
+        assert 0.5 * 240.0 * operations < 0.81 * period
+        # What a law does not have is passed over, at the price of a test.
+        assert plain < 0.6 * operations
+        for part in parts - lacking:
+            assert plain < law_cost.operation_count({*lacking, part}) < operations
     # Torque by the turn, a gap or a bed fit into every cycle, beside phase, servo and background
     # tasks.
-    for has in ({"friction_per_turn", "cogging"}, {"gap"}, {"uneven"}, {"bed"}):
+    alone = ({"friction_per_turn", "cogging"}, {"ripple", "cogging"}, {"gap"}, {"uneven"}, {"bed"})
+    for has in alone:
         assert law_cost.law_cost_cycles(parts - has) < 0.81 * period
 
 
@@ -488,11 +499,11 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
     """Task times of a card whose law moves, over those of the same loop without a law."""
     bench = make_servo_bench(tmp_path)
     zero = {
-        "gap": {"GH": 0.0, "GW": 0.0, "GB": 0.0, "TG": 0.0},
+        "gap": {"GH": 0.0, "GW": 0.0, "GB": 0.0, "GL": 1.0, "TG": 0.0},
         "bed": {"BS": 0.0},
         "stribeck": {"SS": 0.0},
     }
-    lacking = {*(zero.keys() - parts), "uneven"}
+    lacking = {*(zero.keys() - parts), "uneven", "ripple"}
     law = replace(LAW, **{k: v for part in zero.keys() - parts for k, v in zero[part].items()})
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)

@@ -83,8 +83,23 @@ def test_friction_that_differs_by_direction_takes_the_places_of_a_gap() -> None:
         LawParameters(GH=1.0, GW=1.0, S0=1.0, VU=0.1)
     with pytest.raises(ConfigError, match="TG"):
         LawParameters(TG=3.0)
-    kept = LawParameters(VU=0.1, TU=0.2)
+    kept = LawParameters(VU=0.1, TU=0.2, RS=0.05, RT=4.0, JL=1.0)
     assert LawParameters.from_values(kept.values()) == kept
+
+
+def test_torque_that_ripples_takes_the_places_of_a_gap_and_of_friction_per_turn() -> None:
+    gap = ("gap_half_m", "gap_width_m", "gap_torque_Nm")
+    none = dict.fromkeys((*gap, "turn_friction_Nm"), 0.0)
+    rippling = {"turn_share": 0.09, "torque_loop_Nm_s2_per_m": 0.6, "turn_order": 6.0}
+    agree_in_counts(LAW.with_values(**none, **rippling))
+    with pytest.raises(ModelError, match="not both"):
+        LAW.with_values(**rippling)
+    with pytest.raises(ModelError, match="one wave"):
+        LAW.with_values(**{**none, **rippling, "turn_friction_Nm": 0.1})
+    with pytest.raises(ConfigError, match="RS and TR"):
+        LawParameters(RS=0.1, TR=5.0)
+    with pytest.raises(ConfigError, match="GL"):
+        LawParameters(GL=0.5)
 
 
 def test_friction_by_direction_goes_with_the_speed_either_way() -> None:
