@@ -51,9 +51,10 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
-    q = TJ a + TK k + TI (j' - j") + TB v + TU |v| + (TC + TX w + TE |a|) t + T0 + TP r
-        + TR sin(NR p + PR) (t, or 1 where NR < 0) + TH sin(NH p + PH) + TG (g - l) + BT b
-    q = q + (q + RT a) (o + o^2)    o = RS sin(NR p + PR)   RS, RT: only with a GH of zero
+    q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
+        + TR sin(NR p + PR) (t, or 1 where NR < 0)
+    q = q + (q + RT a) RS sin(NR p + PR)                   RS, RT: only with a GH of zero
+    q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
@@ -464,17 +465,17 @@ def evaluate(
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a)
     wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
-    cogging = wave + p.TH * np.sin(np.radians(p.NH * angle + p.PH))
-    rippling = p.RS * np.sin(np.radians(p.NR * angle + p.PR))
+    cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
-    q = p.TJ * a + p.TK * answered + kick + p.TB * v + p.TU * np.abs(v) + level * t
-    q = q + p.T0 + p.TP * r + cogging
+    q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t
+    q = q + p.T0 + p.TP * r + wave
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
-    q = q + (q + p.RT * a) * (rippling + rippling**2)
+    q = q + (q + p.RT * a) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
+    q = q + cogging + p.TU * np.abs(v)
     elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:

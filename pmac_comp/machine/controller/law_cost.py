@@ -18,7 +18,7 @@ _PARTS = {
     "place": "IF(P7147!=0)",
     "gap": "IF(P7186>0)",
     "uneven": "IF(P7165!=0)",
-    "ripple": "IF(P7163!=0)",
+    "ripple": "IF(P7188>1)",
     "bed": "IF(P7140>0)",
     "stribeck": "IF(P7146>0)",
 }

@@ -20,16 +20,16 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    torque = TJ a + TK k + TI (j1 - j2) + TB v + TU |v| + (TC + TS w + TE |a| + TR sin(m q + PR)) t
-             + T0 + TP x + TH sin(n q + PH) + TG (g - h) + TY b
-    torque = torque + (torque + RT a) (o + o^2),  o = RS sin(m q + PR)    added to the output
+    n' = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
+         + T0 + TP x + TY b
+    torque = n' + (n' + RT a) RS sin(m q + PR)
+             + TH sin(n q + PH) + TU |v| + TG (g - h)      added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
 
-A motor whose torque constant ripples makes 1 - o of the torque that it is sent. What is sent is
-therefore divided by that, by the first terms of the series (a hundredth is left of o = 0.2), and so
-is RT a, which the loop sends by itself. In simulation 9 % of ripple left twice the aim
-of e_r, and of the total error 0.17 in place of 0.09.
+A motor whose torque constant ripples makes a share RS more or less of the torque that it is sent,
+also of RT a, which the loop sends by itself. To first order: of a tenth half a hundredth is left.
+In simulation 9 % of ripple left twice the aim of e_r, and of the total error 0.17 in place of 0.09.
 
 Friction that differs between the directions is the mean of both, a constant (T0), and what grows
 with the speed either way: VU and TU. A controller has their places, and those of RS and RT, where a
@@ -476,13 +476,12 @@ def _slow_share(speed: _Speed) -> _Speed:
 def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, float]:
     """Friction, cogging and share of the torque by the turn at a place.
 
-    ``p`` is turn, TR, m, PR, TH, n, PH; of a wave of the torque constant, ``share`` of it, more has
-    to be sent by the first terms of what undoes it.
+    ``p`` is turn, TR, m, PR, TH, n, PH.
     """
     angle = 2.0 * math.pi * place / p[0]
     sine, cogging = math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
-    more = share * sine + (share * sine) ** 2
-    return (p[1] * sine, cogging, more) if p[2] > 0.0 else (0.0, cogging + p[1] * sine, more)
+    wave = p[1] * sine
+    return (wave, cogging, share * sine) if p[2] > 0.0 else (0.0, cogging + wave, share * sine)
 
 
 @njit(cache=True, nogil=True)
@@ -580,10 +579,10 @@ def _evaluate(
         t = _followed(t, step / torque_breakaway)
         wave, cogging, more = _by_turn(p[18:25], turn_share, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
-        sent += torque_viscous * v + torque_uneven * abs(v)
+        sent += torque_viscous * v
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
-        sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound + cogging
+        sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
             swing, bed_speed, bed = _swung(p[33:36], a, bed_speed, bed, period)
@@ -597,5 +596,5 @@ def _evaluate(
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             sent += gap_torque * behind
-        torque[k] = sent + (sent + torque_loop * a) * more
+        torque[k] = sent + (sent + torque_loop * a) * more + cogging + torque_uneven * abs(v)
     return correction, torque
