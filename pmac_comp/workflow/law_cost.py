@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 ASKED = "every_asked"  # of a law that would not fit into the rhythm that was asked for
 CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws are offered
 # Of the processor's time: a law that takes more would leave too little beside phase and servo tasks
-# (a tenth with two motors at 80 MHz) for the background, where limits are checked.
-MOST_FRAC = 0.82
+# (11 % with two motors at 80 MHz) for the background, where limits are checked.
+MOST_FRAC = 0.84
 BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
 _SLOWEST_CYCLES = 4
 

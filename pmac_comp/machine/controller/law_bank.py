@@ -121,6 +121,7 @@ class Index(IntEnum):
     STEP_SERVO = 114  # largest acceleration of the command that is a motion, counts/SC^2; where
     STEP_PLC = 152  # the other form works, as no place is left that neither uses
     MOTIONS = 190  # homing and other motion programs
+    TORQUE_PLC = 124  # before the gain, DAC units; what is sent stands in Ixx29
     BED_SERVO = 127
     WORK_SERVO = 130
     BED_PLC = 131
@@ -142,7 +143,7 @@ class WorkIndex(IntEnum):
     FLANK = 7  # g
     ANSWERS_JERK = 8  # open servo: whether the torque answers the jerk
     CORRECTION = 9  # what was sent, counts
-    TORQUE = 10  # what was sent, DAC units
+    TORQUE = 10  # open servo: what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
     ELAPSED = 12  # dn; PLC 0 that of the last pass that came late
     LIVE = 13  # 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed

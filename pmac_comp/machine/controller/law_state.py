@@ -93,7 +93,10 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
     """Head and outputs in one question."""
     first, work = block.p(0), block.p(Index.WORK_PLC)
     servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED_SERVO)
-    lines = link.query(f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{bed}")
+    torque = block.p(Index.TORQUE_PLC)
+    lines = link.query(
+        f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{torque}P{bed}"
+    )
     values = [float(v) for v in lines]
     head, plc, own = values[:10], values[10:24], values[24:38]
     in_servo = int(head[0]) == SIGNATURE_SERVO
@@ -109,7 +112,7 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         slew=head[Index.SLEW],
         motor=int(head[Index.MOTOR]),
         correction_ct=running[WorkIndex.CORRECTION],
-        torque_dac=running[WorkIndex.TORQUE],
+        torque_dac=own[WorkIndex.TORQUE] if in_servo else head[Index.GAIN] * values[-2],
         n_clamped=int(running[WorkIndex.CLAMPED]),
         bank_in_use=live - 1 if live > 0 else None,
         position_ct=running[WorkIndex.POSITION],

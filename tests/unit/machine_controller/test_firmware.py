@@ -250,7 +250,7 @@ def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawPara
     law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
-    commanded, (_, torque) = stepped_motion(bench, 7109)
+    commanded, (_, torque) = stepped_motion(bench, 7109, 7124)
     expected = evaluate(law, commanded, clamp_ct=60.0).torque_dac
     other = evaluate(replace(law, NR=-law.NR), commanded, clamp_ct=60.0).torque_dac
     moving = slice(int(np.flatnonzero(np.abs(commanded) > 500)[0]), None)
@@ -288,8 +288,8 @@ def off(sent: np.ndarray, expected: np.ndarray, shift: int, use: slice) -> float
     return float(np.max(np.abs(sent[shift:] - expected[: expected.size - shift])[use]))
 
 
-def stepped_motion(bench: CardBench, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Commanded position in counts and what P-variables first and next held, cycle by cycle."""
+def stepped_motion(bench: CardBench, correction: int, torque: int) -> tuple[np.ndarray, np.ndarray]:
+    """Commanded position in counts and what two P-variables held, cycle by cycle."""
     path = 2000 * (1 - np.cos(2 * np.pi * np.arange(0, 0.5, bench.bench.servo_period_s) / 0.5))
     program = program_of(path, bench.bench)
     bench.link.write_buffer(AXIS_LINES)
@@ -299,7 +299,7 @@ def stepped_motion(bench: CardBench, first: int) -> tuple[np.ndarray, np.ndarray
     for _ in range(6000):
         bench.card.run_cycles(1)
         commanded.append(bench.card.variables.read("M", 161) / UNIT)
-        sent.append((bench.p(first), bench.p(first + 1)))
+        sent.append((bench.p(correction), bench.p(torque)))
     return np.array(commanded), np.array(sent).T
 
 
@@ -312,7 +312,7 @@ def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawPa
     bench = make_servo_bench(tmp_path)
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
-    commanded, (correction, torque) = stepped_motion(bench, 7139)
+    commanded, (correction, torque) = stepped_motion(bench, 7139, 7140)
     assert np.ptp(commanded) > 3900
     expected = evaluate(law, commanded, clamp_ct=60.0)
     moving = np.flatnonzero(np.abs(commanded) > 500)[0]
@@ -480,7 +480,7 @@ def test_cost_of_the_law_is_counted() -> None:
     for lacking in (without_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):
         operations = law_cost.operation_count(lacking)
         assert law_cost.law_cost_cycles(lacking) == pytest.approx(240.0 * operations)
-        assert 0.5 * 240.0 * operations < 0.82 * period
+        assert 0.5 * 240.0 * operations < 0.84 * period
         # What a law does not have is passed over, at the price of a test.
         assert plain < 0.6 * operations
         for part in parts - lacking:
@@ -489,7 +489,7 @@ def test_cost_of_the_law_is_counted() -> None:
     # tasks.
     alone = ({"friction_per_turn", "cogging"}, {"ripple", "stribeck"}, {"gap"}, {"uneven"}, {"bed"})
     for has in alone:
-        assert law_cost.law_cost_cycles(parts - has) < 0.82 * period
+        assert law_cost.law_cost_cycles(parts - has) < 0.84 * period
 
 
 @pytest.mark.parametrize("parts", [frozenset(), frozenset({"gap", "bed", "stribeck"})])

@@ -277,7 +277,7 @@ def test_a_card_too_busy_for_the_law_is_left_as_it_was(
     context = context_of(axis, tmp_path, lambda text, _: told.append(text))
     asked = "I106 I8 I129 RX$10F8"
     before = axis.link.query(asked)
-    law = replace(LAW, turn_friction_Nm=0.01, torque_place_Nm_per_m=0.01)
+    law = replace(LAW, torque_uneven_Nm_s_per_m=0.1)
     with pytest.raises(SafetyRefusal, match="too little") as refused:
         deploy(axis, Compensation("law", law), context)
     assert refused.value.code == code
