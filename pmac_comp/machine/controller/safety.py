@@ -152,7 +152,8 @@ def check_sums(
                     f"{limits.text_um(limits.max_correction_ct)}.",
                     code="PC-SAF-042",
                     hint="Take off the one that is not needed any more (`pmac-comp remove` with "
-                    "its bench file), or cut the new one with --limit.",
+                    "its bench file), cut the new one with --limit, or raise [safety] "
+                    "max_correction_um if the axis may be moved so far.",
                     context={"motor": target, "correction_ct": most_ct},
                 )
             )
