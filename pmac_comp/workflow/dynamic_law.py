@@ -175,7 +175,7 @@ def turn_errors(
     if law.torque_limit_Nm == 0.0 and captures:  # a route without torque has not looked for it
         found = turn_torque(law, loop, (*captures, *slow), drive_delay_s=delay_s)
         law = with_turn_torque(law, found)
-    if law.ripple_Nm == 0.0 and law.turn_friction_Nm == 0.0 and law.turn_share == 0.0:
+    if law == law.without_turn():
         return [np.zeros(run.n) for run in slow]
     turn = law.with_values(lookahead_s=delay_s, torque_limit_Nm=bench.drive.torque_limit_Nm)
     turn = replace(turn, every_cycles=1)

@@ -64,17 +64,13 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         T_INV=1.0 / (law.torque_breakaway_m * K),
         T0=(law.torque_constant_Nm - law.torque_place_Nm_per_m * law.origin_m) / q,
         T_LIMIT=law.torque_limit_Nm / q,
-        GH=law.gap_half_m * K,
-        GW=zero * law.gap_width_m * K if law.gap_half_m > 0.0 else 0.0,
-        GL=pass_s / (law.gap_lag_s + pass_s) if law.gap_half_m > 0.0 else 1.0,
-        GB=zero * law.gap_load_m * K if law.gap_half_m > 0.0 else 0.0,
+        **(_of_gap(law, K, zero, pass_s, q) if law.gap_half_m > 0.0 else {}),
         VU=zero * law.viscous_uneven_s / T,
         TU=law.torque_uneven_Nm_s_per_m / (K * T * q),
         RS=law.turn_share,
         RT=law.torque_loop_Nm_s2_per_m / (K * T**2 * q),
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
-        TG=law.gap_torque_Nm / q if law.gap_half_m > 0.0 else 0.0,
         BS=zero * law.inertia_s2 * law.bed_share / T**2,
         BD=law.bed_damping_per_s * pass_s,
         BO=law.bed_stiffness_per_s2 * pass_s**2,
@@ -84,6 +80,19 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TP=law.torque_place_Nm_per_m / (K * q),
         BT=_per_correction(law.torque_bed_Nm_s2_per_m / q, zero * law.inertia_s2 * K),
     )
+
+
+def _of_gap(
+    law: CompensationLaw, ct_per_m: float, zero: float, pass_s: float, torque_per_dac_Nm: float
+) -> dict[str, float]:
+    """Coefficients of the gap of a nut, whose places other terms have where there is none."""
+    return {
+        "GH": law.gap_half_m * ct_per_m,
+        "GW": zero * law.gap_width_m * ct_per_m,
+        "GL": pass_s / (law.gap_lag_s + pass_s),
+        "GB": zero * law.gap_load_m * ct_per_m,
+        "TG": law.gap_torque_Nm / torque_per_dac_Nm,
+    }
 
 
 def _per_correction(torque_dac_s2_per_m: float, correction_ct_s2_per_m: float) -> float:

@@ -20,9 +20,9 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
-    n' = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
-         + T0 + TP x + TY b
-    torque = n' + (n' + RT a) RS sin(m q + PR)
+    sent = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
+           + T0 + TP x + TY b
+    torque = sent + (sent + RT a) RS sin(m q + PR)
              + TH sin(n q + PH) + TU |v| + TG (g - h)      added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
@@ -310,6 +310,10 @@ class CompensationLaw:
     def has_stribeck(self) -> bool:
         """Whether friction is higher near standstill."""
         return max(self.stribeck_m, self.torque_stribeck_Nm) > 0.0
+
+    def without_turn(self) -> "CompensationLaw":
+        """The same law without torque by the turn."""
+        return replace(self, turn_friction_Nm=0.0, turn_share=0.0, ripple_Nm=0.0)
 
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""

@@ -75,10 +75,7 @@ def with_unwinding(
         Torque that holds the constant load of the model.
     """
     # What is sent for what captures show beyond the model would push the model about.
-    own = law.with_values(
-        ripple_Nm=0.0,
-        turn_friction_Nm=0.0,
-        turn_share=0.0,
+    own = law.without_turn().with_values(
         torque_place_Nm_per_m=0.0,
         torque_uneven_Nm_s_per_m=0.0,
         viscous_uneven_s=0.0,

@@ -44,7 +44,6 @@ from pmac_comp.physics.compensate.starts import held_at_start_Nm
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25
 _MOST_OFF = 0.9
-_TURN = dict.fromkeys(("turn_friction_Nm", "turn_share", "ripple_Nm"), 0.0)
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ def _std_um(values: FloatArray) -> float:
 def turn_torque_Nm(law: CompensationLaw, position_m: FloatArray, period_s: float) -> FloatArray:
     """What of its torque a law sends by the turn along a commanded position, shape (n,)."""
     whole, others = (
-        evaluate_law(one, position_m, period_s).torque_Nm for one in (law, law.with_values(**_TURN))
+        evaluate_law(one, position_m, period_s).torque_Nm for one in (law, law.without_turn())
     )
     return np.asarray(whole - others)
 
@@ -182,7 +181,7 @@ def model_law(law: CompensationLaw) -> CompensationLaw:
     """The law as the model alone gives it: without what captures added to it."""
     trim = law.provenance.get("trim", {})
     own = {name: getattr(law, name) - change for name, change in trim.items()}
-    return law.with_values(**{**own, **_TURN})
+    return law.without_turn().with_values(**own)
 
 
 def open_at_rest_um(law: CompensationLaw, position_m: FloatArray) -> float:

@@ -475,6 +475,7 @@ def test_cost_of_the_law_is_counted() -> None:
     parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck"} | without_gap
     plain = law_cost.operation_count(parts)
     assert plain > 60
+    assert plain < 0.5 * law_cost.operation_count()
     period = 442e-6 * 80e6  # CPU cycles of a servo period at 80 MHz
     # All that a law may have at once: every second cycle.
     for lacking in (without_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):

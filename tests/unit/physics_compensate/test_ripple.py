@@ -120,7 +120,7 @@ def test_torque_that_ripples_with_its_size_is_found_as_a_wave_of_friction() -> N
 RIPPLE: dict[str, float | str] = {"amplitude_Nm": 0.5, "order_per_rev": 6.0, "phase_rad": 0.4}
 
 
-def test_torque_that_ripples_is_found_by_its_share_and_divided_by_it() -> None:
+def test_torque_that_ripples_is_found_by_its_share_and_undone() -> None:
     got = found({"torque_ripple": RIPPLE}, moves=HARD_MOVES)
     assert (got.second_kind, got.second_order) == (Kind.RIPPLES, 6)
     assert got.second_size == pytest.approx(0.5 / 6.37, rel=0.1)
