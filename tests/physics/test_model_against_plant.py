@@ -127,6 +127,7 @@ EFFECTS = [
     ("nut_efficiency", {"loss_fraction": 0.15}, {"loss_fraction": 0.15}),
     ("axial_stiffness_position", {"rigidity_factor": 0.7}, {"rigidity_factor": 0.7}),
     ("axial_stiffness_nonlinear", {"preload_N": 1000.0}, {"preload_N": 1000.0}),
+    ("axial_stiffness_nonlinear", {"preload_N": 200.0}, {"preload_N": 200.0}),
     ("viscous_nonlinear", {"coefficient_N": 60.0, "exponent": 0.5},
      {"coefficient_N": 60.0, "exponent": 0.5}),
     ("viscous_nonlinear@", {"coefficient_N": -60.0, "exponent": 0.5},

@@ -26,9 +26,10 @@ from pmac_comp.physics.model.kernel_chain import N_COLUMNS, N_STATES, share_of_b
 _HISTORY = 256
 _MOST_RISE = 4.0  # of a level over its own part, as far as the bristle's distance follows
 _NEAR_LEVEL = 0.01  # share of the level that may be missing while a bristle slips on
-# Where one half of a double nut is unloaded, at sqrt(8) preloads, the series for its stiffness ends
-# with so much of the stiffness lost.
-_SOFTENED = 2.0 / 3.0
+# Where one half of a double nut is unloaded, at F = sqrt(8) F0, a linear joint would push with 9/7 of
+# that: so much over the root of 1 / (36 F0^2). From there on half of the stiffness is lost.
+_KNEE = 3.0 * math.sqrt(8.0) / 14.0
+_SOFTENED = 0.5
 _SETTLED = 1e-4  # share of the level by which a sweep may still move a friction force
 _COMMAND_RESOLUTION_m = 1e-11  # a thirtieth of the finest unit of a Turbo PMAC register
 # Gauss-Legendre, 8 points: distances from the middle and weights.
@@ -367,13 +368,14 @@ def joint_force(par: FloatArray, delta_m: float) -> tuple[float, float, float]:
             force -= loss * math.copysign(soft, rest)
     softening = par[s.HERTZ]
     if softening > 0.0:
-        # F = k d (1 - (k d)^2 / (36 F0^2)) up to there, then straight on.
+        # F = k d (1 - F^2 / (36 F0^2)), solved for F, up to there; then straight on.
         spring = k * abs(rest)
-        knee = math.sqrt(_SOFTENED / (3.0 * softening))
+        knee = _KNEE / math.sqrt(softening)
         bend = min(spring, knee)
-        lost = softening * bend * bend * bend + _SOFTENED * max(spring - knee, 0.0)
+        root = math.sqrt(1.0 + 4.0 * softening * bend * bend)
+        lost = bend * (root - 1.0) / (root + 1.0) + _SOFTENED * max(spring - knee, 0.0)
         force -= math.copysign(lost, rest)
-        slope -= k * (3.0 * softening * bend * bend if spring <= knee else _SOFTENED)
+        slope -= k * (1.0 - 2.0 / (root * (1.0 + root)) if spring <= knee else _SOFTENED)
     return force, slope, share
 
 

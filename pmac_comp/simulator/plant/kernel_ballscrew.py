@@ -121,6 +121,8 @@ _GMS_DISTANCE = (0.2, 0.5, 0.9, 1.4, 2.2, 3.5)
 _GMS_SHARE = (0.06, 0.10, 0.14, 0.20, 0.25, 0.25)
 _GMS = 6
 
+_ONE_HALF_FREE = math.sqrt(8.0)  # force per preload at which one half of a double nut carries none
+
 _HISTORY = 32
 (
     S_ANGLE_READ,  # rad, what the encoder sees
@@ -371,6 +373,18 @@ def _table_load(state: FloatArray, par: FloatArray, table_m: float) -> float:
 
 
 @_part
+def _hertzian(linear_N: float, preload_N: float) -> float:
+    """Force F of a double nut that a linear one of stiffness k would press with ``linear_N``.
+
+    It has k (1 - (F / F0)^2 / 36) up to 2.83 F0, and from there on half of k.
+    """
+    all_N = 9.0 / 7.0 * _ONE_HALF_FREE * preload_N  # linear, where F is 2.83 F0
+    push_N = min(abs(linear_N), all_N)
+    force_N = 2.0 * push_N / (1.0 + math.sqrt(1.0 + (push_N / (3.0 * preload_N)) ** 2))
+    return math.copysign(force_N + 0.5 * (abs(linear_N) - push_N), linear_N)
+
+
+@_part
 def _nut_force(par: FloatArray, delta_m: float, closing_m_per_s: float) -> float:
     """Force of the nut joint: clearance, a soft zone, Hertzian contact, damping."""
     k_nut = par[P_K_NUT]
@@ -401,7 +415,7 @@ def _nut_force(par: FloatArray, delta_m: float, closing_m_per_s: float) -> float
             damp = min(damp, ratio)
     force = k_nut * stretch
     if hertz > 0.0:
-        force *= max(1.0 - (force / hertz) ** 2 / 36.0, 0.5)
+        force = _hertzian(force, hertz)
     return float(force + damp * k_nut * beta * closing_m_per_s)
 
 

@@ -260,6 +260,24 @@ def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawPara
 
 
 @pytest.mark.parametrize("form", ["law", "servo"])
+def test_what_stands_against_the_integrator_does_not_ripple(tmp_path: Path, form: str) -> None:
+    # It pushes nothing, together with what the integrator holds: a share of it would be too much.
+    if form == "law":
+        bench, torque, held = make_plc_bench(tmp_path), 7124, 7130
+        law_install.install_law(bench.link, bench.context, 1)
+    else:
+        bench, torque, held = make_servo_bench(tmp_path), 7140, 7123
+    law_upload.upload_law(bench.link, bench.context, RIPPLING)
+    law_arming.arm(bench.link, bench.context)
+    bench.link.command(f"P{held}=3000")
+    commanded, (against, sent) = stepped_motion(bench, held, torque)
+    expected = evaluate(RIPPLING, commanded, clamp_ct=60.0).torque_dac
+    moving = slice(int(np.flatnonzero(np.abs(commanded) > 500)[0]), None)
+    assert np.min(against[moving]) > 300.0
+    assert min(off(sent - against, expected, k, moving) for k in range(3)) < 2.0
+
+
+@pytest.mark.parametrize("form", ["law", "servo"])
 def test_the_table_s_friction_fades_at_rest_as_its_bank_says(tmp_path: Path, form: str) -> None:
     if form == "law":
         bench, work = make_plc_bench(tmp_path), Index.WORK_PLC
