@@ -26,8 +26,8 @@ from pmac_comp.physics.model.kernel_chain import N_COLUMNS, N_STATES, share_of_b
 _HISTORY = 256
 _MOST_RISE = 4.0  # of a level over its own part, as far as the bristle's distance follows
 _NEAR_LEVEL = 0.01  # share of the level that may be missing while a bristle slips on
-# Where one half of a double nut is unloaded, at F = sqrt(8) F0, a linear joint would push with 9/7 of
-# that: so much over the root of 1 / (36 F0^2). From there on half of the stiffness is lost.
+# Where one half of a double nut is unloaded, at F = sqrt(8) F0, a linear joint would push with 9/7
+# of that: so much over the root of 1 / (36 F0^2). From there on half of the stiffness is lost.
 _KNEE = 3.0 * math.sqrt(8.0) / 14.0
 _SOFTENED = 0.5
 _SETTLED = 1e-4  # share of the level by which a sweep may still move a friction force

@@ -28,7 +28,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut joint",
-    source="Ball-screw facts 3: F = k d (1 - (F/F_0)^2 / 36)",
+    source="Ball-screw facts 3: F = k d (1 - (F/F_0)^2 / 36), half of k beyond 2.83 F_0",
     signature="table lag grows faster than the force",
     separating_experiment="an amplitude sweep at the same shape: presliding scales the other way",
     look_alikes=("preload_loss", "presliding"),
