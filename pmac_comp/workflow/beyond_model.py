@@ -1,10 +1,11 @@
 """What calibration runs show beyond the model: found in turn, kept with the law, and said.
 
 What lives here: the order in which it is looked for, and the model with all of it, from the runs or
-from a law's provenance. What may not: each of the findings (``drive_lag``, ``late_scale``,
-``swinging_bed``, ``loose_nut``).
+from a law's provenance. What may not: each of the findings (``rippling``, ``drive_lag``,
+``late_scale``, ``swinging_bed``, ``loose_nut``).
 
-The drive's lag is the first: it moves the motor, which all else is measured against. A late scale
+Torque that ripples and the drive's lag are the first: they move the motor, which all else is
+measured against. The ripple is known only here: the law reads its own. A late scale
 and a bed that swings hide each other, and a gap in the nut hides both, and friction.
 The gap is looked for where readings belong together and nothing swings; with it in the model the
 drive is fitted anew, and both are looked for again.
@@ -36,6 +37,7 @@ from pmac_comp.workflow.loose_nut import (
     found_clearance,
     loosened,
 )
+from pmac_comp.workflow.rippling import RIPPLE, rippling
 from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
 
 if TYPE_CHECKING:
@@ -89,7 +91,8 @@ def shown_by_runs(
     progress : callable, optional
         Called with a step and a fraction.
     """
-    shown = _in_step(bench, Shown(model, tuple(captures), tuple(slow), {}), progress)
+    known = rippling(bench, model, captures, progress)
+    shown = _in_step(bench, Shown(known, tuple(captures), tuple(slow), {}), progress)
     shown = _timed_and_still(bench, shown, progress)
     if with_gap:  # else the route takes the whole difference of the directions as it is
         if progress is not None and captures:
@@ -97,7 +100,9 @@ def shown_by_runs(
         gap = found_clearance(bench, shown.model, shown.slow, shown.captures)
         shown = shown if gap is None else _beside_gap(bench, shown, gap, progress)
     if not shown.noted:
-        return shown
+        return replace(shown, model=model)
+    if RIPPLE not in model.effects and RIPPLE in shown.model.effects:  # the law reads it itself
+        shown = replace(shown, model=shown.model.without_effect(RIPPLE))
     own = [name for name in shown.model.effects if name not in model.effects]
     whole = {"effects": own, "values": dict(shown.model.parameters)}
     return replace(shown, noted={**shown.noted, _WHOLE: whole})

@@ -260,15 +260,15 @@ def stribeck_friction(model: "DriveModel") -> Stribeck | None:
     )
 
 
-def without_fed_forward(model: "DriveModel") -> "DriveModel":
-    """The model without the torque, per turn or more one way, that captures show.
+def without_fed_forward(model: "DriveModel", *, but: str = "") -> "DriveModel":
+    """The model without the torque, per turn or more one way, that captures show, ``but`` one.
 
     It is fed forward from them.
 
     A model that holds the effect explains it, and nothing would be left in the captures to read.
     """
     for name in model.effects:
-        if split_name(name)[0] in _FED_FORWARD:
+        if split_name(name)[0] in _FED_FORWARD - {but}:
             model = model.without_effect(name)
     return model
 

@@ -15,6 +15,7 @@ from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.dynamic_law import nut_gap, without_fed_forward
+from pmac_comp.workflow.rippling import RIPPLE
 from pmac_comp.workflow.static_map import bench_map
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def found_clearance(
     if not captures:
         return None
     lead = bench_map(bench, slow) if slow else None
-    return measured_clearance(without_fed_forward(model), (*captures, *slow), lead)
+    return measured_clearance(without_fed_forward(model, but=RIPPLE), (*captures, *slow), lead)
 
 
 def clearance_note(clearance: Clearance | None) -> dict[str, Any]:

@@ -71,15 +71,25 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         RT=law.torque_loop_Nm_s2_per_m / (K * T**2 * q),
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
-        BS=zero * law.inertia_s2 * law.bed_share / T**2,
-        BD=law.bed_damping_per_s * pass_s,
-        BO=law.bed_stiffness_per_s2 * pass_s**2,
+        **(_of_bed(law, K, zero, pass_s, q) if law.bed_share > 0.0 else {}),
         SX=zero * law.stribeck_m * K,
         TX=law.torque_stribeck_Nm / q,
         SS=1.0 / (law.stribeck_speed_m_per_s * pass_s * K) if law.has_stribeck else 0.0,
         TP=law.torque_place_Nm_per_m / (K * q),
-        BT=_per_correction(law.torque_bed_Nm_s2_per_m / q, zero * law.inertia_s2 * K),
     )
+
+
+def _of_bed(
+    law: CompensationLaw, ct_per_m: float, zero: float, pass_s: float, torque_per_dac_Nm: float
+) -> dict[str, float]:
+    """Coefficients of the bed that swings."""
+    correction_s2, torque = zero * law.inertia_s2, law.torque_bed_Nm_s2_per_m / torque_per_dac_Nm
+    return {
+        "BS": correction_s2 * law.bed_share / (pass_s / law.every_cycles) ** 2,
+        "BD": law.bed_damping_per_s * pass_s,
+        "BO": law.bed_stiffness_per_s2 * pass_s**2,
+        "BT": torque / (correction_s2 * ct_per_m) if correction_s2 > 0.0 else 0.0,
+    }
 
 
 def _of_gap(
@@ -93,11 +103,6 @@ def _of_gap(
         "GB": zero * law.gap_load_m * ct_per_m,
         "TG": law.gap_torque_Nm / torque_per_dac_Nm,
     }
-
-
-def _per_correction(torque_dac_s2_per_m: float, correction_ct_s2_per_m: float) -> float:
-    """Torque per count of correction, both of an acceleration; 0 where none needs correcting."""
-    return torque_dac_s2_per_m / correction_ct_s2_per_m if correction_ct_s2_per_m > 0.0 else 0.0
 
 
 def _at_position_zero(law: CompensationLaw) -> float:

@@ -1,4 +1,5 @@
-"""What a gap in the nut, a late scale and a bed that swings hide of each other is found."""
+"""What torque that ripples, a gap in the nut, a late scale and a bed that swings hide of each other
+is found."""
 
 import pytest
 
@@ -8,6 +9,7 @@ from pmac_comp.physics.identify.scale_age import measured_scale_age
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
 from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
+from pmac_comp.workflow.rippling import rippling
 from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")
@@ -23,10 +25,41 @@ def shown(effects: PlantEffects, *, seed: int = 4) -> Shown:
     return found
 
 
-def test_a_drive_with_neither_shows_no_late_scale_and_no_bed() -> None:
+RIPPLE: PlantEffects = {
+    "torque_ripple": {"amplitude_Nm": 0.6, "order_per_rev": 5.0, "phase_rad": 0.9}
+}
+
+
+def test_a_drive_with_neither_shows_no_ripple_no_late_scale_and_no_bed() -> None:
     runs, model = identified(BENCH, {}, seed=3, without=SLOW)
     assert measured_scale_age(runs, BENCH, model) is None
     assert measured_bed(runs, BENCH, model) is None
+    assert rippling(BENCH, model, runs) is model
+
+
+def test_torque_that_ripples_is_known_with_its_size_and_phase() -> None:
+    runs, model = identified(BENCH, RIPPLE, seed=4, without=SLOW)
+    own = rippling(BENCH, model, runs).values_of("torque_ripple")
+    assert own["amplitude_Nm"] == pytest.approx(0.6, rel=0.03)
+    assert own["order_per_rev"] == pytest.approx(5.0, abs=0.01)
+    assert own["phase_rad"] == pytest.approx(0.9, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["channel_skew", "preload_loss"])
+def test_what_torque_that_ripples_hides_is_found(hidden: str) -> None:
+    soft = {"half_width_um": 1.0, "stiffness_ratio": 0.3}
+    own: dict[str, PlantEffects] = {
+        "channel_skew": {"channel_skew": {"time_us": 8.0}},
+        "preload_loss": {"preload_loss": soft},
+    }
+    found = shown({**RIPPLE, **own[hidden]})
+    assert "torque_ripple" not in found.model.effects  # the law reads its own
+    if hidden == "channel_skew":
+        assert found.noted["scale_age"]["time_s"] == pytest.approx(8e-6, abs=0.6e-6)
+        assert "clearance" not in found.noted
+    else:
+        assert found.model.parameters["preload_loss.half_width_m"] == pytest.approx(1e-6, rel=0.1)
 
 
 @pytest.mark.slow

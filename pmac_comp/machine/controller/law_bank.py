@@ -22,8 +22,8 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     84..91  rest of bank 0   92..99  rest of bank 1
     100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..157 (jerk, look-ahead, copy of the bank's rest), the open servo 113..129 but
-              116 (115 jerk, 127..129 bed)
+              134..157 (jerk, look-ahead, ripple, copy of the bank's rest), the open servo 113..129
+              but 116 (115 jerk, 127..129 bed)
     106  last value of bank 0   116  of bank 1: of the working variables what no form uses
     160..189  working copy of the bank in use (PLC 0 form)
     190..199  parameters of the motion and homing programs, no part of the law
@@ -53,7 +53,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
         + TR sin(NR p + PR) (t, or 1 where NR < 0)
-    q = q + (q + RT a) RS sin(NR p + PR)                   RS, RT: only with a GH of zero
+    q = q + (q + RT a) RS sin(NR p + PR)                   RS, RT: with a GH or a BS of zero
     q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
@@ -89,11 +89,12 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 10  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 11  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
 _OF_GAP, _WITHOUT_GAP = ("TG", "GB", "GL", "GW"), ("TU", "VU", "RS", "RT")  # in one place each
+_OF_BED, _RIPPLE = ("BD", "BO"), ("RS", "RT")  # in one place beside a gap
 # Nothing without a jerk limit.
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS", "RT")
 
@@ -156,7 +157,7 @@ class BankIndex(IntEnum):
     C1 = 1  # 1/counts, change of the compliance along the travel
     V0 = 2  # counts per (count/SC)
     GL = 3  # share of the way to a new flank that the motor goes in a pass
-    RS = 3  # without a clearance: share of the torque that ripples, of order NR and phase PR
+    RS = 3  # without a clearance, else BD's: share of the torque that ripples, with NR and PR
     S0 = 4  # counts
     TG = 5  # DAC units while the nut crosses its clearance
     TU = 5  # without a clearance: DAC units per (count/SC), viscous friction more one way
@@ -173,7 +174,7 @@ class BankIndex(IntEnum):
     T_INV = 15  # 1/counts, inverse of the break-away distance of t
     T0 = 16  # DAC units, constant, at position zero
     GW = 17  # counts, elastic correction at which all of GH is taken up
-    RT = 17  # without a clearance: DAC units per (count/SC^2), torque that the loop itself sends
+    RT = 17  # without a clearance, else BO's: DAC units per (count/SC^2), what the loop sends
     TR = 18  # DAC units, friction per turn, or a second cogging
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
@@ -256,9 +257,18 @@ def bank_seal(values: Sequence[float]) -> int:
     return zlib.crc32(text.encode("ascii"), _LAYOUT) & (SEAL - 1) | SEAL
 
 
-def _absent(clearance: float) -> tuple[str, ...]:
+def _absent(clearance: float, bed: float) -> tuple[str, ...]:
     """Coefficients whose place others have: a law with a clearance has its own there."""
-    return _WITHOUT_GAP if clearance > 0.0 else _OF_GAP
+    if clearance <= 0.0:
+        return _OF_GAP
+    return _WITHOUT_GAP if bed > 0.0 else (*(set(_WITHOUT_GAP) - set(_RIPPLE)), *_OF_BED)
+
+
+def _place(name: str, clearance: float) -> BankIndex:
+    """Place of a coefficient: beside a clearance torque that ripples has those of a bed."""
+    if clearance > 0.0 and name in _RIPPLE:
+        return BankIndex[_OF_BED[_RIPPLE.index(name)]]
+    return BankIndex[name]
 
 
 @dataclass(frozen=True)
@@ -333,14 +343,15 @@ class LawParameters:
                 code="PC-LAW-006",
             )
         unset = {item.name: item.default for item in fields(self)}
-        misplaced = [n for n in _absent(self.GH) if getattr(self, n) != unset[n]]
+        absent = _absent(self.GH, self.BS)
+        misplaced = [n for n in absent if getattr(self, n) != unset[n]]
         if misplaced:
-            wanted = "none" if self.GH > 0.0 else "a positive one"
             raise ConfigError(
-                f"GH = {self.GH:g}, but {' and '.join(misplaced)} of the law need {wanted}.",
+                f"A law with GH = {self.GH:g} and BS = {self.BS:g} has no place for "
+                f"{' and '.join(misplaced)}.",
                 code="PC-LAW-009",
-                hint="A law takes up a clearance, or has friction that differs by direction and "
-                "torque that ripples in proportion.",
+                hint="A law takes up a clearance, or has friction that differs by direction. "
+                "Torque that ripples in proportion goes with one of clearance and bed.",
             )
         if self.RS != 0.0 and self.TR != 0.0:
             raise ConfigError(
@@ -361,16 +372,16 @@ class LawParameters:
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * BANK_VALUES
-        for name in self._names(self.GH):
-            bank[BankIndex[name]] = getattr(self, name)
+        for name in self._names(self.GH, self.BS):
+            bank[_place(name, self.GH)] = getattr(self, name)
         if sealed:
             bank[BankIndex.SEALED] = bank_seal(bank)
         return tuple(bank)
 
     @classmethod
-    def _names(cls, clearance: float) -> list[str]:
-        """Coefficients of a bank, with or without a clearance."""
-        absent = _absent(clearance)
+    def _names(cls, clearance: float, bed: float) -> list[str]:
+        """Coefficients of a bank, with or without a clearance and a bed that swings."""
+        absent = _absent(clearance, bed)
         return [item.name for item in fields(cls) if item.name not in absent]
 
     @classmethod
@@ -392,8 +403,8 @@ class LawParameters:
                 "pmac-comp did.",
             )
         try:
-            names = cls._names(values[BankIndex.GH])
-            return cls(**{name: values[BankIndex[name]] for name in names})
+            gap, bed = values[BankIndex.GH], values[BankIndex.BS]
+            return cls(**{name: values[_place(name, gap)] for name in cls._names(gap, bed)})
         except ConfigError as error:
             raise VerifyMismatch(
                 f"The bank is sealed but holds no law of this version: {error.message}",

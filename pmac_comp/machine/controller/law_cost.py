@@ -99,11 +99,11 @@ _SERVO_LAW = "IF(MTRNUM=P7007)"
 _SERVO_PARTS = {
     "gap": "IF(P(P7144+26)>0)",
     "uneven": "IF(P(P7144+5)!=0)",
-    "ripple": "IF(P(P7144+3)!=0)",
+    "ripple": "IF(P7152!=0)",
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }
-_SERVO_WITHOUT_GAP = "IF(P(P7144+26)=0)"
+_SERVO_WITHOUT_GAP, _SERVO_WITHOUT_BED = "IF(P(P7144+26)=0)", "IF(P(P7126)=0)"
 _SERVO_SKIPPED = (
     "IF(F2=0 OR P7142>16 OR P7142=0)",
     "IF(P7143!=P7001+1)",
@@ -139,6 +139,8 @@ def servo_operation_count(lacks: Collection[str] = ()) -> int:
     skipped = {*_SERVO_SKIPPED, *(_SERVO_PARTS[k] for k in lacks if k in _SERVO_PARTS)}
     if "gap" not in lacks:
         skipped.add(_SERVO_WITHOUT_GAP)
+    if "bed" not in lacks:
+        skipped.add(_SERVO_WITHOUT_BED)
     lines = _servo_lines()
     first = lines.index(_SERVO_LAW)
     return sum(_operations(line) for line in _pass(lines[first : _servo_end(lines)], skipped))

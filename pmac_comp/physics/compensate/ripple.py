@@ -18,17 +18,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals
+from pmac_comp.physics.compensate.delay import drive_delay_s as delay_of
+from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals, model_loop
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
+from pmac_comp.physics.model import slots
 from pmac_comp.physics.signals.trajectory import trapezoid
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 _HIGHEST_ORDER = 60
 _LEAST_TURNS = 3.0
@@ -45,6 +51,7 @@ _CRUISE_FRAC = 0.99  # of the highest speed of a move
 _LEAST_GAIN_FRAC = 0.01  # of the residual's power: less is not worth its time in each pass
 _DECIMATION = 3
 _FIRST, _SECOND = slice(0, 2), slice(2, 4)  # columns of the regression
+_RIPPLE = "torque_ripple"
 _MOTOR = 0  # of the channels; the other is table minus motor
 
 
@@ -137,8 +144,8 @@ def turn_torque(
 
     once = wave(1, Kind.GRIPS)
     coggings = [wave(order, Kind.PUSHES) for order in orders]
-    rippling = _ripple_order(law, loop, captures, plain, rests, drive_delay_s)
-    ripples = [] if rippling is None else [wave(rippling, Kind.RIPPLES)]
+    rippling = _ripple(law, loop, captures, plain, rests, drive_delay_s)
+    ripples = [] if rippling is None else [wave(rippling[0], Kind.RIPPLES)]
     pairs = [(_nothing(once), second) for second in (once, *ripples)] if not coggings else []
     for first in coggings:
         others = [other for other in coggings if other is not first]
@@ -195,6 +202,38 @@ def _wave(found: FloatArray, gain_frac: float) -> tuple[float, float]:
         return 0.0, 0.0
     cosine, sine = (float(part) for part in found)
     return math.hypot(cosine, sine), math.atan2(cosine, sine)
+
+
+def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveModel | None":
+    """A model with the ripple of the torque that runs show beyond it; None where they show none.
+
+    Where a fit may begin: the wave is read at one order, before anything else is fitted beside it.
+
+    Parameters
+    ----------
+    model : DriveModel
+        Without ``torque_ripple``.
+    captures : sequence of Capture
+        Runs without compensation, hard ones among them.
+    """
+    loop, delay_s = model_loop(model), delay_of(model)
+    pitch_m = 2.0 * math.pi * model.bench.lead_m_per_rad
+    law = CompensationLaw(turn_m=pitch_m, torque_limit_Nm=model.bench.drive.torque_limit_Nm)
+    plain = [loop(capture.commanded_position_m, None, None) for capture in captures]
+    rests = [_rest(law, loop, capture) for capture in captures]
+    found = _ripple(law, loop, captures, plain, rests, delay_s)
+    if found is None:
+        return None
+    order, (cosine, sine) = found
+    whole = model.with_effect(_RIPPLE, {"amplitude_Nm": 1.0})
+    share_per_Nm = float(whole.kernel_vector()[slots.RIPPLE])
+    # What the motor lacks; the effect is what it has more, a cosine.
+    values = {
+        "amplitude_Nm": math.hypot(cosine, sine) / share_per_Nm,
+        "order_per_rev": float(order),
+        "phase_rad": math.atan2(sine, -cosine),
+    }
+    return model.with_effect(_RIPPLE, values)
 
 
 def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:
@@ -259,25 +298,28 @@ def _order_scores(
     return scores
 
 
-def _ripple_order(
+def _ripple(
     law: CompensationLaw,
     loop: LoopRunner,
     captures: Sequence[Capture],
     plain: Sequence[LoopSignals],
     rests: Sequence[FloatArray],
     delay_s: float,
-) -> int | None:
-    """Order per turn of a ripple of the torque that the motor's residual shows, None without one.
+) -> tuple[int, FloatArray] | None:
+    """Ripple of the torque that the motor's residual shows: order per turn, cosine and sine part.
+
+    None without one. The parts are the share of the torque that the motor lacks.
 
     A motor ripples by the same share in all runs, whatever torque they take: what only fits to one
     of them is none. What the loop makes of torque is taken from its answer to a pulse: simulated
-    for each order it would take minutes. A law with a gap has no room for one.
+    for each order it would take minutes. A law with a gap and a bed has no room for one.
 
     Source
     ------
     Scatter of the share by leaving out one run after another (jackknife, Efron 1982).
     """
-    if law.gap_half_m > 0.0 or law.torque_limit_Nm == 0.0 or len(captures) < _LEAST_RUNS:
+    no_room = law.gap_half_m > 0.0 and law.bed_share > 0.0
+    if no_room or law.torque_limit_Nm == 0.0 or len(captures) < _LEAST_RUNS:
         return None
     answer = _pulse_answer(loop, captures[0])
     orders = range(1, _HIGHEST_ORDER + 1)
@@ -301,7 +343,7 @@ def _ripple_order(
     variance = (n - 1.0) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=(0, 2))
     sure = np.hypot(*share.T) / np.sqrt(np.maximum(variance, 1e-30))
     best = int(np.argmax(sure))
-    return best + 1 if sure[best] > _SURE else None
+    return (best + 1, share[best]) if sure[best] > _SURE else None
 
 
 def _solved(normal: FloatArray, moment: FloatArray) -> FloatArray:

@@ -40,6 +40,28 @@ class Refit:
     left_um: float
 
 
+def fitted_beside(
+    captures: Sequence[Capture], bench: Bench, model: DriveModel, grown: DriveModel
+) -> DriveModel | None:
+    """A model that an effect was added to, fitted; None where the effect is not borne out.
+
+    Parameters
+    ----------
+    captures, bench
+        As in ``identify``.
+    model, grown : DriveModel
+        Without and with the effect.
+    """
+    trial = Trial(captures, bench)
+    plain, beside = trial.half(model, None), trial.half(grown, None, "all")
+    if plain is None or beside is None or beside.model is None:
+        return None
+    if not is_better(trial.errors(beside), trial.errors(plain), _CLEARLY):
+        return None
+    final = trial.settled(beside.model)
+    return None if final is None else final.model
+
+
 def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) -> Refit | None:
     """A model with all of its parameters fitted to runs, and with the friction they ask for.
 

@@ -128,6 +128,8 @@ LAW = LawParameters(
 # Without a clearance, whose places in the bank hold friction that differs by direction.
 UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, VU=0.0061, TU=0.22)
 RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0)  # and torque that ripples in proportion
+NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
+LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0)  # beside a clearance
 
 
 def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
@@ -209,7 +211,7 @@ def test_plc_form_of_every_second_cycle_computes_the_same_law(
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1, every_cycles=2)
     # Of a bed, a gap's lag and Stribeck's speed the bank holds figures by the pass.
-    law = replace(law, BS=0.0, BT=0.0)
+    law = replace(law, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
     left = deviation_ct(run_with_law(bench, law), law, 2)
     assert np.max(np.abs(left)) < 0.03
 
@@ -242,8 +244,8 @@ PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction
 
 @pytest.mark.parametrize(
     "law",
-    [LAW, PUSHING, UNEVEN, RIPPLING],
-    ids=["friction by the turn", "second cogging", "uneven", "ripple"],
+    [LAW, PUSHING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
+    ids=["friction by the turn", "second cogging", "uneven", "ripple", "ripple beside clearance"],
 )
 def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
@@ -323,8 +325,8 @@ def stepped_motion(bench: CardBench, correction: int, torque: int) -> tuple[np.n
 
 @pytest.mark.parametrize(
     "law",
-    [LAW, PUSHING, UNEVEN, RIPPLING],
-    ids=["friction by the turn", "second cogging", "uneven", "ripple"],
+    [LAW, PUSHING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
+    ids=["friction by the turn", "second cogging", "uneven", "ripple", "ripple beside clearance"],
 )
 def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_servo_bench(tmp_path)
@@ -496,7 +498,8 @@ def test_cost_of_the_law_is_counted() -> None:
     assert plain < 0.5 * law_cost.operation_count()
     period = 442e-6 * 80e6  # CPU cycles of a servo period at 80 MHz
     # All that a law may have at once: every second cycle.
-    for lacking in (without_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):
+    of_gap = ({"uneven", "ripple"}, {"uneven", "bed", "friction_per_turn"})
+    for lacking in (*of_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):
         operations = law_cost.operation_count(lacking)
         assert law_cost.law_cost_cycles(lacking) == pytest.approx(240.0 * operations)
         assert 0.5 * 240.0 * operations < 0.84 * period

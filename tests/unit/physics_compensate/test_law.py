@@ -1,5 +1,7 @@
 """The law as arithmetic: limits, symmetry, states, and agreement with its form in counts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,13 +89,21 @@ def test_friction_that_differs_by_direction_takes_the_places_of_a_gap() -> None:
     assert LawParameters.from_values(kept.values()) == kept
 
 
-def test_torque_that_ripples_takes_the_places_of_a_gap_and_of_friction_per_turn() -> None:
+def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_per_turn() -> None:
     gap = ("gap_half_m", "gap_width_m", "gap_torque_Nm")
     none = dict.fromkeys((*gap, "turn_friction_Nm"), 0.0)
+    no_bed = dict.fromkeys(("bed_share", "turn_friction_Nm"), 0.0)
     rippling = {"turn_share": 0.09, "torque_loop_Nm_s2_per_m": 0.6, "turn_order": 6.0}
     agree_in_counts(LAW.with_values(**none, **rippling))
+    agree_in_counts(LAW.with_values(**no_bed, **rippling))
     with pytest.raises(ModelError, match="not both"):
         LAW.with_values(**rippling)
+    beside_gap = LawParameters(GH=1.0, GW=1.0, S0=1.0, GL=0.4, TG=3.0, RS=0.05, RT=4.0, JL=1.0)
+    assert LawParameters.from_values(beside_gap.values()) == beside_gap
+    with pytest.raises(ConfigError, match="no place for RS"):
+        replace(beside_gap, BS=0.5)
+    with pytest.raises(ConfigError, match="no place for BD"):
+        replace(beside_gap, BD=0.5)
     with pytest.raises(ModelError, match="one wave"):
         LAW.with_values(**{**none, **rippling, "turn_friction_Nm": 0.1})
     with pytest.raises(ConfigError, match="RS and TR"):

@@ -143,9 +143,11 @@ def test_torque_that_ripples_is_found_by_its_share_and_undone() -> None:
     assert abs(np.corrcoef(wave, plant)[0, 1]) > 0.97
 
 
-def test_no_ripple_is_taken_for_one_where_a_law_has_a_gap_or_no_torque_ripples() -> None:
+def test_no_ripple_is_taken_for_one_where_a_law_has_no_room_or_no_torque_ripples() -> None:
     gap = LAW.with_values(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-6)
-    assert found({"torque_ripple": RIPPLE}, moves=HARD_MOVES, law=gap).second_kind is Kind.GRIPS
+    assert found({"torque_ripple": RIPPLE}, moves=HARD_MOVES, law=gap).second_kind is Kind.RIPPLES
+    full = gap.with_values(bed_share=0.1, bed_stiffness_per_s2=1e4)
+    assert found({"torque_ripple": RIPPLE}, moves=HARD_MOVES, law=full).second_kind is Kind.GRIPS
     other: dict[str, dict[str, float | str]] = {
         "friction_per_rev": {"amplitude_Nm": 0.05, "order_per_rev": 1.0, "phase_rad": 0.7},
         "viscous_nonlinear": {"coefficient_N": 100.0, "exponent": 0.5},
