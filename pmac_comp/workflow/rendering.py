@@ -69,6 +69,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TU=law.torque_uneven_Nm_s_per_m / (K * T * q),
         RS=law.turn_share,
         RT=law.torque_loop_Nm_s2_per_m / (K * T**2 * q),
+        RV=law.torque_loop_Nm_s_per_m / (K * T * q),
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
         **(_of_bed(law, K, zero, pass_s, q) if law.bed_share > 0.0 else {}),

@@ -25,7 +25,7 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
               134..157 (jerk, look-ahead, ripple, copy of the bank's rest), the open servo 113..129
               but 116 (115 jerk, 127..129 bed)
     106  last value of bank 0   116  of bank 1: of the working variables what no form uses
-    160..189  working copy of the bank in use (PLC 0 form)
+    160..189  working copy of the bank in use (PLC 0 form); 160 and 161 ripple (open servo)
     190..199  parameters of the motion and homing programs, no part of the law
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
@@ -53,7 +53,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
         + TR sin(NR p + PR) (t, or 1 where NR < 0)
-    q = q + (q + RT a) RS sin(NR p + PR)                   RS, RT: with a GH or a BS of zero
+    q = q + (q + RT a + RV v) RS sin(NR p + PR)            RS: with a GH or BS of zero and no TR
     q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
 
@@ -89,7 +89,7 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 11  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 12  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
@@ -176,6 +176,7 @@ class BankIndex(IntEnum):
     GW = 17  # counts, elastic correction at which all of GH is taken up
     RT = 17  # without a clearance, else BO's: DAC units per (count/SC^2), what the loop sends
     TR = 18  # DAC units, friction per turn, or a second cogging
+    RV = 18  # beside RS: DAC units per (count/SC), what the loop sends
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
     T_LIMIT = 21  # DAC units, largest torque feed-forward
@@ -257,11 +258,14 @@ def bank_seal(values: Sequence[float]) -> int:
     return zlib.crc32(text.encode("ascii"), _LAYOUT) & (SEAL - 1) | SEAL
 
 
-def _absent(clearance: float, bed: float) -> tuple[str, ...]:
+def _absent(clearance: float, bed: float, share: float) -> tuple[str, ...]:
     """Coefficients whose place others have: a law with a clearance has its own there."""
+    by_turn = "RV" if share == 0.0 else "TR"
     if clearance <= 0.0:
-        return _OF_GAP
-    return _WITHOUT_GAP if bed > 0.0 else (*(set(_WITHOUT_GAP) - set(_RIPPLE)), *_OF_BED)
+        return (by_turn, *_OF_GAP)
+    if bed > 0.0:
+        return (by_turn, *_WITHOUT_GAP)
+    return (by_turn, *(name for name in _WITHOUT_GAP if name not in _RIPPLE), *_OF_BED)
 
 
 def _place(name: str, clearance: float) -> BankIndex:
@@ -313,6 +317,7 @@ class LawParameters:
     TU: float = 0.0
     RS: float = 0.0
     RT: float = 0.0
+    RV: float = 0.0
     BS: float = 0.0
     BD: float = 0.0
     BO: float = 0.0
@@ -343,20 +348,16 @@ class LawParameters:
                 code="PC-LAW-006",
             )
         unset = {item.name: item.default for item in fields(self)}
-        absent = _absent(self.GH, self.BS)
+        absent = _absent(self.GH, self.BS, self.RS)
         misplaced = [n for n in absent if getattr(self, n) != unset[n]]
         if misplaced:
             raise ConfigError(
-                f"A law with GH = {self.GH:g} and BS = {self.BS:g} has no place for "
-                f"{' and '.join(misplaced)}.",
+                f"A law with GH = {self.GH:g}, BS = {self.BS:g} and RS = {self.RS:g} has no place "
+                f"for {' and '.join(misplaced)}.",
                 code="PC-LAW-009",
                 hint="A law takes up a clearance, or has friction that differs by direction. "
-                "Torque that ripples in proportion goes with one of clearance and bed.",
-            )
-        if self.RS != 0.0 and self.TR != 0.0:
-            raise ConfigError(
-                "RS and TR are both a wave of order NR; a law has one of the two.",
-                code="PC-LAW-013",
+                "Torque that ripples in proportion goes with one of clearance and bed, and "
+                "not with friction by the turn.",
             )
         if not (0.0 <= self.RF <= 1.0 and 0.0 <= self.UF <= 1.0):
             raise ConfigError(
@@ -372,16 +373,16 @@ class LawParameters:
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * BANK_VALUES
-        for name in self._names(self.GH, self.BS):
+        for name in self._names(self.GH, self.BS, self.RS):
             bank[_place(name, self.GH)] = getattr(self, name)
         if sealed:
             bank[BankIndex.SEALED] = bank_seal(bank)
         return tuple(bank)
 
     @classmethod
-    def _names(cls, clearance: float, bed: float) -> list[str]:
-        """Coefficients of a bank, with or without a clearance and a bed that swings."""
-        absent = _absent(clearance, bed)
+    def _names(cls, clearance: float, bed: float, share: float) -> list[str]:
+        """Coefficients of a bank, with or without clearance, bed that swings and ripple."""
+        absent = _absent(clearance, bed, share)
         return [item.name for item in fields(cls) if item.name not in absent]
 
     @classmethod
@@ -404,7 +405,9 @@ class LawParameters:
             )
         try:
             gap, bed = values[BankIndex.GH], values[BankIndex.BS]
-            return cls(**{name: values[_place(name, gap)] for name in cls._names(gap, bed)})
+            share = 0.0 if gap > 0.0 and bed > 0.0 else values[_place("RS", gap)]
+            names = cls._names(gap, bed, share)
+            return cls(**{name: values[_place(name, gap)] for name in names})
         except ConfigError as error:
             raise VerifyMismatch(
                 f"The bank is sealed but holds no law of this version: {error.message}",
@@ -486,7 +489,7 @@ def evaluate(
     share = passed / (1.0 + passed)
     felt = _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
-    q = q + (q + p.RT * a) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
+    q = q + (q + p.RT * a + p.RV * v) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
     q = q + cogging + p.TU * np.abs(v)
     elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * s + felt
     c = (1.0 + p.C1 * r) * elastic

@@ -18,7 +18,7 @@ _PARTS = {
     "place": "IF(P7147!=0)",
     "gap": "IF(P7186>0)",
     "uneven": "IF(P7165!=0)",
-    "ripple": "IF(P7188>1)",
+    "ripple": "IF(P7136!=0)",
     "bed": "IF(P7140>0)",
     "stribeck": "IF(P7146>0)",
 }
@@ -44,7 +44,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
 
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<100)"
-_BY_TURN = {"friction_per_turn", "cogging", "uneven", "ripple"}  # they share a test
+_BY_TURN = {"friction_per_turn", "cogging", "uneven"}  # they share a test
 _WITHOUT_GAP = "IF(P7186=0)"  # within that
 _SKIPPED = (
     "IF(M7003=1)",
@@ -99,11 +99,11 @@ _SERVO_LAW = "IF(MTRNUM=P7007)"
 _SERVO_PARTS = {
     "gap": "IF(P(P7144+26)>0)",
     "uneven": "IF(P(P7144+5)!=0)",
-    "ripple": "IF(P7152!=0)",
+    "ripple": "IF(P7160!=0)",
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }
-_SERVO_WITHOUT_GAP, _SERVO_WITHOUT_BED = "IF(P(P7144+26)=0)", "IF(P(P7126)=0)"
+_SERVO_WITHOUT_GAP = "IF(P(P7144+26)=0)"
 _SERVO_SKIPPED = (
     "IF(F2=0 OR P7142>16 OR P7142=0)",
     "IF(P7143!=P7001+1)",
@@ -139,8 +139,6 @@ def servo_operation_count(lacks: Collection[str] = ()) -> int:
     skipped = {*_SERVO_SKIPPED, *(_SERVO_PARTS[k] for k in lacks if k in _SERVO_PARTS)}
     if "gap" not in lacks:
         skipped.add(_SERVO_WITHOUT_GAP)
-    if "bed" not in lacks:
-        skipped.add(_SERVO_WITHOUT_BED)
     lines = _servo_lines()
     first = lines.index(_SERVO_LAW)
     return sum(_operations(line) for line in _pass(lines[first : _servo_end(lines)], skipped))

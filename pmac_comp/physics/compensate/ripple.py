@@ -81,8 +81,8 @@ class TurnTorque:
         What it goes with: cogging as well, friction or torque.
     explained : float
         Share of what the model left of the motor's position that these explain.
-    whole_Nm_s2_per_m : float
-        Torque per acceleration of the model.
+    whole_Nm_s2_per_m, whole_Nm_s_per_m : float
+        Torque per acceleration and per speed of the model.
     """
 
     order: int
@@ -94,6 +94,7 @@ class TurnTorque:
     second_kind: Kind
     explained: float
     whole_Nm_s2_per_m: float = 0.0
+    whole_Nm_s_per_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,7 @@ def turn_torque(
     gains = [float(gain) if gain > _LEAST_GAIN_FRAC else 0.0 for gain in map(np.max, shares)]
     ripple_Nm, ripple_phase_rad = _wave(found[_FIRST], gains[0])
     second_size, second_phase_rad = _wave(found[_SECOND], gains[1])
+    per_acceleration, per_speed = _torque_of_motion(law, captures, plain)
     return TurnTorque(
         order=first.order if ripple_Nm else 0,
         ripple_Nm=ripple_Nm,
@@ -170,7 +172,8 @@ def turn_torque(
         second_order=second.order,
         second_kind=second.kind,
         explained=sum(max(float(s[_MOTOR]), 0.0) for s, g in zip(shares, gains, strict=True) if g),
-        whole_Nm_s2_per_m=_per_acceleration(law, captures, plain),
+        whole_Nm_s2_per_m=per_acceleration,
+        whole_Nm_s_per_m=per_speed,
     )
 
 
@@ -243,6 +246,7 @@ def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw
         order, phase_rad = -order, math.pi - phase_rad  # sin(x) = sin(pi - x)
     ripples = found.second_kind is Kind.RIPPLES and found.second_size > 0.0
     loop_Nm_s2_per_m = found.whole_Nm_s2_per_m - law.torque_inertia_Nm_s2_per_m
+    loop_Nm_s_per_m = found.whole_Nm_s_per_m - law.torque_viscous_Nm_s_per_m
     return law.with_values(
         ripple_Nm=found.ripple_Nm,
         ripple_order=float(found.order),
@@ -250,6 +254,7 @@ def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw
         turn_friction_Nm=0.0 if ripples else found.second_size,
         turn_share=found.second_size if ripples else 0.0,
         torque_loop_Nm_s2_per_m=loop_Nm_s2_per_m if ripples else 0.0,
+        torque_loop_Nm_s_per_m=loop_Nm_s_per_m if ripples else 0.0,
         turn_order=float(order),
         turn_phase_rad=phase_rad,
     )
@@ -372,17 +377,18 @@ def _pulse_answer(loop: LoopRunner, like: Capture) -> FloatArray:
     return np.asarray(moved[at : at + round(_PULSE_LASTS_s / period)] / _PROBE_Nm)
 
 
-def _per_acceleration(
+def _torque_of_motion(
     law: CompensationLaw, captures: Sequence[Capture], plain: Sequence[LoopSignals]
-) -> float:
-    """Torque per acceleration of the model in N m per m/s2, friction and speed beside it."""
+) -> tuple[float, float]:
+    """Torque of the model per acceleration in N m per m/s2, per speed in N m per m/s."""
     columns, torques = [], []
     for capture, one in zip(captures, plain, strict=True):
         v = _speed(capture)
         a = np.gradient(v, capture.sample_period_s)
         columns.append(np.column_stack([a, v, _state(law, capture), np.ones_like(v)]))
         torques.append(one.torque_Nm)
-    return float(_regression(np.concatenate(columns), np.concatenate(torques))[0])
+    found = _regression(np.concatenate(columns), np.concatenate(torques))
+    return float(found[0]), float(found[1])
 
 
 def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:

@@ -127,9 +127,9 @@ LAW = LawParameters(
 
 # Without a clearance, whose places in the bank hold friction that differs by direction.
 UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, VU=0.0061, TU=0.22)
-RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0)  # and torque that ripples in proportion
+RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # and torque that ripples in proportion
 NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
-LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0)  # beside a clearance
+LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # beside a clearance
 
 
 def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
@@ -180,7 +180,7 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawPara
 def in_passes(law: LawParameters, n: int) -> LawParameters:
     """The law as it reads where a pass of n servo cycles is the unit of time."""
     powers = {"A0": 2, "V0": 1, "J0": 3, "L1": 1, "JL": -3, "TJ": 2, "TK": 3, "TI": 3, "TB": 1,
-              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1, "RT": 2}  # fmt: skip
+              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1, "RT": 2, "RV": 1}  # fmt: skip
     return replace(law, **{k: getattr(law, k) / n**power for k, power in powers.items()})
 
 

@@ -85,7 +85,7 @@ def test_friction_that_differs_by_direction_takes_the_places_of_a_gap() -> None:
         LawParameters(GH=1.0, GW=1.0, S0=1.0, VU=0.1)
     with pytest.raises(ConfigError, match="TG"):
         LawParameters(TG=3.0)
-    kept = LawParameters(VU=0.1, TU=0.2, RS=0.05, RT=4.0, JL=1.0)
+    kept = LawParameters(VU=0.1, TU=0.2, RS=0.05, RT=4.0, RV=2.0, JL=1.0)
     assert LawParameters.from_values(kept.values()) == kept
 
 
@@ -93,12 +93,17 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
     gap = ("gap_half_m", "gap_width_m", "gap_torque_Nm")
     none = dict.fromkeys((*gap, "turn_friction_Nm"), 0.0)
     no_bed = dict.fromkeys(("bed_share", "turn_friction_Nm"), 0.0)
-    rippling = {"turn_share": 0.09, "torque_loop_Nm_s2_per_m": 0.6, "turn_order": 6.0}
+    rippling = {
+        "turn_share": 0.09, "torque_loop_Nm_s2_per_m": 0.6, "torque_loop_Nm_s_per_m": 1.2,
+        "turn_order": 6.0,
+    }  # fmt: skip
     agree_in_counts(LAW.with_values(**none, **rippling))
     agree_in_counts(LAW.with_values(**no_bed, **rippling))
     with pytest.raises(ModelError, match="not both"):
         LAW.with_values(**rippling)
-    beside_gap = LawParameters(GH=1.0, GW=1.0, S0=1.0, GL=0.4, TG=3.0, RS=0.05, RT=4.0, JL=1.0)
+    beside_gap = LawParameters(
+        GH=1.0, GW=1.0, S0=1.0, GL=0.4, TG=3.0, RS=0.05, RT=4.0, RV=2.0, JL=1.0
+    )
     assert LawParameters.from_values(beside_gap.values()) == beside_gap
     with pytest.raises(ConfigError, match="no place for RS"):
         replace(beside_gap, BS=0.5)
@@ -106,8 +111,10 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
         replace(beside_gap, BD=0.5)
     with pytest.raises(ModelError, match="one wave"):
         LAW.with_values(**{**none, **rippling, "turn_friction_Nm": 0.1})
-    with pytest.raises(ConfigError, match="RS and TR"):
+    with pytest.raises(ConfigError, match="no place for TR"):
         LawParameters(RS=0.1, TR=5.0)
+    with pytest.raises(ConfigError, match="no place for RV"):
+        LawParameters(RV=0.1)
     with pytest.raises(ConfigError, match="GL"):
         LawParameters(GL=0.5)
 

@@ -128,11 +128,14 @@ def test_torque_that_ripples_is_found_by_its_share_and_undone() -> None:
     law = with_turn_torque(LAW.with_values(torque_inertia_Nm_s2_per_m=0.1), got)
     assert law.turn_friction_Nm == 0.0
     assert law.torque_loop_Nm_s2_per_m == pytest.approx(got.whole_Nm_s2_per_m - 0.1)
+    assert law.torque_loop_Nm_s_per_m == got.whole_Nm_s_per_m > 0.5
     # What the law and its loop send is, times the wave of the motor's constant, what it needs.
     command = HARD_MOVES[2].position_m
-    a = np.gradient(np.gradient(command, PERIOD), PERIOD)
-    need = got.whole_Nm_s2_per_m * a
-    sent = evaluate_law(law, command, PERIOD).torque_Nm + law.torque_loop_Nm_s2_per_m * a
+    v = np.gradient(command, PERIOD)
+    a = np.gradient(v, PERIOD)
+    need = got.whole_Nm_s2_per_m * a + got.whole_Nm_s_per_m * v
+    sent = evaluate_law(law, command, PERIOD).torque_Nm
+    sent += law.torque_loop_Nm_s2_per_m * a + law.torque_loop_Nm_s_per_m * v
     wave = got.second_size * np.sin(
         6.0 * 2.0 * math.pi * command / BENCH.pitch_m + got.second_phase_rad
     )

@@ -264,7 +264,7 @@ def test_motion_is_a_value() -> None:
 
 @pytest.mark.parametrize(
     ("more_motors", "code", "step"),
-    [(3, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
+    [(4, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
     ids=["measured with the law", "foreseen"],
 )
 def test_a_card_too_busy_for_the_law_is_left_as_it_was(
@@ -344,7 +344,7 @@ def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
     with monkeypatch.context() as before:
         before.setattr(law_goal, "law_program", earlier)
         for k in range(uploads):
-            law = replace(LAW, coulomb_m=(1.0 + k) * LAW.coulomb_m)
+            law = replace(LAW, torque_uneven_Nm_s_per_m=0.1)
             deploy(axis, Compensation("law", law), context)
     axis.kill()
     stood = bank_on(axis, tmp_path)
