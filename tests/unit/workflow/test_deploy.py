@@ -344,7 +344,7 @@ def test_rollback_brings_the_law_of_an_earlier_version_back_whole(
     with monkeypatch.context() as before:
         before.setattr(law_goal, "law_program", earlier)
         for k in range(uploads):
-            law = replace(LAW, torque_uneven_Nm_s_per_m=0.1)
+            law = replace(LAW, coulomb_m=(1.0 + k) * LAW.coulomb_m)
             deploy(axis, Compensation("law", law), context)
     axis.kill()
     stood = bank_on(axis, tmp_path)
