@@ -46,6 +46,7 @@ _LEAST_ORDER = 3  # below, friction per turn and lead wobble live
 _PROBE_Nm = 0.02  # torque whose effect is simulated
 _LEAST_RUNS = 4  # fewer do not tell how far the share of the torque that ripples scatters
 _SURE = 5.0  # standard deviations of it: of 60 orders none came out above 3 by chance
+_LEAST_SHARE = 0.005  # of the torque: a model's errors make up to 0.0015; less hides nothing
 _PULSE_LASTS_s = 0.3  # of the answer of the loop to a pulse of torque
 _CRUISE_FRAC = 0.99  # of the highest speed of a move
 _LEAST_GAIN_FRAC = 0.01  # of the residual's power: less is not worth its time in each pass
@@ -348,7 +349,8 @@ def _ripple(
     variance = (n - 1.0) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=(0, 2))
     sure = np.hypot(*share.T) / np.sqrt(np.maximum(variance, 1e-30))
     best = int(np.argmax(sure))
-    return (best + 1, share[best]) if sure[best] > _SURE else None
+    told = sure[best] > _SURE and np.hypot(*share[best]) > _LEAST_SHARE
+    return (best + 1, share[best]) if told else None
 
 
 def _solved(normal: FloatArray, moment: FloatArray) -> FloatArray:

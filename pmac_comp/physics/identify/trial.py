@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
-from pmac_comp.base.errors import ModelError
+from pmac_comp.base.errors import DidNotConverge, ModelError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -72,9 +72,16 @@ class Trial:
         held_out: Sequence[BoolArray] | None,
         stages: Stages,
     ) -> Identification | None:
-        """A fit; None where the captures do not carry it."""
+        """A fit; None where the captures do not carry it.
+
+        Where a start for all parameters turns out too far off for the last stage, it goes through
+        the earlier ones.
+        """
         try:
             return self.fit(start, names, held_out, stages)
+        except DidNotConverge:
+            is_far = stages == "fine" and names is None
+            return self.tried(start, names, held_out, "all") if is_far else None
         except ModelError:
             return None
 
