@@ -65,7 +65,7 @@ from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map
-from pmac_comp.workflow.tables import tables_of
+from pmac_comp.workflow.tables import sum_remarks
 
 Progress = Callable[[str, float], None]
 _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
@@ -308,7 +308,7 @@ def compensate_files(
     if cuts and limit is Limit.REFUSE:
         raise too_large(route, aim, "; ".join(cuts))
     # What cannot be rendered or drawn is refused before it is written.
-    tables_of(compensation, loaded)
+    sums = sum_remarks(compensation, loaded)
     summary = describe(loaded, compensation)
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
@@ -322,6 +322,7 @@ def compensate_files(
         "summary": summary,
         "remarks": [
             *cuts,
+            *sums,
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),

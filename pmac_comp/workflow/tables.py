@@ -2,8 +2,10 @@
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.comp_table import Table
+from pmac_comp.machine.controller.safety import check_sums
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.scales import Scales
 
 
 def tables_of(compensation: Compensation, bench: Bench) -> tuple[Table, ...]:
@@ -17,3 +19,10 @@ def tables_of(compensation: Compensation, bench: Bench) -> tuple[Table, ...]:
     if compensation.route == "cam":
         found.append(render_cam(compensation, bench).table.table)
     return tuple(found)
+
+
+def sum_remarks(compensation: Compensation, bench: Bench) -> list[str]:
+    """That the tables of a compensation add up beyond the limit, which `upload` will refuse."""
+    own = tables_of(compensation, bench)
+    refusals = check_sums(own, own, Scales.of(bench).limits(bench))
+    return [f"`upload` will refuse this: {r.message} {r.hint}" for r in refusals]

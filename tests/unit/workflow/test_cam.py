@@ -44,6 +44,7 @@ from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
 from pmac_comp.workflow.simulated import TruthRecorder
+from pmac_comp.workflow.tables import sum_remarks
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import lead_map
 
@@ -96,6 +97,17 @@ def test_correction_runs_with_the_motion_every_time(axis: Axis, tmp_path: Path) 
         worst.append(float(np.max(np.abs(offset_of(capture) - want))))
     # Half an entry, the line between entries, and what one cycle changes.
     assert max(worst) < 0.3e-6, worst
+
+
+def test_a_sum_of_tables_beyond_the_limit_is_told_before_the_upload() -> None:
+    x = np.arange(-0.3, 0.3005, 1e-3)
+    lead = LeadMap(x, 55e-6 * np.sin(np.pi * x / 0.3), np.zeros(x.size), 0.0)
+    assert sum_remarks(cam_of(BUMP), BENCH) == []
+    assert sum_remarks(cam_of(0.3 * BUMP, lead), BENCH) == []
+    (told,) = sum_remarks(cam_of(BUMP, lead), BENCH)
+    assert "`upload` will refuse this" in told
+    assert "the limit is 60" in told
+    assert "max_correction_um" in told
 
 
 def test_interrupted_cam_fades_and_starts_anew(axis: Axis, tmp_path: Path) -> None:
