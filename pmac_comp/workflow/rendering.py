@@ -67,9 +67,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         **(_of_gap(law, K, zero, pass_s, q) if law.gap_half_m > 0.0 else {}),
         VU=zero * law.viscous_uneven_s / T,
         TU=law.torque_uneven_Nm_s_per_m / (K * T * q),
-        RS=law.turn_share,
-        RT=law.torque_loop_Nm_s2_per_m / (K * T**2 * q),
-        RV=law.torque_loop_Nm_s_per_m / (K * T * q),
+        **(_of_ripple(law, K, T, q) if law.turn_share != 0.0 else {}),
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
         **(_of_bed(law, K, zero, pass_s, q) if law.bed_share > 0.0 else {}),
@@ -90,6 +88,18 @@ def _of_bed(
         "BD": law.bed_damping_per_s * pass_s,
         "BO": law.bed_stiffness_per_s2 * pass_s**2,
         "BT": torque / (correction_s2 * ct_per_m) if correction_s2 > 0.0 else 0.0,
+    }
+
+
+def _of_ripple(
+    law: CompensationLaw, ct_per_m: float, period_s: float, torque_per_dac_Nm: float
+) -> dict[str, float]:
+    """Coefficients of torque that ripples, which take a place of friction by the turn."""
+    dac_per_m = 1.0 / (ct_per_m * torque_per_dac_Nm)
+    return {
+        "RS": law.turn_share,
+        "RT": law.torque_loop_Nm_s2_per_m * dac_per_m / period_s**2,
+        "RV": law.torque_loop_Nm_s_per_m * dac_per_m / period_s,
     }
 
 

@@ -128,7 +128,8 @@ def measured_clearance(
     Parameters
     ----------
     model : DriveModel
-        Model whose dynamics fit otherwise, without torque per turn.
+        Model whose dynamics fit otherwise, without torque per turn other than a ripple, which
+        moves table and motor by more than a gap does.
     captures : sequence of Capture
         Runs without compensation, fast ones among them.
     lead : LeadMap or None

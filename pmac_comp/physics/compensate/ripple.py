@@ -25,7 +25,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.delay import drive_delay_s as delay_of
+from pmac_comp.physics.compensate import delay
 from pmac_comp.physics.compensate.design import LoopRunner, LoopSignals, model_loop
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
@@ -220,7 +220,7 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
     captures : sequence of Capture
         Runs without compensation, hard ones among them.
     """
-    loop, delay_s = model_loop(model), delay_of(model)
+    loop, delay_s = model_loop(model), delay.drive_delay_s(model)
     pitch_m = 2.0 * math.pi * model.bench.lead_m_per_rad
     law = CompensationLaw(turn_m=pitch_m, torque_limit_Nm=model.bench.drive.torque_limit_Nm)
     plain = [loop(capture.commanded_position_m, None, None) for capture in captures]

@@ -99,6 +99,7 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
     }  # fmt: skip
     agree_in_counts(LAW.with_values(**none, **rippling))
     agree_in_counts(LAW.with_values(**no_bed, **rippling))
+    agree_in_counts(LAW.with_values(**no_bed, **rippling).without_turn())
     with pytest.raises(ModelError, match="not both"):
         LAW.with_values(**rippling)
     beside_gap = LawParameters(
