@@ -20,6 +20,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.ripple import RIPPLE
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.drive_lag import found_drive_lag, lag_note, lag_remarks
@@ -37,7 +38,7 @@ from pmac_comp.workflow.loose_nut import (
     found_clearance,
     loosened,
 )
-from pmac_comp.workflow.rippling import RIPPLE, rippling
+from pmac_comp.workflow.rippling import rippling
 from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ from pmac_comp.physics.compensate.grip import (
 )
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.compensate.ripple import turn_torque, with_turn_torque
+from pmac_comp.physics.compensate.ripple import RIPPLE, turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.effect import split_name
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
-_FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", "torque_ripple"})
+_FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", RIPPLE})
 Progress = Callable[[str, float], None]
 
 

@@ -14,8 +14,8 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, measured_clearance, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.ripple import RIPPLE
 from pmac_comp.workflow.dynamic_law import nut_gap, without_fed_forward
-from pmac_comp.workflow.rippling import RIPPLE
 from pmac_comp.workflow.static_map import bench_map
 
 if TYPE_CHECKING:

@@ -70,7 +70,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         **(_of_ripple(law, K, T, q) if law.turn_share != 0.0 else {}),
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
-        **(_of_bed(law, K, zero, pass_s, q) if law.bed_share > 0.0 else {}),
+        **(_of_bed(law, K, zero, T, q) if law.bed_share > 0.0 else {}),
         SX=zero * law.stribeck_m * K,
         TX=law.torque_stribeck_Nm / q,
         SS=1.0 / (law.stribeck_speed_m_per_s * pass_s * K) if law.has_stribeck else 0.0,
@@ -79,12 +79,13 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
 
 
 def _of_bed(
-    law: CompensationLaw, ct_per_m: float, zero: float, pass_s: float, torque_per_dac_Nm: float
+    law: CompensationLaw, ct_per_m: float, zero: float, period_s: float, torque_per_dac_Nm: float
 ) -> dict[str, float]:
     """Coefficients of the bed that swings."""
+    pass_s = law.every_cycles * period_s
     correction_s2, torque = zero * law.inertia_s2, law.torque_bed_Nm_s2_per_m / torque_per_dac_Nm
     return {
-        "BS": correction_s2 * law.bed_share / (pass_s / law.every_cycles) ** 2,
+        "BS": correction_s2 * law.bed_share / period_s**2,
         "BD": law.bed_damping_per_s * pass_s,
         "BO": law.bed_stiffness_per_s2 * pass_s**2,
         "BT": torque / (correction_s2 * ct_per_m) if correction_s2 > 0.0 else 0.0,

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.ripple import rippling_model
+from pmac_comp.physics.compensate.ripple import RIPPLE, rippling_model
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 Progress = Callable[[str, float], None]
-RIPPLE = "torque_ripple"
 
 
 def rippling(

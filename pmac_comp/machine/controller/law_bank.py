@@ -93,8 +93,9 @@ _LAYOUT: Final = 12  # of a bank: the checksum begins with it, so that another l
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
-_OF_GAP, _WITHOUT_GAP = ("TG", "GB", "GL", "GW"), ("TU", "VU", "RS", "RT")  # in one place each
-_OF_BED, _RIPPLE = ("BD", "BO"), ("RS", "RT")  # in one place beside a gap
+# In one place each: of a gap or, without one, uneven friction and ripple; beside one ripple or bed.
+_OF_GAP, _UNEVEN = ("TG", "GB", "GL", "GW"), ("TU", "VU")
+_RIPPLE, _OF_BED = ("RS", "RT"), ("BD", "BO")
 # Nothing without a jerk limit.
 _OF_ACCELERATION: Final = ("A0", "J0", "TJ", "TK", "TI", "TE", "BS", "RT")
 
@@ -263,9 +264,7 @@ def _absent(clearance: float, bed: float, share: float) -> tuple[str, ...]:
     by_turn = "RV" if share == 0.0 else "TR"
     if clearance <= 0.0:
         return (by_turn, *_OF_GAP)
-    if bed > 0.0:
-        return (by_turn, *_WITHOUT_GAP)
-    return (by_turn, *(name for name in _WITHOUT_GAP if name not in _RIPPLE), *_OF_BED)
+    return (by_turn, *_UNEVEN, *(_RIPPLE if bed > 0.0 else _OF_BED))
 
 
 def _place(name: str, clearance: float) -> BankIndex:

@@ -36,6 +36,7 @@ from pmac_comp.physics.signals.trajectory import trapezoid
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
+RIPPLE = "torque_ripple"
 _HIGHEST_ORDER = 60
 _LEAST_TURNS = 3.0
 _STEADY_FRAC = 0.02
@@ -52,7 +53,6 @@ _CRUISE_FRAC = 0.99  # of the highest speed of a move
 _LEAST_GAIN_FRAC = 0.01  # of the residual's power: less is not worth its time in each pass
 _DECIMATION = 3
 _FIRST, _SECOND = slice(0, 2), slice(2, 4)  # columns of the regression
-_RIPPLE = "torque_ripple"
 _MOTOR = 0  # of the channels; the other is table minus motor
 
 
@@ -229,7 +229,7 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
     if found is None:
         return None
     order, (cosine, sine) = found
-    whole = model.with_effect(_RIPPLE, {"amplitude_Nm": 1.0})
+    whole = model.with_effect(RIPPLE, {"amplitude_Nm": 1.0})
     share_per_Nm = float(whole.kernel_vector()[slots.RIPPLE])
     # What the motor lacks; the effect is what it has more, a cosine.
     values = {
@@ -237,7 +237,7 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
         "order_per_rev": float(order),
         "phase_rad": math.atan2(sine, -cosine),
     }
-    return model.with_effect(_RIPPLE, values)
+    return model.with_effect(RIPPLE, values)
 
 
 def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:

@@ -185,9 +185,9 @@ def _prior_information(spec: ParameterSpec, start: float) -> float:
     if spec.kind == "known" and spec.tolerance_frac is not None:
         width = max(spec.tolerance_frac, 1e-6) * abs(spec.nominal or spec.scale)
         return float((TOLERANCE_IN_STD / width) ** 2)
-    if spec.period > 0.0:  # of a wave that came out as nothing, nothing else tells the phase
-        return float((_FREE_PRIOR_SCALES * spec.period) ** -2)
-    return float((_FREE_PRIOR_SCALES * max(abs(spec.scale), abs(start))) ** -2)
+    # Of a wave that came out as nothing, nothing but this tells the phase.
+    size = spec.period if spec.period > 0.0 else max(abs(spec.scale), abs(start))
+    return float((_FREE_PRIOR_SCALES * size) ** -2)
 
 
 def _quantised_triple(job: tuple[Record, DriveModel, float]) -> FloatArray:
