@@ -21,10 +21,11 @@ from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
-from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
+from pmac_comp.physics.compensate.wobble import WORTH, with_wobble
 from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
@@ -33,12 +34,15 @@ from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.dynamic_law import (
+    GAVE_WAY,
     constant_remarks,
     dynamic_law,
     law_remarks,
     turn_errors,
     with_unmodelled,
     without_fed_forward,
+    wobble_of,
+    wobble_remarks,
 )
 from pmac_comp.workflow.foreseen import (
     check_amplitude,
@@ -64,11 +68,12 @@ from pmac_comp.workflow.promises import Promiser, worse_remarks
 from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
-from pmac_comp.workflow.static_map import Limit, covered_m, static_map
+from pmac_comp.workflow.static_map import Limit, bench_map, covered_m, static_map
 from pmac_comp.workflow.tables import sum_remarks
 
 Progress = Callable[[str, float], None]
 _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
+_SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a law
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
@@ -131,7 +136,8 @@ def compute_compensation(
         bench,
         model,
         route,
-        (*captures, *slow),
+        captures,
+        slow,
         every_cycles=every_cycles,
         provenance={**(provenance or {}), **shown.noted},
         progress=progress,
@@ -141,6 +147,7 @@ def compute_compensation(
         progress("mapping the lead error", 0.6)
     per_turn_m = turn_errors(bench, model, law, captures, slow)
     lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
+    wave = wobble_of(bench, lead)
     if route in MOTION_ROUTES:
         backlash = _takes_up(model, law, route, captures, lead)
         law = with_unmodelled(bench, law, model, captures, lead)
@@ -149,7 +156,7 @@ def compute_compensation(
     if captures:
         if progress is not None:
             progress("holding the law against the captures", 0.8)
-        trimmed, explained = trimmed_law(law, model_loop(model), captures, lead)
+        trimmed, explained = trimmed_law(law, model_loop(model, wave), captures, lead)
         trim = {
             name: getattr(trimmed, name) - getattr(law, name)
             for name in coefficient_names()
@@ -162,10 +169,38 @@ def compute_compensation(
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
     loop = model_loop(without_fed_forward(model))
     law = with_unwinding(law, loop, bench, LATENCY_CYCLES[route], load_torque_Nm(model))
+    more = _against_wobble(bench, model, route, law, wave)
+    law = more if route != "law" or fitting_cycles(bench, more) <= law.every_cycles else law
     if captures:
         law = with_unmodelled(bench, law, model, captures, lead)
     backlash = _takes_up(model, law, route, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
+
+
+def _against_wobble(
+    bench: Bench,
+    model: Any,
+    route: str,
+    law: CompensationLaw,
+    wave: LeadWave | None,
+    worth: float = WORTH,
+) -> CompensationLaw:
+    """A law with torque that helps the loop to follow the table, where it shakes the axis."""
+    if wave is None or route not in TORQUE_ROUTES:
+        return law
+    model = without_fed_forward(model)
+    more = with_wobble(
+        law,
+        bench,
+        wave,
+        model_loop(model),
+        model_loop(model, wave),
+        latency_cycles=LATENCY_CYCLES[route],
+        worth=worth,
+    )
+    if more == law or law == law.with_values(turn_friction_Nm=0.0, turn_share=0.0):
+        return more
+    return replace(more, provenance={**more.provenance, GAVE_WAY: True})
 
 
 def _takes_up(
@@ -190,15 +225,20 @@ def _law_that_fits(
     model: Any,
     route: str,
     captures: tuple[Capture, ...],
+    slow: tuple[Capture, ...],
     *,
     every_cycles: int,
     provenance: dict[str, Any],
     progress: Progress | None,
 ) -> CompensationLaw:
-    """Law of a route, for fewer passes than asked where those would take the whole processor."""
-    designed = partial(dynamic_law, bench, model, route, captures, progress=progress)
+    """Law of a route, for fewer passes than asked where those would take the whole processor.
+
+    Also where it needs a wave against the wobble of the lead, which is added later.
+    """
+    designed = partial(dynamic_law, bench, model, route, (*captures, *slow), progress=progress)
     law = designed(every_cycles=every_cycles, provenance=provenance)
-    fitting = fitting_cycles(bench, law)
+    wave = bench_map(bench, slow).wave(bench.pitch_m) if slow else None
+    fitting = fitting_cycles(bench, _against_wobble(bench, model, route, law, wave, _SHAKES))
     if route != "law" or fitting == every_cycles:
         return law
     return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})
@@ -315,7 +355,8 @@ def compensate_files(
     law = compensation.law
     if route == "law" and share_frac(loaded, law) > CHEAP_FRAC:
         whole = without_fed_forward(made_with(drive, law))
-        offers = cheaper_laws(loaded, whole, model_law(law), progress, whole=law)
+        own = model_law(law).with_values(torque_wobble_Nm_s3_per_m3=0.0)  # no table here
+        offers = cheaper_laws(loaded, whole, own, progress, whole=law)
     return {
         "route": route,
         "file": out,
@@ -326,6 +367,7 @@ def compensate_files(
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures)),
             *constant_remarks(loaded, law),
+            *wobble_remarks(law),
             *shown_remarks(law),
             *(flank_remarks(law) if route != "table" else ()),
             *loop_remarks(loaded, drive),
@@ -385,6 +427,11 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         what = "cogging" if law.turn_order < 0.0 else "friction that changes"
         times = f"{abs(law.turn_order):.0f} times a turn"
         out[f"{what} {times}, amplitude Nm"] = law.turn_friction_Nm
+    if law.torque_wobble_Nm_s3_per_m3 != 0.0:
+        fastest_m_per_s = law.valid_speed_m_per_s
+        out[f"against the lead's wobble {law.turn_order:.0f} times a turn, at full speed Nm"] = (
+            law.torque_wobble_Nm_s3_per_m3 * fastest_m_per_s**3
+        )
     if law.turn_share != 0.0:
         times = f"{law.turn_order:.0f} times a turn"
         out[f"torque that ripples {times}, share of it %"] = 100.0 * law.turn_share

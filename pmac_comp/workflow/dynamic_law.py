@@ -42,7 +42,7 @@ from pmac_comp.physics.compensate.grip import (
     slides,
 )
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.ripple import RIPPLE, turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled
 from pmac_comp.physics.model import slots
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
 _FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", RIPPLE})
+GAVE_WAY = "turn_gave_way"  # in a law's provenance
 Progress = Callable[[str, float], None]
 
 
@@ -284,7 +285,7 @@ def with_unmodelled(
     fine = _EXTENSION_STEPS if bench.encoder.extension == "1/T" else 1.0
     rest = unmodelled(
         law,
-        model_loop(without_fed_forward(model)),
+        model_loop(without_fed_forward(model), wobble_of(bench, lead)),
         captures,
         lead,
         motor_step_m=bench.motor_resolution_m / fine,
@@ -293,6 +294,22 @@ def with_unmodelled(
     if rest is None:
         return law
     return replace(law, provenance={**law.provenance, "unmodelled": rest.as_mapping()})
+
+
+def wobble_of(bench: Bench, lead: LeadMap | None) -> LeadWave | None:
+    """Wobble of the lead that shakes a table; None without a map or one."""
+    return None if lead is None else lead.wave(bench.pitch_m)
+
+
+def wobble_remarks(law: CompensationLaw) -> list[str]:
+    """That a wave of the torque gave its place to one against the wobble of the lead."""
+    if GAVE_WAY not in law.provenance:
+        return []
+    return [
+        f"the wobble of the lead, {law.turn_order:.0f} times a turn, shakes fast moves more than "
+        "the torque by the turn does that the runs show: the law has room for one of the two, and "
+        "sends what the loop lacks to follow the table"
+    ]
 
 
 def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[str]:

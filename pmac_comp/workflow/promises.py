@@ -24,7 +24,7 @@ from pmac_comp.workflow.approach import RELAXED, approach
 from pmac_comp.workflow.backlash import backlash_side
 from pmac_comp.workflow.beyond_model import made_with
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.dynamic_law import without_fed_forward
+from pmac_comp.workflow.dynamic_law import without_fed_forward, wobble_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.outcome import ROUNDING, WORSE, error_signals, grown_text
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
@@ -58,7 +58,9 @@ class Promiser:
         if compensation is None or drive is None:
             return None
         model = without_fed_forward(made_with(drive, compensation.law))
-        return cls(bench, compensation, counted_loop(model), model_loop(model))
+        drawn = compensation.route in MOTION_ROUTES  # with all of its correction in the command
+        wave = None if drawn else wobble_of(bench, compensation.lead)
+        return cls(bench, compensation, counted_loop(model, wave), model_loop(model, wave))
 
     def of_run(self, capture: Capture) -> Mapping[str, float]:
         """What is promised for the run that a capture holds, mean taken out, um.

@@ -55,9 +55,8 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),
-        TR=law.turn_friction_Nm / q,
         NR=law.turn_order * degrees_per_ct,
-        PR=math.degrees(law.turn_phase_rad),
+        **_of_turn(law, K, T, q),
         TH=law.ripple_Nm / q,
         NH=law.ripple_order * degrees_per_ct,
         PH=math.degrees(law.ripple_phase_rad),
@@ -102,6 +101,17 @@ def _of_ripple(
         "RT": law.torque_loop_Nm_s2_per_m * dac_per_m / period_s**2,
         "RV": law.torque_loop_Nm_s_per_m * dac_per_m / period_s,
     }
+
+
+def _of_turn(
+    law: CompensationLaw, ct_per_m: float, period_s: float, torque_per_dac_Nm: float
+) -> dict[str, float]:
+    """Friction by the turn, or the wave against the lead's wobble: that has TR below zero."""
+    phase_deg = math.degrees(law.turn_phase_rad)
+    if law.torque_wobble_Nm_s3_per_m3 == 0.0:
+        return {"TR": law.turn_friction_Nm / torque_per_dac_Nm, "PR": phase_deg}
+    per_speed_cubed = law.torque_wobble_Nm_s3_per_m3 / (ct_per_m * period_s) ** 3
+    return {"TR": -per_speed_cubed / torque_per_dac_Nm, "PR": phase_deg + 180.0}
 
 
 def _of_gap(

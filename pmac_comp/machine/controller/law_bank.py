@@ -52,7 +52,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
-        + TR sin(NR p + PR) (t, or 1 where NR < 0)
+        + TR sin(NR p + PR) (t, 1 where NR < 0, or v^3 where TR < 0)
     q = q + (q + RT a + RV v) RS sin(NR p + PR)            RS: with a GH or BS of zero and no TR
     q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
@@ -89,7 +89,7 @@ MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference M
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 12  # of a bank: the checksum begins with it, so that another layout's does not fit
+_LAYOUT: Final = 13  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
@@ -176,7 +176,8 @@ class BankIndex(IntEnum):
     T0 = 16  # DAC units, constant, at position zero
     GW = 17  # counts, elastic correction at which all of GH is taken up
     RT = 17  # without a clearance, else BO's: DAC units per (count/SC^2), what the loop sends
-    TR = 18  # DAC units, friction per turn, or a second cogging
+    TR = 18  # DAC units, friction per turn, or a second cogging; below zero DAC units per
+    # (count/SC)^3: what the loop lacks to follow a table that takes the lead's wobble away
     RV = 18  # beside RS: DAC units per (count/SC), what the loop sends
     PR = 19  # degrees
     TE = 20  # DAC units per (count/SC^2), friction that grows with load
@@ -478,7 +479,8 @@ def evaluate(
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a)
-    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
+    goes_with = v**3 if p.TR < 0.0 else t if p.NR > 0.0 else np.ones_like(t)
+    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * goes_with
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])

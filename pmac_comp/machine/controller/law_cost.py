@@ -13,7 +13,8 @@ _OF_MHz: Final = 80.0
 
 # What a law may lack, and the test by which a pass then leaves it out.
 _PARTS = {
-    "friction_per_turn": "IF(P7178!=0)",
+    "friction_per_turn": "IF(P7178>0)",
+    "wobble": "IF(P7178<0)",
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
     "gap": "IF(P7186>0)",
@@ -29,9 +30,10 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
     Counted over the statements of an ordinary pass (loop closed, bank unchanged, gain settled), in
     motion or at rest, whichever takes more, of a law that lacks some of: friction by the turn
-    (``friction_per_turn``), ``cogging``, a load by place (``place``), the gap of a nut (``gap``),
-    friction that differs by direction (``uneven``), torque that ripples in proportion
-    (``ripple``), a bed that swings (``bed``), Stribeck friction (``stribeck``).
+    (``friction_per_turn``) or, in its place, a wave against the wobble of the lead (``wobble``),
+    ``cogging``, a load by place (``place``), the gap of a nut (``gap``), friction that differs by
+    direction (``uneven``), torque that ripples in proportion (``ripple``), a bed that swings
+    (``bed``), Stribeck friction (``stribeck``).
     """
     skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
     if set(lacks) >= _BY_TURN:
@@ -44,7 +46,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
 
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<100)"
-_BY_TURN = {"friction_per_turn", "cogging", "uneven"}  # they share a test
+_BY_TURN = {"friction_per_turn", "wobble", "cogging", "uneven"}  # they share a test
 _WITHOUT_GAP = "IF(P7186=0)"  # within that
 _SKIPPED = (
     "IF(M7003=1)",
@@ -100,6 +102,7 @@ _SERVO_PARTS = {
     "gap": "IF(P(P7144+26)>0)",
     "uneven": "IF(P(P7144+5)!=0)",
     "ripple": "IF(P7160!=0)",
+    "wobble": "IF(P(P7144+18)<0)",
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }

@@ -29,6 +29,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
@@ -237,11 +238,28 @@ def beside_load(torque_Nm: FloatArray | None, load_Nm: float) -> FloatArray | No
     return torque_Nm - min(max(float(torque_Nm[0]), min(load_Nm, 0.0)), max(load_Nm, 0.0))
 
 
-def model_loop(model: "DriveModel") -> LoopRunner:
-    """Closed loop of a drive model's dynamics: of command, desired position and torque."""
+def dynamic_model(model: "DriveModel", wave: LeadWave | None) -> "DriveModel":
+    """The model whose lead has no error but a wobble, which shakes it."""
+    dynamic = without_static(model)
+    if wave is None:
+        return dynamic
+    values = {
+        "amplitude_m": wave.amplitude_m,
+        "order_per_rev": float(wave.order),
+        "phase_rad": wave.phase_rad,
+    }
+    return dynamic.with_effect("lead_cyclic", values)
+
+
+def model_loop(model: "DriveModel", wave: LeadWave | None = None) -> LoopRunner:
+    """Closed loop of a drive model's dynamics: of command, desired position and torque.
+
+    With a wobble of the lead its table is that beside the wobble's own place: what stays is what
+    the table does because it cannot follow.
+    """
     from pmac_comp.physics.model.drive import simulate
 
-    dynamic, held_Nm = without_static(model), load_torque_Nm(model)
+    dynamic, held_Nm = dynamic_model(model, wave), load_torque_Nm(model)
 
     def run(
         commanded: FloatArray,
@@ -263,11 +281,15 @@ def model_loop(model: "DriveModel") -> LoopRunner:
                 code="PC-DYN-030",
                 hint="Compensation at the table needs a bench with a scale.",
             )
-        return LoopSignals(
-            response.motor_position_m, response.table_position_m, response.torque_command_Nm
-        )
+        table = beside_wave(response.table_position_m, commanded, wave)
+        return LoopSignals(response.motor_position_m, table, response.torque_command_Nm)
 
     return run
+
+
+def beside_wave(table_m: FloatArray, at_m: FloatArray, wave: LeadWave | None) -> FloatArray:
+    """Position of the table beside the place that the wobble of the lead gives it, m."""
+    return table_m if wave is None else table_m - wave.at(at_m)
 
 
 def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
@@ -280,7 +302,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     period = bench.servo_period_s
     low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
     middle, span = 0.5 * (low + high), high - low
-    speed = min(bench.safety.max_speed_mm_per_s / 1e3, _rated_speed(bench))
+    speed = top_speed_m_per_s(bench)
     acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
 
     def sine(amplitude: float, frequency: float, place: float, cycles: float) -> Trajectory:
@@ -321,9 +343,11 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     )
 
 
-def _rated_speed(bench: Bench) -> float:
+def top_speed_m_per_s(bench: Bench) -> float:
+    """Highest speed that bench file and motor allow."""
     rpm = bench.known.rated_speed_rpm
-    return math.inf if rpm is None else rpm / 60.0 * bench.pitch_m
+    rated = math.inf if rpm is None else rpm / 60.0 * bench.pitch_m
+    return min(bench.safety.max_speed_mm_per_s / 1e3, rated)
 
 
 def design_law(
@@ -570,11 +594,11 @@ def _refined(
     size = np.array([scales[name] for name in names])
     first = np.array([getattr(start, name) for name in names]) / size
     lowest = np.array([lower.get(name, -np.inf) for name in names]) / size
-    aims = [_aims(loop, motion) for motion in motions]
+    wanted = [aims(loop, motion) for motion in motions]
 
     def residual(point: FloatArray) -> FloatArray:
         law = _with_values(start, names, point * size)
-        parts = zip(motions, aims, strict=True)
+        parts = zip(motions, wanted, strict=True)
         return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
 
     tell = progress or (lambda _text, _fraction: None)
@@ -605,7 +629,7 @@ def _with_values(law: CompensationLaw, names: Sequence[str], values: FloatArray)
     return law.with_values(**given | {"rest_fade_per_s": fade})
 
 
-def _aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:
+def aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:
     """Mechanical and total error in m that would be a good result for a motion."""
     before = loop(motion.position_m, None, None)
     mechanical = float(np.std(before.table_position_m - before.motor_position_m))

@@ -22,10 +22,13 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     sent = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
            + T0 + TP x + TY b
-    torque = sent + (sent + RT a + RV v) RS sin(m q + PR)
+    torque = sent + (sent + RT a + RV v) RS sin(m q + PR) + TW v^3 sin(m q + PR)
              + TH sin(n q + PH) + TU |v| + TG (g - h)      added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
+
+A table that takes the lead's wobble away asks the motor to swing m times per turn, which its loop
+follows late: TW sends what that lacks (``wobble``). A law has one of TR, RS and TW.
 
 A motor whose torque constant ripples makes a share RS more or less of the torque that it is sent,
 also of RT a and RV v, which the loop sends by itself, but not of what stands against its integrator
@@ -169,6 +172,9 @@ class CompensationLaw:
         RS, share of the torque that ripples m times per turn, in place of TR and not beside both
         gap and bed, and RT and RV, torque per acceleration and per speed that the loop sends beside
         the law.
+    torque_wobble_Nm_s3_per_m3 : float
+        TW, in place of TR and RS: torque that lets the motor follow what a table makes of the
+        wobble of the lead, m times per turn.
     origin_m : float
         Table position at which ``x`` is zero.
     amplitude_limit_m, torque_limit_Nm : float
@@ -230,6 +236,7 @@ class CompensationLaw:
     turn_share: float = 0.0
     torque_loop_Nm_s2_per_m: float = 0.0
     torque_loop_Nm_s_per_m: float = 0.0
+    torque_wobble_Nm_s3_per_m3: float = 0.0
     origin_m: float = 0.0
     amplitude_limit_m: float = 60e-6
     torque_limit_Nm: float = 0.0
@@ -271,15 +278,18 @@ class CompensationLaw:
                 code="PC-DYN-024",
                 hint="Compute the compensation again from a model.",
             )
-        if self.turn_share != 0.0 and self.turn_friction_Nm != 0.0:
+        waves = (self.turn_share, self.turn_friction_Nm, self.torque_wobble_Nm_s3_per_m3)
+        if sum(wave != 0.0 for wave in waves) > 1:
             raise ModelError(
-                "A law has one wave of order turn_order: turn_share or turn_friction_Nm.",
+                "A law has one wave of order turn_order: turn_share, turn_friction_Nm or "
+                "torque_wobble_Nm_s3_per_m3.",
                 code="PC-DYN-025",
                 hint="Compute the compensation again from a model.",
             )
         bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
         stribeck = ("stribeck_m", "torque_stribeck_Nm")
-        not_negative = ("rest_fade_per_s", "rest_unwind_per_s", *stribeck, *bed)
+        waves_on = ("turn_friction_Nm", "torque_wobble_Nm_s3_per_m3")
+        not_negative = ("rest_fade_per_s", "rest_unwind_per_s", *stribeck, *bed, *waves_on)
         small += [name for name in not_negative if getattr(self, name) < 0.0]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
@@ -342,6 +352,7 @@ TORQUE_NAMES = (
     "torque_bed_Nm_s2_per_m",
     "torque_uneven_Nm_s_per_m",
     "turn_share",
+    "torque_wobble_Nm_s3_per_m3",
 )
 
 
@@ -482,14 +493,17 @@ def _slow_share(speed: _Speed) -> _Speed:
 
 
 @njit(cache=True, nogil=True)
-def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, float]:
-    """Friction, cogging and share of the torque by the turn at a place.
+def _by_turn(
+    p: FloatArray, share: float, wobble: float, place: float
+) -> tuple[float, float, float]:
+    """Friction, what pushes whichever way, and share of the torque by the turn at a place.
 
-    ``p`` is turn, TR, m, PR, TH, n, PH.
+    ``p`` is turn, TR, m, PR, TH, n, PH; ``wobble`` TW at this speed.
     """
     angle = 2.0 * math.pi * place / p[0]
     sine, cogging = math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
     wave = p[1] * sine
+    cogging += wobble * sine
     return (wave, cogging, share * sine) if p[2] > 0.0 else (0.0, cogging + wave, share * sine)
 
 
@@ -561,7 +575,7 @@ def _evaluate(
     torque_constant, torque_place, torque_breakaway, rest_fade, rest_unwind = p[13:18]
     gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[25:33]
     bed_share, torque_bed = p[33], p[36]
-    viscous_uneven, torque_uneven, turn_share, loop_a, loop_v, origin = p[37:43]
+    viscous_uneven, torque_uneven, turn_share, loop_a, loop_v, tw, origin = p[37:44]
     n, seen = r.size, output.size == r.size
     correction, torque = np.empty(n), np.empty(n)
     v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = 0.0
@@ -586,7 +600,7 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging, more = _by_turn(p[18:25], turn_share, r[k] + lookahead * v)
+        wave, cogging, more = _by_turn(p[18:25], turn_share, tw * v**3, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
         sent += torque_viscous * v
         slow = _slow_share(step / period / fading)

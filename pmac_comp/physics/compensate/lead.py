@@ -32,6 +32,21 @@ _COVERED = 0.9  # share of the knots that both directions must have seen
 
 
 @dataclass(frozen=True)
+class LeadWave:
+    """Wobble of the lead: ``amplitude cos(order angle + phase)`` over the turn of the screw."""
+
+    amplitude_m: float
+    order: int
+    phase_rad: float
+    turn_m: float
+
+    def at(self, position_m: FloatArray) -> FloatArray:
+        """Lead error in m at positions in m."""
+        angle = 2.0 * math.pi * self.order * position_m / self.turn_m
+        return np.asarray(self.amplitude_m * np.cos(angle + self.phase_rad))
+
+
+@dataclass(frozen=True)
 class LeadMap:
     """Static error of the table against the motor.
 
@@ -60,6 +75,26 @@ class LeadMap:
     def at(self, position_m: FloatArray) -> FloatArray:
         """Lead error in m at positions in m, linear between knots, held beyond the ends."""
         return np.asarray(np.interp(position_m, self.position_m, self.error_m))
+
+    def wave(self, turn_m: float) -> LeadWave | None:
+        """The wobble that shakes a table the most: its acceleration goes by the order's square.
+
+        Of the orders that a map holds in any case; None where all are small.
+        """
+        if np.ptp(self.position_m) < _KERNEL_TURNS * turn_m:
+            return None
+        orders = np.arange(1, math.ceil(_HIGHEST_ORDER))
+        phases = np.outer(2.0 * np.pi * self.position_m / turn_m, orders)
+        line = np.ones_like(self.position_m), self.position_m
+        shapes = np.column_stack([*line, np.cos(phases), np.sin(phases)])
+        found, *_ = np.linalg.lstsq(shapes, self.error_m, rcond=None)
+        waves = found[2 : 2 + orders.size] - 1j * found[2 + orders.size :]
+        best = int(np.argmax(np.abs(waves) * orders**2))
+        if abs(waves[best]) < _WOBBLE_m:
+            return None
+        return LeadWave(
+            float(abs(waves[best])), int(orders[best]), float(np.angle(waves[best])), turn_m
+        )
 
     def summary(self) -> dict[str, float]:
         """Figures for people: peak to peak and slope of the lead, mean reversal error, um."""

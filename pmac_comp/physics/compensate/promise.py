@@ -23,10 +23,12 @@ from pmac_comp.physics.compensate.design import (
     LoopRunner,
     LoopSignals,
     beside_load,
+    beside_wave,
+    dynamic_model,
     load_torque_Nm,
-    without_static,
 )
 from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evaluate_law
+from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
@@ -82,14 +84,15 @@ class Static:
         return cls(*(np.zeros(n) for _ in range(3)))
 
 
-def counted_loop(model: "DriveModel") -> LoopRunner:
+def counted_loop(model: "DriveModel", wave: LeadWave | None = None) -> LoopRunner:
     """Closed loop of a drive model whose sensors round; its positions are those before rounding.
 
+    A wobble of the lead is taken as ``model_loop`` takes it.
     An encoder with 1/T extension resolves so finely that nothing is rounded.
     """
     from pmac_comp.physics.model.drive import simulate
 
-    dynamic, held_Nm = without_static(model), load_torque_Nm(model)
+    dynamic, held_Nm = dynamic_model(model, wave), load_torque_Nm(model)
     rounds = model.bench.encoder.extension == "none"
 
     def run(
@@ -107,9 +110,8 @@ def counted_loop(model: "DriveModel") -> LoopRunner:
             start=Start(held_Nm + resting_Nm),
             quantise=rounds,
         )
-        return LoopSignals(
-            found.true_motor_position_m, found.true_table_position_m, found.torque_command_Nm
-        )
+        table = beside_wave(found.true_table_position_m, commanded, wave)
+        return LoopSignals(found.true_motor_position_m, table, found.torque_command_Nm)
 
     return run
 

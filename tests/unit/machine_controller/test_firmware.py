@@ -240,12 +240,20 @@ def make_servo_bench(tmp_path: Path) -> CardBench:
 
 
 PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction by the turn
+WOBBLING = replace(LAW, TR=-0.03)  # against the wobble of the lead: by the speed cubed
 
 
 @pytest.mark.parametrize(
     "law",
-    [LAW, PUSHING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
-    ids=["friction by the turn", "second cogging", "uneven", "ripple", "ripple beside clearance"],
+    [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
+    ids=[
+        "friction by the turn",
+        "second cogging",
+        "wobble",
+        "uneven",
+        "ripple",
+        "ripple beside clearance",
+    ],
 )
 def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
@@ -325,8 +333,15 @@ def stepped_motion(bench: CardBench, correction: int, torque: int) -> tuple[np.n
 
 @pytest.mark.parametrize(
     "law",
-    [LAW, PUSHING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
-    ids=["friction by the turn", "second cogging", "uneven", "ripple", "ripple beside clearance"],
+    [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
+    ids=[
+        "friction by the turn",
+        "second cogging",
+        "wobble",
+        "uneven",
+        "ripple",
+        "ripple beside clearance",
+    ],
 )
 def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_servo_bench(tmp_path)
@@ -492,14 +507,16 @@ def test_files_move_to_another_block_and_motor() -> None:
 
 def test_cost_of_the_law_is_counted() -> None:
     without_gap = {"uneven", "ripple"}  # a law has these or a gap
-    parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck"} | without_gap
+    parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck", "wobble"}
+    parts |= without_gap
     plain = law_cost.operation_count(parts)
     assert plain > 60
     assert plain < 0.5 * law_cost.operation_count()
     period = 442e-6 * 80e6  # CPU cycles of a servo period at 80 MHz
     # All that a law may have at once: every second cycle.
-    of_gap = ({"uneven", "ripple"}, {"uneven", "bed", "friction_per_turn"})
-    for lacking in (*of_gap, {"gap", "ripple"}, {"gap", "friction_per_turn"}):
+    of_gap = ({"uneven", "ripple", "wobble"}, {"uneven", "bed", "friction_per_turn", "wobble"})
+    of_turn = ({"gap", "ripple", "wobble"}, {"gap", "ripple", "friction_per_turn"})
+    for lacking in (*of_gap, *of_turn, {"gap", "friction_per_turn", "wobble"}):
         operations = law_cost.operation_count(lacking)
         assert law_cost.law_cost_cycles(lacking) == pytest.approx(240.0 * operations)
         assert 0.5 * 240.0 * operations < 0.84 * period
@@ -509,7 +526,8 @@ def test_cost_of_the_law_is_counted() -> None:
             assert plain < law_cost.operation_count({*lacking, part}) < operations
     # Torque by the turn, a gap or a bed fit into every cycle, beside phase, servo and background
     # tasks.
-    alone = ({"friction_per_turn", "cogging"}, {"ripple", "stribeck"}, {"gap"}, {"uneven"}, {"bed"})
+    of_turn = ({"friction_per_turn", "cogging"}, {"wobble", "cogging"}, {"ripple", "stribeck"})
+    alone = (*of_turn, {"gap"}, {"uneven"}, {"bed"})
     for has in alone:
         assert law_cost.law_cost_cycles(parts - has) < 0.84 * period
 
@@ -525,7 +543,7 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
         "bed": {"BS": 0.0},
         "stribeck": {"SS": 0.0},
     }
-    lacking = {*(zero.keys() - parts), "uneven", "ripple"}
+    lacking = {*(zero.keys() - parts), "uneven", "ripple", "wobble"}
     law = replace(LAW, **{k: v for part in zero.keys() - parts for k, v in zero[part].items()})
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)

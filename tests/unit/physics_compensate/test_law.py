@@ -112,12 +112,33 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
         replace(beside_gap, BD=0.5)
     with pytest.raises(ModelError, match="one wave"):
         LAW.with_values(**{**none, **rippling, "turn_friction_Nm": 0.1})
+    with pytest.raises(ModelError, match="one wave"):
+        LAW.with_values(torque_wobble_Nm_s3_per_m3=1.0)
     with pytest.raises(ConfigError, match="no place for TR"):
         LawParameters(RS=0.1, TR=5.0)
     with pytest.raises(ConfigError, match="no place for RV"):
         LawParameters(RV=0.1)
     with pytest.raises(ConfigError, match="GL"):
         LawParameters(GL=0.5)
+
+
+def test_wave_against_the_wobble_takes_the_place_of_friction_per_turn() -> None:
+    law = LAW.with_values(turn_friction_Nm=0.0, torque_wobble_Nm_s3_per_m3=60.0, turn_order=2.0)
+    agree_in_counts(law)
+    agree_in_counts(replace(law, bed_share=0.0))
+    # What the captures' motor shows by the turn goes; the wobble is the lead's.
+    assert law.without_turn() == replace(law, ripple_Nm=0.0)
+
+
+def test_wave_against_the_wobble_grows_with_the_cube_of_the_speed_either_way() -> None:
+    law = CompensationLaw(
+        torque_wobble_Nm_s3_per_m3=60.0, turn_order=2.0, turn_phase_rad=0.3, torque_limit_Nm=9.0
+    )
+    got = evaluate_law(law, SINE.position_m, PERIOD).torque_Nm
+    v = np.gradient(SINE.position_m, PERIOD)
+    want = 60.0 * v**3 * np.sin(2.0 * 2.0 * np.pi * SINE.position_m / law.turn_m + 0.3)
+    assert np.ptp(want) > 0.1
+    assert np.max(np.abs(got - want)) < 0.02 * np.ptp(want)
 
 
 def test_friction_by_direction_goes_with_the_speed_either_way() -> None:

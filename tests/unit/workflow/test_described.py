@@ -105,6 +105,11 @@ def test_torque_per_turn_that_a_law_sends_is_told_with_its_order() -> None:
         told = describe(BENCH, Compensation("servo", second, None))
         assert told["cogging 10 times a turn, amplitude Nm"] == pytest.approx(0.043)
         assert told[f"{what} times a turn, amplitude Nm"] == pytest.approx(0.018)
+    wobble = law.with_values(
+        torque_wobble_Nm_s3_per_m3=5.0, turn_order=2.0, valid_speed_m_per_s=0.4
+    )
+    told = describe(BENCH, Compensation("law", wobble, None))
+    assert told["against the lead's wobble 2 times a turn, at full speed Nm"] == pytest.approx(0.32)
 
 
 def test_only_what_either_law_has_stands_in_the_difference() -> None:
