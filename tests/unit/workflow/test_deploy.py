@@ -264,7 +264,7 @@ def test_motion_is_a_value() -> None:
 
 @pytest.mark.parametrize(
     ("more_motors", "code", "step"),
-    [(4, "PC-LAW-044", "measuring the sign of the law"), (5, "PC-LAW-043", "")],
+    [(3, "PC-LAW-044", "measuring the sign of the law"), (4, "PC-LAW-043", "")],
     ids=["measured with the law", "foreseen"],
 )
 def test_a_card_too_busy_for_the_law_is_left_as_it_was(
@@ -277,7 +277,7 @@ def test_a_card_too_busy_for_the_law_is_left_as_it_was(
     context = context_of(axis, tmp_path, lambda text, _: told.append(text))
     asked = "I106 I8 I129 RX$10F8"
     before = axis.link.query(asked)
-    law = replace(LAW, torque_uneven_Nm_s_per_m=0.1)
+    law = replace(LAW, turn_friction_Nm=0.1)
     with pytest.raises(SafetyRefusal, match="too little") as refused:
         deploy(axis, Compensation("law", law), context)
     assert refused.value.code == code
