@@ -24,13 +24,11 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.compensate.design import LoopRunner, aims, top_speed_m_per_s
+from pmac_comp.physics.compensate.design import LoopRunner, aims, design_motions, top_speed_m_per_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 
-# Of the highest: a wobble shakes fast moves, friction by the turn slow ones.
-_SPEEDS = (0.15, 0.3, 0.6, 0.8, 1.0)
 _REACH_FRAC = 0.4  # of the travel
 _HARDEST_m_per_s2 = 5.0
 _PROBE_Nm = 0.1  # at the highest speed
@@ -54,7 +52,7 @@ def with_wobble(
     latency_cycles: int,
     worth: float = WORTH,
 ) -> CompensationLaw:
-    """Law with the wave of torque, where that takes away more than the wave it has in that place.
+    """Law with the wave of torque, where that takes away more than the wave that has its place.
 
     Parameters
     ----------
@@ -76,11 +74,12 @@ def with_wobble(
     CompensationLaw
         The law itself where it would gain little.
     """
-    moves = [_move(bench, frac) for frac in _SPEEDS]
-    asked = [aims(loop, move) for move in moves]
+    # A wobble shakes fast moves, friction by the turn and torque that ripples slow ones as well.
+    motions = (*design_motions(bench), _fastest(bench))
+    asked = [aims(loop, motion) for motion in motions]
 
     def errors(law: CompensationLaw, loop: LoopRunner, wave: LeadWave | None) -> list[FloatArray]:
-        runs = (_Run(law, loop, wave, move, latency_cycles) for move in moves)
+        runs = (_Run(law, loop, wave, motion, latency_cycles) for motion in motions)
         return [run.errors(aim) for run, aim in zip(runs, asked, strict=True)]
 
     none = dict.fromkeys(_IN_ITS_PLACE, 0.0)
@@ -96,9 +95,10 @@ def with_wobble(
     made = _less(errors(probe, wobbling, wave), without)
     gain = -float(_joined(made) @ _joined(lacking) / (_joined(made) @ _joined(made)))
     left = [one + gain * other for one, other in zip(lacking, made, strict=True)]
-    in_place = _worst(_less(errors(law, loop, None), errors(bare, loop, None)))
-    before, after = _worst(lacking), _worst(left)
-    if before < max(worth, in_place) or after > _KEPT_FRAC * before:
+    in_place = _less(errors(law, loop, None), errors(bare, loop, None))
+    before, after = _typical(lacking), _typical(left)
+    little = _worst(lacking) < worth or after > _KEPT_FRAC * before
+    if little or before - after < _typical(in_place):
         return law
     return probe.with_values(
         torque_wobble_Nm_s3_per_m3=abs(gain) * probe.torque_wobble_Nm_s3_per_m3,
@@ -108,19 +108,19 @@ def with_wobble(
 
 @dataclass(frozen=True)
 class _Run:
-    """A move with a law and with the table against a wobble."""
+    """A motion with a law and with the table against a wobble."""
 
     law: CompensationLaw
     loop: LoopRunner
     wave: LeadWave | None
-    move: Trajectory
+    motion: Trajectory
     latency_cycles: int
 
     def errors(self, aim: tuple[float, float]) -> FloatArray:
         """e_r and total error as shares of their aims, one after the other."""
-        r = self.move.position_m
+        r = self.motion.position_m
         sent = evaluate_law(
-            self.law, r, self.move.sample_period_s, latency_cycles=self.latency_cycles
+            self.law, r, self.motion.sample_period_s, latency_cycles=self.latency_cycles
         )
         wobble = np.zeros(r.size) if self.wave is None else self.wave.at(r)
         signals = self.loop(r, r + sent.correction_m - (wobble - wobble[0]), sent.torque_Nm)
@@ -135,23 +135,30 @@ def _less(those: Sequence[FloatArray], others: Sequence[FloatArray]) -> list[Flo
 
 
 def _joined(errors: Sequence[FloatArray]) -> FloatArray:
-    """All moves with the same weight."""
+    """All motions with the same weight."""
     return np.concatenate([one / math.sqrt(one.size) for one in errors])
 
 
 def _worst(errors: Sequence[FloatArray]) -> float:
-    """Largest rms of a move, of e_r or of the total error, as a share of its aim."""
+    """Largest rms of a motion, of e_r or of the total error, as a share of its aim."""
     halves = [half for one in errors for half in np.split(one, 2)]
     return max(float(np.sqrt(np.mean(half**2))) for half in halves)
 
 
-def _move(bench: Bench, speed_frac: float) -> Trajectory:
+def _typical(errors: Sequence[FloatArray]) -> float:
+    """Rms over all motions."""
+    joined = _joined(errors)
+    return math.sqrt(float(joined @ joined) / (2.0 * len(errors)))
+
+
+def _fastest(bench: Bench) -> Trajectory:
+    """A move at the highest speed."""
     low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     reach = _REACH_FRAC * (high - low)
     return trapezoid(
         period_s=bench.servo_period_s,
         distance_m=reach,
-        speed_m_per_s=speed_frac * top_speed_m_per_s(bench),
+        speed_m_per_s=top_speed_m_per_s(bench),
         acceleration_m_per_s2=min(_HARDEST_m_per_s2, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.015,
         start_m=0.5 * (low + high - reach),
