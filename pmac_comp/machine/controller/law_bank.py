@@ -52,7 +52,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
-        + TR sin(NR p + PR) (t, 1 where NR < 0, or v^3 where TR < 0)
+        + TR sin(NR p + PR) (t, or 1 where NR < 0), but TR sin(NR r' + PR + 45 t) v^3 where
+        TR < 0, with r' = r in PLC 0 and r - v in the open servo
     q = q + (q + RT a + RV v) RS sin(NR p + PR)            RS: with a GH or BS of zero and no TR
     q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
@@ -88,6 +89,7 @@ DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
+_WOBBLE_LEAD_deg: Final = 45.0  # of the torque against the wobble of the lead, in the way it goes
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
 _LAYOUT: Final = 13  # of a bank: the checksum begins with it, so that another layout's does not fit
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
@@ -443,6 +445,7 @@ def evaluate(
     clamp_ct: float,
     gain: float = 1.0,
     start_state: Mapping[str, float] | None = None,
+    latency_cycles: int = 0,
 ) -> LawOutput:
     """Correction in counts and torque in DAC units for a commanded position at every servo cycle.
 
@@ -458,6 +461,8 @@ def evaluate(
         Constant gain (a finished ramp).
     start_state : Mapping, optional
         ``s``, ``t`` and ``g`` at the start.
+    latency_cycles : int
+        1 for PLC 0, 0 for the open servo: what goes against a wobble comes a cycle late by either.
 
     Returns
     -------
@@ -479,8 +484,10 @@ def evaluate(
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a)
-    goes_with = v**3 if p.TR < 0.0 else t if p.NR > 0.0 else np.ones_like(t)
-    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * goes_with
+    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
+    if p.TR < 0.0:
+        place = r - max(0, 1 - latency_cycles) * v
+        wave = p.TR * np.sin(np.radians(p.NR * place + p.PR + _WOBBLE_LEAD_deg * t)) * v**3
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])

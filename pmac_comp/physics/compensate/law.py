@@ -22,13 +22,15 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     sent = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
            + T0 + TP x + TY b
-    torque = sent + (sent + RT a + RV v) RS sin(m q + PR) + TW v^3 sin(m q + PR)
+    torque = sent + (sent + RT a + RV v) RS sin(m q + PR)
+             + TW v^3 sin(m 2 pi r' / turn + PR + t pi/4)
              + TH sin(n q + PH) + TU |v| + TG (g - h)      added to the output
 
 With an m below zero the wave TR is a second cogging, added without ``t``.
 
 A table that takes the lead's wobble away asks the motor to swing m times per turn, which its loop
-follows late: TW sends what that lacks (``wobble``). A law has one of TR, RS and TW.
+follows late: TW sends what that lacks (``wobble``), with r' the place that the axis has where the
+servo receives the value, a cycle before. A law has one of TR, RS and TW.
 
 A motor whose torque constant ripples makes a share RS more or less of the torque that it is sent,
 also of RT a and RV v, which the loop sends by itself, but not of what stands against its integrator
@@ -115,6 +117,7 @@ REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
+WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
 # Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
 # with counts of 1 um), and their differences would take the friction states away.
@@ -398,7 +401,8 @@ def evaluate_law(
     period_s : float
         Servo period in s.
     latency_cycles : int
-        Cycles by which the servo receives the values late (1 from PLC 0, 0 in the open servo).
+        Cycles by which the servo receives the values late (1 from PLC 0, 0 in the open servo). What
+        goes against a wobble comes a cycle late by either door.
     output_Nm : FloatArray, shape (n,), or None
         Output of the controller along this trajectory, which tells what rests wound; None means
         that they wound nothing.
@@ -420,6 +424,7 @@ def evaluate_law(
         every * period_s,
         law.jerk_limit_m_per_s3,
         float(every),
+        max(0, 1 - latency_cycles) * period_s,
     )
     correction = np.repeat(correction, every)[: position.size]
     torque = np.repeat(torque, every)[: position.size]
@@ -493,18 +498,22 @@ def _slow_share(speed: _Speed) -> _Speed:
 
 
 @njit(cache=True, nogil=True)
-def _by_turn(
-    p: FloatArray, share: float, wobble: float, place: float
-) -> tuple[float, float, float]:
-    """Friction, what pushes whichever way, and share of the torque by the turn at a place.
+def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, float]:
+    """Friction, cogging and share of the torque by the turn at a place.
 
-    ``p`` is turn, TR, m, PR, TH, n, PH; ``wobble`` TW at this speed.
+    ``p`` is turn, TR, m, PR, TH, n, PH.
     """
     angle = 2.0 * math.pi * place / p[0]
     sine, cogging = math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
     wave = p[1] * sine
-    cogging += wobble * sine
     return (wave, cogging, share * sine) if p[2] > 0.0 else (0.0, cogging + wave, share * sine)
+
+
+@njit(cache=True, nogil=True)
+def _following(p: FloatArray, size: float, place: float, way: float) -> float:
+    """Torque that lets the loop follow the table: turn, m and PR of ``p``, its size, the way."""
+    phase = p[3] + WOBBLE_LEAD_rad * way
+    return size * math.sin(p[2] * 2.0 * math.pi * place / p[0] + phase)
 
 
 @njit(cache=True, nogil=True)
@@ -568,7 +577,13 @@ def _jerks(wanted: float, limit: float) -> tuple[float, float]:
 
 @njit(cache=True, nogil=True)
 def _evaluate(
-    p: FloatArray, r: FloatArray, output: FloatArray, period: float, limit: float, every: float
+    p: FloatArray,
+    r: FloatArray,
+    output: FloatArray,
+    period: float,
+    limit: float,
+    every: float,
+    late: float,
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
@@ -600,7 +615,7 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging, more = _by_turn(p[18:25], turn_share, tw * v**3, r[k] + lookahead * v)
+        wave, cogging, more = _by_turn(p[18:25], turn_share, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
         sent += torque_viscous * v
         slow = _slow_share(step / period / fading)
@@ -619,6 +634,8 @@ def _evaluate(
             g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             crossing = gap_torque * behind
-        sent += (sent - wound + loop_a * a + loop_v * v) * more + cogging
-        torque[k] = sent + torque_uneven * abs(v) + crossing
+        sent += (sent - wound + loop_a * a + loop_v * v) * more + cogging + crossing
+        torque[k] = (
+            sent + torque_uneven * abs(v) + _following(p[18:25], tw * v**3, r[k] - late * v, t)
+        )
     return correction, torque

@@ -261,8 +261,10 @@ def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawPara
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
     commanded, (_, torque) = stepped_motion(bench, 7109, 7124)
-    expected = evaluate(law, commanded, clamp_ct=60.0).torque_dac
-    other = evaluate(replace(law, NR=-law.NR), commanded, clamp_ct=60.0).torque_dac
+    expected, other = (
+        evaluate(one, commanded, clamp_ct=60.0, latency_cycles=1).torque_dac
+        for one in (law, replace(law, NR=-law.NR))
+    )
     moving = slice(int(np.flatnonzero(np.abs(commanded) > 500)[0]), None)
     shift = min(range(3), key=lambda k: off(torque, expected, k, moving))
     assert off(torque, expected, shift, moving) < 2.0
