@@ -79,11 +79,11 @@ class LeadMap:
     def wave(self, turn_m: float) -> LeadWave | None:
         """The wobble that shakes a table the most: its acceleration goes by the order's square.
 
-        Of the orders that a map holds in any case; None where all are small.
+        None where all that the knots resolve are small.
         """
         if np.ptp(self.position_m) < _KERNEL_TURNS * turn_m:
             return None
-        orders = np.arange(1, math.ceil(_HIGHEST_ORDER))
+        orders = np.arange(1, math.ceil(0.5 * turn_m / self.spacing_m))
         phases = np.outer(2.0 * np.pi * self.position_m / turn_m, orders)
         line = np.ones_like(self.position_m), self.position_m
         shapes = np.column_stack([*line, np.cos(phases), np.sin(phases)])

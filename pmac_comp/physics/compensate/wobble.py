@@ -14,8 +14,8 @@ inertia's torque with its square. Its phase in time hardly changes: in the model
 current loops and dead times of half to twice the paper's and tables of 15 to 80 kg, once to three
 times per turn and from 0.2 to 0.47 m/s, the torque that is missing leads the wobble by 131 to 145
 degrees wherever it is more than a tenth of a micrometre's. So one wave of torque,
-``v^3 sin(n angle + phase + 45 degrees in the way it goes)``, takes 0.8 to 0.9 of it; its size is
-fitted.
+``v^3 sin(n angle + phase + 45 degrees in the way it goes)``, takes 0.8 to 0.9 of it, also where n
+times the turns per second pass the first mode, as more than twice per turn do; its size is fitted.
 """
 
 import math
