@@ -78,6 +78,7 @@ from pmac_comp.machine.controller.table_recovery import (
 from pmac_comp.machine.controller.table_set import TableSet
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload_checks import motion_refusals
+from pmac_comp.machine.controller.variables import same_value
 from pmac_comp.machine.controller.verdict import link_is_lost
 
 _FOLLOWING: Final = re.compile(r"I\d+06")
@@ -217,7 +218,10 @@ def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, s
         head = read_law_head(link, context.block)
         law = read_bank(link, context.block, head.bank)
         state = decide_law(0 if law is None else law.digest, old.crc, crc_new)
-        return state, _LAW_REASONS[state], old.crc, crc_new
+        reason = _LAW_REASONS[state]
+        if state is ControllerState.OLD and not same_value(head.clamp_ct, old.clamp_ct):
+            state, reason = ControllerState.DISABLED, "the old law is in use, with another clamp"
+        return state, reason, old.crc, crc_new
     before, new = read_settings_backup(backup), part.new_settings
     state, reason = settings_state(link, before, new)
     return state, reason, before.crc, new.crc

@@ -41,9 +41,11 @@ from pmac_comp.machine.controller.journals import (
 )
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
+    begun_elsewhere,
     host_lock,
     is_lost,
     pause_lease,
+    read_change,
     read_lease,
     release_lease,
     renew_lease,
@@ -195,6 +197,24 @@ class Change:
     def look_into_folder(self) -> None:
         """Name the journal and look for earlier changes: work for while the controller answers."""
         _ = self.journal, self._earlier
+
+    def require_settled(self) -> None:
+        """Refuse while an earlier change, of this folder or elsewhere, waits for ``recover``.
+
+        For a change that is refused anyway: what forbids it may come from the earlier one.
+
+        Raises
+        ------
+        SafetyRefusal, ForeignChange
+            One does.
+        """
+        for refusal in self._earlier:
+            raise refusal
+        if self.context.settling:
+            return
+        number = read_change(self.link, self.context)
+        if number > 0 and number not in own_numbers(self.context):
+            raise begun_elsewhere(number)
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
         """First entry of a new journal, then the lease; nothing is changed yet.

@@ -201,6 +201,8 @@ class TableUpload:
             whether that was read back.
         """
         the_plan = self._fresh_plan()
+        if the_plan.refusals:
+            self._change.require_settled()
         try:
             raise_all(the_plan.refusals, "The upload")
         except SafetyRefusal as error:
