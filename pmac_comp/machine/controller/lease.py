@@ -236,6 +236,17 @@ def take_lease(
     return lease, last
 
 
+def require_free(link: Link, context: Context, is_known: Callable[[int], bool]) -> None:
+    """Refuse where somebody else is at the card, or has left a change unfinished.
+
+    Raises
+    ------
+    LeaseHeld, ForeignChange
+        As ``take_lease`` would raise them.
+    """
+    _ask_free(link, context, is_known)
+
+
 def _ask_free(
     link: Link, context: Context, is_known: Callable[[int], bool]
 ) -> tuple[int, int, int]:

@@ -218,10 +218,7 @@ def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, s
         head = read_law_head(link, context.block)
         law = read_bank(link, context.block, head.bank)
         state = decide_law(0 if law is None else law.digest, old.crc, crc_new)
-        reason = _LAW_REASONS[state]
-        if state is ControllerState.OLD and not same_value(head.clamp_ct, old.clamp_ct):
-            state, reason = ControllerState.DISABLED, "the old law is in use, with another clamp"
-        return state, reason, old.crc, crc_new
+        return state, _LAW_REASONS[state], old.crc, crc_new
     before, new = read_settings_backup(backup), part.new_settings
     state, reason = settings_state(link, before, new)
     return state, reason, before.crc, new.crc
@@ -253,7 +250,12 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
     # Settings that parts behind them have changed stand as meant all the same.
     if not missing(link, context, part):
         return ControllerState.NEW, "stands as meant"
-    return _judge(link, context, part)[:2]
+    state, reason, *_ = _judge(link, context, part)
+    if part.kind is ChangeKind.LAW and state is ControllerState.OLD:
+        clamp_ct = read_law_head(link, context.block).clamp_ct
+        if not same_value(clamp_ct, read_law_backup(_backup(context, part)).clamp_ct):
+            return ControllerState.DISABLED, f"{reason}, with another clamp"
+    return state, reason
 
 
 _LAW_REASONS = {

@@ -41,14 +41,13 @@ from pmac_comp.machine.controller.journals import (
 )
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
-    begun_elsewhere,
     host_lock,
     is_lost,
     pause_lease,
-    read_change,
     read_lease,
     release_lease,
     renew_lease,
+    require_free,
     take_lease,
     without_lease,
 )
@@ -199,22 +198,20 @@ class Change:
         _ = self.journal, self._earlier
 
     def require_settled(self) -> None:
-        """Refuse while an earlier change, of this folder or elsewhere, waits for ``recover``.
+        """Refuse while another change, of this folder or elsewhere, has not ended.
 
-        For a change that is refused anyway: what forbids it may come from the earlier one.
+        For a change that is refused anyway: what forbids it may come from the other one.
 
         Raises
         ------
         SafetyRefusal, ForeignChange
-            One does.
+            One has not.
         """
         for refusal in self._earlier:
             raise refusal
         if self.context.settling:
             return
-        number = read_change(self.link, self.context)
-        if number > 0 and number not in own_numbers(self.context):
-            raise begun_elsewhere(number)
+        require_free(self.link, self.context, lambda n: n in own_numbers(self.context))
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
         """First entry of a new journal, then the lease; nothing is changed yet.
