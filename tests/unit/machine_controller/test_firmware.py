@@ -241,9 +241,7 @@ def make_servo_bench(tmp_path: Path) -> CardBench:
 
 PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction by the turn
 WOBBLING = replace(LAW, TR=-0.03)  # against the wobble of the lead: by the speed cubed
-
-
-@pytest.mark.parametrize(
+each_law = pytest.mark.parametrize(
     "law",
     [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
     ids=[
@@ -255,6 +253,9 @@ WOBBLING = replace(LAW, TR=-0.03)  # against the wobble of the lead: by the spee
         "ripple beside clearance",
     ],
 )
+
+
+@each_law
 def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
@@ -333,18 +334,7 @@ def stepped_motion(bench: CardBench, correction: int, torque: int) -> tuple[np.n
     return np.array(commanded), np.array(sent).T
 
 
-@pytest.mark.parametrize(
-    "law",
-    [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
-    ids=[
-        "friction by the turn",
-        "second cogging",
-        "wobble",
-        "uneven",
-        "ripple",
-        "ripple beside clearance",
-    ],
-)
+@each_law
 def test_servo_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_servo_bench(tmp_path)
     law_upload.upload_law(bench.link, bench.context, law)

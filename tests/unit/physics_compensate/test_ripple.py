@@ -10,10 +10,10 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.ripple import Kind, TurnTorque, turn_torque, with_turn_torque
-from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from tests.compensations import rubbing_model
 
 BENCH = load_bench("paper_x4")
 PERIOD = BENCH.servo_period_s
@@ -21,15 +21,7 @@ LAW = CompensationLaw(turn_m=BENCH.pitch_m, torque_breakaway_m=2e-6, torque_limi
 DELAY_s = 1.2e-3
 
 
-MODEL = DriveModel.base(
-    BENCH,
-    {
-        "coulomb.guide_N": 45.0,
-        "coulomb.nut_Nm": 0.25,
-        "coulomb.motor_Nm": 0.2,
-        "viscous.guide_Ns_per_m": 200.0,
-    },
-)
+MODEL = rubbing_model(BENCH)
 MOVES = (
     trapezoid(
         period_s=PERIOD, distance_m=0.06, speed_m_per_s=0.05, acceleration_m_per_s2=0.5,

@@ -12,22 +12,14 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.promise import expect
 from pmac_comp.physics.compensate.wobble import with_wobble
-from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from tests.compensations import rubbing_model
 
 BENCH = load_bench("paper_x4")
 PERIOD_s, TURN_m = BENCH.servo_period_s, BENCH.pitch_m
-MODEL = DriveModel.base(
-    BENCH,
-    {
-        "coulomb.guide_N": 45.0,
-        "coulomb.nut_Nm": 0.25,
-        "coulomb.motor_Nm": 0.2,
-        "viscous.guide_Ns_per_m": 200.0,
-    },
-)
+MODEL = rubbing_model(BENCH)
 LOOP = model_loop(MODEL)
 WAVE = LeadWave(3e-6, 2, 0.7, TURN_m)
 LATENCY = 1
