@@ -198,7 +198,7 @@ def _against_wobble(
         latency_cycles=LATENCY_CYCLES[route],
         worth=worth,
     )
-    if more == law or law == law.with_values(turn_friction_Nm=0.0, turn_share=0.0):
+    if more == law or law.turn_friction_Nm == law.turn_share == 0.0:
         return more
     return replace(more, provenance={**more.provenance, GAVE_WAY: True})
 
@@ -237,9 +237,11 @@ def _law_that_fits(
     """
     designed = partial(dynamic_law, bench, model, route, (*captures, *slow), progress=progress)
     law = designed(every_cycles=every_cycles, provenance=provenance)
-    wave = bench_map(bench, slow).wave(bench.pitch_m) if slow else None
+    if route != "law":
+        return law
+    wave = wobble_of(bench, bench_map(bench, slow) if slow else None)
     fitting = fitting_cycles(bench, _against_wobble(bench, model, route, law, wave, _SHAKES))
-    if route != "law" or fitting == every_cycles:
+    if fitting == every_cycles:
         return law
     return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})
 

@@ -226,7 +226,7 @@ def take_lease(
         unfinished.
     """
     first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
-    now, last, claimed = _ask_free(link, context, is_known)
+    now, last, claimed = ask_free(link, context, is_known)
     claim(link, context, claimed)
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
     lines = [*lease.lines(context.block), f"P{change}={number}"]
@@ -236,21 +236,14 @@ def take_lease(
     return lease, last
 
 
-def require_free(link: Link, context: Context, is_known: Callable[[int], bool]) -> None:
-    """Refuse where somebody else is at the card, or has left a change unfinished.
+def ask_free(link: Link, context: Context, is_known: Callable[[int], bool]) -> tuple[int, int, int]:
+    """Clock, number of the last change and claim; refused where somebody else is at the card.
 
     Raises
     ------
     LeaseHeld, ForeignChange
-        As ``take_lease`` would raise them.
+        Somebody is, or has left a change unfinished.
     """
-    _ask_free(link, context, is_known)
-
-
-def _ask_free(
-    link: Link, context: Context, is_known: Callable[[int], bool]
-) -> tuple[int, int, int]:
-    """Clock, number of the last change and claim; refused where somebody else is at the card."""
     first, change = context.block.p(Index.LEASE), context.block.p(Index.CHANGE)
     question = f"P{first}..{first + 1}P{change}{CLOCK_TEXT}{CLAIM_TEXT}"
     *found, before, clock, word = _lines(link.query(question), 5)
@@ -285,7 +278,7 @@ def hold_lease(link: Link, context: Context, is_known: Callable[[int], bool]) ->
     LeaseHeld, ForeignChange
         As ``take_lease``: somebody else changes or measures.
     """
-    now, _, _ = _ask_free(link, context, is_known)
+    now, _, _ = ask_free(link, context, is_known)
     lease = Lease(context.owner, now + int(LEASE_s * CLOCK_PER_s))
     first = context.block.p(Index.LEASE)
     back = link.command(f"{' '.join(lease.lines(context.block))} P{first}..{first + 1}")

@@ -38,8 +38,13 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.law_checks import beside_open_servo
 from pmac_comp.machine.controller.law_goal import follows
-from pmac_comp.machine.controller.law_state import read_bank, read_law_head
-from pmac_comp.machine.controller.law_upload import decide_law, read_law_backup, restore_law
+from pmac_comp.machine.controller.law_state import LawHead, read_bank, read_law_head
+from pmac_comp.machine.controller.law_upload import (
+    LawBackup,
+    decide_law,
+    read_law_backup,
+    restore_law,
+)
 from pmac_comp.machine.controller.lease import (
     give_back,
     host_lock,
@@ -211,15 +216,10 @@ def how_it_stands(link: Link, context: Context, part: Part) -> UploadResult:
 
 def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, str, int, int]:
     """State of a law or of settings, why, and both checksums."""
-    backup = _backup(context, part)
     if part.kind is ChangeKind.LAW:
-        old = read_law_backup(backup)
-        crc_new = part.crc_of_law
-        head = read_law_head(link, context.block)
-        law = read_bank(link, context.block, head.bank)
-        state = decide_law(0 if law is None else law.digest, old.crc, crc_new)
-        return state, _LAW_REASONS[state], old.crc, crc_new
-    before, new = read_settings_backup(backup), part.new_settings
+        state, old, _ = _law_in_use(link, context, part)
+        return state, _LAW_REASONS[state], old.crc, part.crc_of_law
+    before, new = read_settings_backup(_backup(context, part)), part.new_settings
     state, reason = settings_state(link, before, new)
     return state, reason, before.crc, new.crc
 
@@ -250,12 +250,22 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
     # Settings that parts behind them have changed stand as meant all the same.
     if not missing(link, context, part):
         return ControllerState.NEW, "stands as meant"
-    state, reason, *_ = _judge(link, context, part)
-    if part.kind is ChangeKind.LAW and state is ControllerState.OLD:
-        clamp_ct = read_law_head(link, context.block).clamp_ct
-        if not same_value(clamp_ct, read_law_backup(_backup(context, part)).clamp_ct):
-            return ControllerState.DISABLED, f"{reason}, with another clamp"
-    return state, reason
+    if part.kind is not ChangeKind.LAW:
+        return _judge(link, context, part)[:2]
+    state, old, head = _law_in_use(link, context, part)
+    if state is ControllerState.OLD and not same_value(head.clamp_ct, old.clamp_ct):
+        return ControllerState.DISABLED, f"{_LAW_REASONS[state]}, with another clamp"
+    return state, _LAW_REASONS[state]
+
+
+def _law_in_use(
+    link: Link, context: Context, part: Part
+) -> tuple[ControllerState, LawBackup, LawHead]:
+    """State of a law by the bank in use, what was kept of the old one, and the head as it is."""
+    old = read_law_backup(_backup(context, part))
+    head = read_law_head(link, context.block)
+    law = read_bank(link, context.block, head.bank)
+    return decide_law(0 if law is None else law.digest, old.crc, part.crc_of_law), old, head
 
 
 _LAW_REASONS = {

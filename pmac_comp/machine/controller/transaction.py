@@ -41,13 +41,13 @@ from pmac_comp.machine.controller.journals import (
 )
 from pmac_comp.machine.controller.lease import (
     LEASE_s,
+    ask_free,
     host_lock,
     is_lost,
     pause_lease,
     read_lease,
     release_lease,
     renew_lease,
-    require_free,
     take_lease,
     without_lease,
 )
@@ -211,7 +211,7 @@ class Change:
             raise refusal
         if self.context.settling:
             return
-        require_free(self.link, self.context, lambda n: n in own_numbers(self.context))
+        ask_free(self.link, self.context, lambda n: n in own_numbers(self.context))
 
     def begin(self, data: Mapping[str, object] | None = None) -> None:
         """First entry of a new journal, then the lease; nothing is changed yet.

@@ -117,7 +117,7 @@ REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
-WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
+_WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
 # Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
 # with counts of 1 um), and their differences would take the friction states away.
@@ -512,7 +512,7 @@ def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, f
 @njit(cache=True, nogil=True)
 def _following(p: FloatArray, size: float, place: float, way: float) -> float:
     """Torque that lets the loop follow the table: turn, m and PR of ``p``, its size, the way."""
-    phase = p[3] + WOBBLE_LEAD_rad * way
+    phase = p[3] + _WOBBLE_LEAD_rad * way
     return size * math.sin(p[2] * 2.0 * math.pi * place / p[0] + phase)
 
 

@@ -83,18 +83,13 @@ class LeadMap:
         """
         if np.ptp(self.position_m) < _KERNEL_TURNS * turn_m:
             return None
-        orders = np.arange(1, math.ceil(0.5 * turn_m / self.spacing_m))
-        phases = np.outer(2.0 * np.pi * self.position_m / turn_m, orders)
-        line = np.ones_like(self.position_m), self.position_m
-        shapes = np.column_stack([*line, np.cos(phases), np.sin(phases)])
-        found, *_ = np.linalg.lstsq(shapes, self.error_m, rcond=None)
-        waves = found[2 : 2 + orders.size] - 1j * found[2 + orders.size :]
-        best = int(np.argmax(np.abs(waves) * orders**2))
+        orders = range(1, math.ceil(0.5 * turn_m / self.spacing_m))
+        _, found = _fitted(self.error_m, 2.0 * np.pi * self.position_m / turn_m, orders)
+        waves = found[2 : 2 + len(orders)] - 1j * found[2 + len(orders) :]
+        best = int(np.argmax(np.abs(waves) * np.square(orders)))
         if abs(waves[best]) < _WOBBLE_m:
             return None
-        return LeadWave(
-            float(abs(waves[best])), int(orders[best]), float(np.angle(waves[best])), turn_m
-        )
+        return LeadWave(float(abs(waves[best])), orders[best], float(np.angle(waves[best])), turn_m)
 
     def summary(self) -> dict[str, float]:
         """Figures for people: peak to peak and slope of the lead, mean reversal error, um."""
@@ -188,10 +183,18 @@ def _smooth(values: FloatArray, knots_per_turn: float) -> FloatArray:
 
 def _waves(values: FloatArray, angle: FloatArray, orders: Sequence[int]) -> FloatArray:
     """Straight line and harmonics of the turn that a map has over all its length."""
+    shapes, found = _fitted(values, angle, orders)
+    return np.asarray(shapes @ found)
+
+
+def _fitted(
+    values: FloatArray, angle: FloatArray, orders: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Shapes of a straight line, cosines and sines of the turn, in columns, and their sizes."""
     phases = np.outer(angle, orders)
     shapes = np.column_stack([np.ones_like(angle), angle, np.cos(phases), np.sin(phases)])
     found, *_ = np.linalg.lstsq(shapes, values, rcond=None)
-    return np.asarray(shapes @ found)
+    return shapes, found
 
 
 def _stands_out(rest: FloatArray, angle: FloatArray, order: int) -> bool:

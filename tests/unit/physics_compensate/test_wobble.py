@@ -10,7 +10,7 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import model_loop, start_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
-from pmac_comp.physics.compensate.promise import expect
+from pmac_comp.physics.compensate.promise import Static, expect
 from pmac_comp.physics.compensate.wobble import with_wobble
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
@@ -46,7 +46,6 @@ def law() -> CompensationLaw:
 
 def residual_um(law: CompensationLaw, wave: LeadWave, motion: Trajectory) -> float:
     """e_r with a table against the wave beyond that without both, um rms."""
-    from pmac_comp.physics.compensate.promise import Static
 
     def static(at_m: np.ndarray) -> Static:
         table = wave.at(at_m[:1]) - wave.at(at_m)
