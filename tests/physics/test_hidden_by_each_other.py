@@ -88,3 +88,10 @@ def test_a_late_scale_beside_a_bed_that_swings_is_found() -> None:
     assert found.noted["scale_age"]["time_s"] == pytest.approx(5e-6, abs=0.6e-6)
     assert found.noted["bed"]["frequency_Hz"] == pytest.approx(35.0, rel=0.02)
     assert "clearance" not in found.noted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("time_us", [-4.0, 8.0])
+def test_a_scale_that_is_read_early_or_late_behind_play_is_found(time_us: float) -> None:
+    found = shown({"channel_skew": {"time_us": time_us}, "backlash": {"gap_um": 4.0}})
+    assert found.noted["scale_age"]["time_s"] == pytest.approx(1e-6 * time_us, abs=0.6e-6)

@@ -32,6 +32,18 @@ def test_a_late_scale_is_told_from_viscous_friction_of_the_guide(time_us: float)
     assert abs(found.values[name] - true) < 0.6 * abs(model.parameters[name] - true)
 
 
+@pytest.mark.slow
+def test_a_scale_that_is_read_early_is_told_beside_friction_that_curves() -> None:
+    effects: PlantEffects = {
+        "channel_skew": {"time_us": -10.0},
+        "viscous_nonlinear": {"coefficient_N": 138.0, "exponent": 0.5},
+    }
+    runs, model = identified(BENCH, effects, seed=41)
+    found = measured_scale_age(runs, BENCH, model)
+    assert found is not None
+    assert found.time_s == pytest.approx(-10e-6, abs=1.2e-6)
+
+
 @pytest.mark.parametrize(
     "effects",
     [

@@ -112,10 +112,10 @@ _FIRST_GUESS = _Form(guide_m=10e-6, rotary_m=5e-6, excess_N=10.0, stribeck_m_per
 # No friction turns over at once: Coulomb's, as drives have it.
 _ONSET = _Form(0.2e-6, 0.2e-6, excess_N=0.0, stribeck_m_per_s=0.005, has_stribeck=False)
 _ANY_m = 1e-9
-# Lag of the table by speed that is twice what guides usually make: there the base model is also
-# fitted with a scale that is read late, of which it makes viscous friction that the torque lacks.
-# Less is looked for once friction is known (``scale_age``).
-_MUCH_FOR_FRICTION_s, _LATE_s = 8e-6, 4e-6
+# Lag of the table by speed that is twice what guides usually make, or a lead, which no friction
+# makes: there the base model is also fitted with a scale that is read late, of which it makes
+# viscous friction that the torque lacks. Less is looked for once friction is known (``scale_age``).
+_MUCH_FOR_FRICTION_s, _NO_FRICTION_s, _LATE_s = 8e-6, -1e-6, 4e-6
 _LENGTHS = ("presliding.distance_m", "presliding.rotary_m")
 
 
@@ -135,8 +135,9 @@ class _FrictionTrial(Trial):
             lag_s = lag_by_speed_s(self.captures, self.bench, base)
         except ModelError:
             return None
-        plain = self._outline(None)
-        late = self._outline(base.with_effect(SKEW)) if abs(lag_s) > _MUCH_FOR_FRICTION_s else None
+        plain, late = self._outline(None), None
+        if not _NO_FRICTION_s < lag_s < _MUCH_FOR_FRICTION_s:
+            late = self._outline(base.with_effect(SKEW))
         if plain is None or late is None:
             return plain or late
         much = abs(late.parameters[SKEW_TIME].value) > _LATE_s
