@@ -12,7 +12,6 @@ from typing import Any
 
 from pmac_comp.machine.controller import (
     guard_install,
-    law_arming,
     law_goal,
     law_install,
     law_state,
@@ -192,7 +191,7 @@ def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadRe
         if found.law is LawForm.PLC:
             results.append(law_install.remove_law(axis.link, inner))
         if found.law is LawForm.SERVO:
-            law_arming.disarm(axis.link, inner)
+            results.append(law_install.fade_law(axis.link, inner, axis.motor))
         if found.tables:
             results.append(remove_tables(axis.link, inner, found.tables))
         results += _remove_beside(axis, inner)

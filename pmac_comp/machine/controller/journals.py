@@ -26,6 +26,7 @@ ROLLED_BACK: Final = "rolled back"
 KEPT: Final = "kept"  # closed without writing: somebody else has changed the controller since
 TEMPORARY: Final = "temporary"  # mark of an intent that is always taken back
 FIRST_P: Final = "first P-variable"  # in a beginning: of the block that the change is made with
+DAMAGED: Final = "PC-JRN-003"
 _READ_AGAIN: Final = 4  # so many settled journals are read by each change before a mark is moved
 
 
@@ -151,6 +152,9 @@ def torn_refusals(context: Context, before: Sequence[str] | None = None) -> list
     if context.settling:
         return []
     names = _not_known_settled(context, journal_names(context) if before is None else before)
+    damaged = _damage_refusals(_journals(context, names))
+    if damaged:
+        return damaged
     torn = [j for j in _journals(context, names) if is_torn(j)]
     if not torn and len(names) > _READ_AGAIN:
         with suppress(OSError):  # it only saves time
@@ -169,6 +173,29 @@ def torn_refusals(context: Context, before: Sequence[str] | None = None) -> list
             "it was meant. Then try again; nothing was changed now, and `pmac-comp status` says "
             "what stands.",
             context={"journal": str(torn[-1].path), "confirmed": False},
+        )
+    ]
+
+
+def damage_refusals(context: Context) -> list[SafetyRefusal]:
+    """Refusal of what would trust a journal that was damaged; it may tell of an open change."""
+    return _damage_refusals(_journals(context, _not_known_settled(context, journal_names(context))))
+
+
+def _damage_refusals(found: Sequence[Journal]) -> list[SafetyRefusal]:
+    damaged = [journal for journal in found if journal.is_damaged]
+    if not damaged:
+        return []
+    return [
+        SafetyRefusal(
+            f"The journal {damaged[-1].path} is damaged: which change it tells of, and whether "
+            "that ended, cannot be read.",
+            code=DAMAGED,
+            hint="Nothing was changed now. Look at what stands (`pmac-comp status`, `backup`): "
+            "`pmac-comp recover --keep` takes it as it is and closes the journal, `pmac-comp "
+            "restore` writes an earlier backup back.",
+            left=ControllerState.DISABLED,
+            context={"journal": str(damaged[-1].path), "confirmed": False},
         )
     ]
 

@@ -120,6 +120,14 @@ def require_open_servo(link: Link, context: Context, motor: int) -> None:
             raise no_servo(context, motor, int(read_one(link, f"I{motor}59")))
 
 
+def fade_law(link: Link, context: Context, motor: int) -> UploadResult:
+    """Fade the law of the open servo, which stays; taken back, its gain rises again."""
+    goal = Settings({f"P{context.block.p(Index.TARGET)}": "0"})
+    with SettingsUpload(link, context, goal, route="servo", motors=[motor]) as upload:
+        upload.write(first=lambda: disarm(link, context))
+        return upload.finish()
+
+
 def remove_law(link: Link, context: Context) -> UploadResult:
     """Take the law off: fade, stop following, delete PLC 0; interrupted, it comes back whole.
 

@@ -19,6 +19,7 @@ from pmac_comp.base.errors import (
     SafetyRefusal,
     VerifyMismatch,
 )
+from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Entry, Journal
 from pmac_comp.machine.controller.journals import (
@@ -73,15 +74,17 @@ from pmac_comp.machine.controller.settings_upload import (
     settings_state,
     tolerated,
 )
-from pmac_comp.machine.controller.table_files import table_from_json
+from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
 from pmac_comp.machine.controller.table_recovery import (
+    Uploaded,
     require_known,
     rollback_refusals,
     rollback_tables,
     tables_state,
 )
-from pmac_comp.machine.controller.table_set import TableSet
+from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.upload import ASKED
 from pmac_comp.machine.controller.upload_checks import motion_refusals
 from pmac_comp.machine.controller.variables import same_value
 from pmac_comp.machine.controller.verdict import link_is_lost
@@ -202,6 +205,14 @@ def missing(link: Link, context: Context, part: Part) -> str:
     kept = {name: text for name, text in new.variables.items() if name not in ours}
     new = replace(new, variables=kept)
     return "; ".join(differences(new, read_settings(link, new))[:3])
+
+
+def is_back(link: Link, context: Context, part: Part) -> bool:
+    """Whether what stood before a part that was taken back still stands, as far as can be told."""
+    if part.kind is ChangeKind.TABLES:
+        old, _ = read_table_backup(_backup(context, part))
+        return read_tables(link).crc == old.crc
+    return bool(missing(link, context, part))
 
 
 def how_it_stands(link: Link, context: Context, part: Part) -> UploadResult:
@@ -428,12 +439,15 @@ def _clear_master_word(link: Link, old: Settings) -> None:
         link.command(f"WX${MASTER_WORD_ADDRESS:X},0")
 
 
-def uploaded_tables(part: Part) -> TableSet | None:
+def uploaded_tables(part: Part) -> Uploaded | None:
     """Tables that an upload left behind, all of them whole; None if it did not get that far."""
     if part.closing != DONE:
         return None
-    new = part.intent.data["new"]
-    return TableSet(tuple(table_from_json(t) for t in new))  # type: ignore[attr-defined]
+    new, asked = part.intent.data["new"], part.intent.data.get(ASKED, [])
+    return Uploaded(
+        TableSet(tuple(table_from_json(t) for t in new)),  # type: ignore[attr-defined]
+        tuple((TableKind(kind), int(motor)) for kind, motor in asked),  # type: ignore[attr-defined]
+    )
 
 
 def refuse_foreign(link: Link, context: Context, part: Part) -> None:
@@ -446,7 +460,7 @@ def refuse_foreign(link: Link, context: Context, part: Part) -> None:
     """
     uploaded = uploaded_tables(part) if part.kind is ChangeKind.TABLES else None
     if uploaded is not None:
-        require_known(link, _backup(context, part), uploaded)
+        require_known(link, _backup(context, part), uploaded.tables)
 
 
 def refusals_to_take_back(link: Link, context: Context, part: Part) -> list[SafetyRefusal]:

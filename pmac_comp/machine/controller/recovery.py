@@ -13,6 +13,7 @@ from pmac_comp.machine.controller.journals import (
     KEPT,
     ROLLED_BACK,
     ChangeKind,
+    damage_refusals,
     is_of_block,
     is_temporary,
     is_torn,
@@ -78,11 +79,11 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
         with one_at_a_time(context):
             return _recover(link, replace(context, settling=True), resume=resume)
     except PmacCompError as error:
-        if error.left in {None, ControllerState.OLD} and not link_is_lost(error):
-            # What did not touch anything has not brought back what stood before either.
-            tell_what_stands(link, context, error)
-        elif error.left is None:
+        # A part speaks of itself: OLD of one that wrote the old back is what was torn before it.
+        if link_is_lost(error):
             mark_left(error, ControllerState.DISABLED, confirmed=False)
+        elif error.left is not ControllerState.DISABLED or error.context.get("confirmed"):
+            tell_what_stands(link, context, error)
         raise
 
 
@@ -100,6 +101,7 @@ def last_change(context: Context) -> str:
 
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
+    raise_all(damage_refusals(context), "The recovery")
     raise_all(_forbidden(link, context), "The recovery")
     since = number_since_ours(link, context)
     torn, waits = torn_groups(context), waiting(context)
@@ -116,8 +118,21 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
         if not notes:
             notes.append("no part of the upload was begun")
         result = UploadResult(ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path)
+    _close_replaced(context)
     end_change(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
+
+
+def _close_replaced(context: Context) -> None:
+    """Close what still stands open of changes that a later one has replaced.
+
+    That is a recovery or a rollback which was cut itself: the next one writes the old back with a
+    journal of its own, and the first would forbid every change from then on.
+    """
+    waits = {part.journal.path for part in unsettled(context)}
+    for part in parts_of(context):
+        if part.journal.is_open and part.journal.path not in waits:
+            part.journal.write(KEPT)
 
 
 def _forbidden(link: Link, context: Context) -> list[SafetyRefusal]:
@@ -153,7 +168,7 @@ def keep(link: Link, context: Context) -> UploadResult:
     """
     with untouched(), one_at_a_time(context):
         raise_all(lease_refusals(link, context), "Keeping what stands")
-        still_open = [j for j in journals(context) if is_torn(j)]
+        still_open = [j for j in journals(context) if is_torn(j) or j.is_damaged]
         for journal in reversed(still_open):
             journal.write(KEPT)
         release_lease(link, context, number=-abs(read_change(link, context)))

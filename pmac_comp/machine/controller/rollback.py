@@ -12,7 +12,13 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import KEPT, ROLLED_BACK, own_numbers, require_own_block
+from pmac_comp.machine.controller.journals import (
+    KEPT,
+    ROLLED_BACK,
+    damage_refusals,
+    own_numbers,
+    require_own_block,
+)
 from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
@@ -48,6 +54,7 @@ def rollback_last(link: Link, context: Context) -> UploadResult:
         There is none in this folder, or it was taken back already.
     """
     with one_at_a_time(context):
+        raise_all(damage_refusals(context), "The rollback")
         group, _ = upload_to_take_back(context)
         notes = _rolled_back(link, replace(context, settling=True), group)
     return UploadResult(ControllerState.OLD, "upload", 0, 0, journal=group.path, notes=tuple(notes))
@@ -141,6 +148,7 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
 
 def refuse_rollback(link: Link, context: Context, others: Sequence[SafetyRefusal] = ()) -> None:
     """Raise what forbids a rollback, and ``others``, with what stands; nothing is changed."""
+    raise_all(damage_refusals(context), "The rollback")
     group, parts = upload_to_take_back(context)
     try:
         raise_all([*rollback_refusals(link, context, group), *others], "The rollback")

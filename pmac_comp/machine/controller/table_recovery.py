@@ -14,7 +14,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.bumpless import switch_refusals
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, ChangeKind, journals
+from pmac_comp.machine.controller.journals import DONE, KEPT, ROLLED_BACK, ChangeKind, journals
 from pmac_comp.machine.controller.lease import (
     host_lock,
     read_clock,
@@ -25,7 +25,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, end_lines
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.table_files import read_table_backup, table_from_json
-from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.table_set import Key, TableSet, read_tables
 from pmac_comp.machine.controller.table_status import (
     TableStatus,
     announced_elsewhere,
@@ -36,6 +36,18 @@ from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import Origin, TableUpload
 
 FOREIGN_TABLES: Final = "PC-UPL-060"
+
+
+@dataclass(frozen=True)
+class Uploaded:
+    """What stood after an upload, whole, and which of it the upload was asked for.
+
+    A table that was asked for and stood already came with it all the same: a reset that took the
+    upload took that, too.
+    """
+
+    tables: TableSet
+    asked: tuple[Key, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,6 +67,16 @@ class Unfinished:
     def is_undoing(self) -> bool:
         """Whether it only brings back what stood before itself."""
         return self.manifest.crc_old == self.manifest.crc_new
+
+    @property
+    def was_taken_back(self) -> bool:
+        """Whether this upload ended with what stood before it."""
+        return not self.is_rollback and self.journal.entries()[-1].step == ROLLED_BACK
+
+    @property
+    def was_kept(self) -> bool:
+        """Whether somebody closed it as it stood."""
+        return self.journal.entries()[-1].step == KEPT
 
     @property
     def expected(self) -> Manifest:
@@ -136,25 +158,15 @@ def recover_tables(
     """
     with host_lock(context):
         last = last_upload(context)
+        if last is not None and last.was_kept:
+            return _as_kept(link, context, last)
         manifest = None if last is None else last.expected
         status = table_status(link, context, journal_manifest=manifest)
         _settle_lease(link, context)
         if status.decision.action is Action.DISABLE:
-            waits = last is not None and last.journal.is_open
-            other = None if waits else announced_elsewhere(link, context, status.tables)
-            if other is not None:
-                release_lease(link, context)
-                crc = status.tables.crc
-                return UploadResult(other.state, "table", crc, crc, notes=(other.reason,))
-            _require_bumpless(link, context, status.tables)
-            link.command("I51=0")
-            raise ForeignChange(
-                f"{status.decision.reason.capitalize()}; compensation was switched off.",
-                code="PC-UPL-012",
-                hint="Compare with a backup, then `pmac-comp rollback` or upload again.",
-                left=ControllerState.DISABLED,
-            )
-        if status.decision.action is Action.NOTHING or _is_removed(last, status):
+            return _of_others(link, context, last, status)
+        stands = status.decision.action is Action.NOTHING or _is_removed(last, status)
+        if stands and not _is_undone(last, status):
             return _settled(link, context, last, status)
     if last is None:
         raise UploadIncomplete(
@@ -163,22 +175,54 @@ def recover_tables(
             hint="Run recover where the upload was started, or restore a backup.",
             left=ControllerState.DISABLED,
         )
-    if last.is_rollback and not last.is_undoing:
+    return _brought_about(link, context, last, status, resume=resume, alone=alone)
+
+
+def _brought_about(
+    link: Link,
+    context: Context,
+    last: Unfinished,
+    status: TableStatus,
+    *,
+    resume: bool,
+    alone: bool,
+) -> UploadResult:
+    """What an upload or a rollback meant, or what stood before it; see ``recover_tables``."""
+    if last.is_rollback and (not last.is_undoing or _is_undone(last, status)):
         return _finish(link, context, last, last.new, enable=last.enable_after)
     if not (alone or last.journal.is_open or status.decision.action is Action.RESUME):
         release_lease(link, context)
-        note = (
-            "the upload is not on the controller any more (a reset without SAVE): upload it again"
-        )
+        what = "what stood before the last upload" if last.was_taken_back else "the upload"
+        note = f"{what} is not on the controller any more (a reset without SAVE): upload it again"
         crc = status.tables.crc
         return UploadResult(
             ControllerState.DISABLED, "table", last.manifest.crc_old, crc, notes=(note,)
         )
     # A finished upload that is gone was lost in a reset without SAVE: it is written again.
     whole = status.decision.action is Action.RESUME or not last.journal.is_open
-    if resume and whole and last.enable_after:
+    if resume and whole and last.enable_after and not last.was_taken_back:
         return _finish(link, context, last, last.new, enable=True)
     return _finish(link, context, last, last.old, enable=bool(last.manifest.enabled_old))
+
+
+def _of_others(
+    link: Link, context: Context, last: Unfinished | None, status: TableStatus
+) -> UploadResult:
+    """Tables that are neither the old nor the new ones: of another bench file, or switched off."""
+    waits = last is not None and last.journal.is_open
+    other = None if waits else announced_elsewhere(link, context, status.tables)
+    if other is not None:
+        release_lease(link, context)
+        crc = status.tables.crc
+        return UploadResult(other.state, "table", crc, crc, notes=(other.reason,))
+    _require_bumpless(link, context, status.tables)
+    link.command("I51=0")
+    raise ForeignChange(
+        f"{status.decision.reason.capitalize()}; compensation was switched off.",
+        code="PC-UPL-012",
+        hint="Compare with a backup, then `pmac-comp rollback` or upload again.",
+        left=ControllerState.DISABLED,
+    )
 
 
 def _require_bumpless(link: Link, context: Context, tables: TableSet) -> None:
@@ -201,6 +245,26 @@ def _is_removed(last: Unfinished | None, status: TableStatus) -> bool:
     if last is None or last.enable_after or status.i51:
         return False
     return status.tables.crc == last.manifest.crc_new
+
+
+def _as_kept(link: Link, context: Context, last: Unfinished) -> UploadResult:
+    """What somebody kept as it stood is looked at and left alone."""
+    _settle_lease(link, context)
+    status = table_status(link, context, journal_manifest=last.manifest)
+    release_lease(link, context)
+    note = f"nothing was left open, what stands was kept: {status.decision.reason}"
+    crc = status.tables.crc
+    return UploadResult(status.decision.state, "table", crc, crc, notes=(note,))
+
+
+def _is_undone(last: Unfinished | None, status: TableStatus) -> bool:
+    """Whether a rollback ended and its tables were switched off, or lost, since.
+
+    Its own beginning may have been such: that it looks so again is not that it was never begun.
+    """
+    if last is None or not last.is_rollback or last.journal.is_open:
+        return False
+    return last.enable_after and bool(last.new) and not (status.i51 and status.tables.crc)
 
 
 def _settle_lease(link: Link, context: Context) -> None:
@@ -232,8 +296,10 @@ def _settled(
     if last.is_rollback:
         untouched = state is ControllerState.OLD and not last.is_undoing
         state = ControllerState.NEW if untouched else ControllerState.OLD
-        if untouched:
+        if untouched and last.journal.is_open:
             reason = "the rollback was not begun: the uploaded tables act"
+        elif untouched:
+            reason = "the upload that was taken back acts again: it had been saved before that"
         elif not last.journal.is_open:
             reason = "nothing was left open: the last upload was taken back"
     if last.journal.is_open:
@@ -284,7 +350,7 @@ def _finish(
 
 
 def rollback_tables(
-    link: Link, context: Context, backup: Path, uploaded: TableSet | None = None
+    link: Link, context: Context, backup: Path, uploaded: Uploaded | None = None
 ) -> UploadResult:
     """Write the tables of a backup back, with the switch as it was then.
 
@@ -294,8 +360,8 @@ def rollback_tables(
         Conversation and limits.
     backup : Path
         What stood before an upload.
-    uploaded : TableSet, optional
-        What stood after it, whole. Then tables that it did not touch stay as they are now: the
+    uploaded : Uploaded, optional
+        What stood after it. Then tables that it did not touch stay as they are now: the
         compensation of another axis may have changed since.
     """
     rollback = _rollback_of(link, context, backup, uploaded)
@@ -315,14 +381,14 @@ def rollback_tables(
 
 
 def rollback_refusals(
-    link: Link, context: Context, backup: Path, uploaded: TableSet | None = None
+    link: Link, context: Context, backup: Path, uploaded: Uploaded | None = None
 ) -> list[SafetyRefusal]:
     """What forbids ``rollback_tables`` as motors and tables stand now; nothing is changed."""
     return list(_rollback_of(link, context, backup, uploaded).prepare().refusals)
 
 
 def _rollback_of(
-    link: Link, context: Context, backup: Path, uploaded: TableSet | None
+    link: Link, context: Context, backup: Path, uploaded: Uploaded | None
 ) -> TableUpload:
     tables, enabled = read_table_backup(backup)
     if uploaded is not None:
@@ -340,7 +406,7 @@ def _rollback_of(
 
 
 def _with_others_as_now(
-    link: Link, context: Context, old: TableSet, uploaded: TableSet, *, enabled: bool
+    link: Link, context: Context, old: TableSet, whole: Uploaded, *, enabled: bool
 ) -> tuple[TableSet, bool]:
     """The old set where an upload changed it, and what stands now of all other tables."""
     last = last_upload(context)
@@ -349,8 +415,10 @@ def _with_others_as_now(
     undone = last is not None and (last.journal.is_open or status.tables.crc == last.new.crc)
     if last is not None and last.is_rollback and undone:
         return last.new, last.enable_after
+    uploaded = whole.tables
     brought = [t for t in uploaded if old.get(t.kind, t.motor) != t]
-    if any(status.tables.get(t.kind, t.motor) != t for t in brought):
+    asked = [t for t in uploaded if (t.kind, t.motor) in whole.asked]
+    if any(status.tables.get(t.kind, t.motor) != t for t in (*brought, *asked)):
         _refuse_unknown(status.tables, old, uploaded)
         return old, enabled  # a reset took them, and may have taken others
     replaced = [t for t in old if uploaded.get(t.kind, t.motor) != t]

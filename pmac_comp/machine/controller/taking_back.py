@@ -15,6 +15,7 @@ from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, open_again
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
+    is_back,
     missing,
     parts_of,
     replaced_since,
@@ -35,8 +36,8 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
         open_again(context, group, _TAKING_BACK)
     parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
     for part in parts:
-        if part.closing == ROLLED_BACK and (was_done or missing(link, alone, part)):
-            continue  # a reset in between may have brought back what was taken back already
+        if part.closing == ROLLED_BACK and (was_done or is_back(link, alone, part)):
+            continue  # a reset in between may have brought it, or taken what stood before
         if part.items & replaced_since(context, part):
             notes.append(f"{part.kind.value}: a later upload took its place; it stands")
         else:

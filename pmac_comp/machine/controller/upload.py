@@ -73,6 +73,7 @@ from pmac_comp.machine.controller.variables import batches
 from pmac_comp.machine.controller.verdict import mark_left
 
 FRESH_s: Final = 5.0
+ASKED: Final = "asked"  # in an intent: kind and motor of the tables that were to stand
 
 
 @dataclass(frozen=True)
@@ -275,6 +276,7 @@ class TableUpload:
                 "steps": ["manifest", "disable", "write", "read back"],
                 "n_lines": len(the_plan.lines),
                 "new": [table_to_json(t) for t in the_plan.new],
+                ASKED: [[t.kind.value, t.motor] for t in self._wish.change],
                 "enable_after": int(the_plan.enabled_new),
                 "i30": self._i30,
                 "closing": self._closing,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Final
 
 from pmac_comp.base.errors import (
     ControllerState,
@@ -9,6 +10,10 @@ from pmac_comp.base.errors import (
     LocalProtocolError,
     PmacCompError,
     ProtocolError,
+)
+
+_UNCONFIRMED: Final = (
+    "The state is unconfirmed: run `pmac-comp recover` as soon as the controller answers."
 )
 
 
@@ -45,7 +50,5 @@ def mark_left(error: PmacCompError, left: ControllerState, *, confirmed: bool) -
     """Say on an error in which state the controller was left."""
     error.left = left
     error.context["confirmed"] = confirmed
-    if not confirmed:
-        error.hint = (
-            error.hint + " " if error.hint else ""
-        ) + "The state is unconfirmed: run `pmac-comp recover` as soon as the controller answers."
+    if not confirmed and _UNCONFIRMED not in error.hint:
+        error.hint = f"{error.hint} {_UNCONFIRMED}".strip()

@@ -11,8 +11,10 @@ from pmac_comp.machine.controller.claim import claim_refusal, read_claim, releas
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import (
+    DAMAGED,
     ROLLED_BACK,
     ChangeKind,
+    damage_refusals,
     journals,
     number_of,
     own_numbers,
@@ -47,7 +49,8 @@ def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
     other = claim_refusal(claimed, context)
     torn = torn_refusals(context)
     for refusal in torn:
-        tell_what_stands(link, context, refusal)
+        if refusal.code != DAMAGED:  # else nobody knows what waits
+            tell_what_stands(link, context, refusal)
     return [
         *torn,
         *([begun_elsewhere(elsewhere)] if elsewhere else []),
@@ -105,6 +108,9 @@ def waiting_parts(context: Context) -> list[Part]:
 
 def left_open(context: Context) -> tuple[str, ...]:
     """Changes of this folder that began and did not end, in words; ``recover`` settles them."""
+    damaged = damage_refusals(context)
+    if damaged:
+        return (f"{damaged[0].context['journal']} is damaged",)
     torn = torn_groups(context)
     if torn:
         begin = torn[-1].first()

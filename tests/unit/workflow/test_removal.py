@@ -15,12 +15,15 @@ from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.simulator.card import Card
 from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
+from pmac_comp.workflow.simulated import default_servo, embedded
+from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
 
 
@@ -143,3 +146,24 @@ def test_what_a_stopped_plc_0_left_standing_goes(axis: Axis, tmp_path: Path) -> 
     remove_from(axis, context, standing_on(axis))
     assert axis.link.query("I106I129RX$10F8") == ["0", "0", "0"]
     assert standing_on(axis).is_empty
+
+
+def test_the_law_of_an_open_servo_fades_and_comes_back_armed(tmp_path: Path) -> None:
+    """The servo itself stays: what a rollback brings back is the gain that was wanted."""
+    source = default_servo().read_text(encoding="utf-8")
+    with embedded(Card(BENCH, servo_source=source)) as link:
+        axis = Axis(link, BENCH, "test", simulated=True)
+        axis.enable()
+        link.command(f"I{axis.motor}59=1")
+        context = context_of(axis, tmp_path)
+        deploy(axis, Compensation("servo", LAW, LEAD), context)
+        found = standing_on(axis)
+        assert found.law is LawForm.SERVO
+        assert law_state.read_law_head(link, context.block).gain == 1.0
+        remove_from(axis, context, found)
+        assert law_state.read_law_head(link, context.block).gain == 0.0
+        rollback_last(link, context)
+        link.clock.sleep_s(2.0)
+        head = law_state.read_law_head(link, context.block)
+        assert (head.target, head.gain) == (1.0, 1.0)
+        assert standing_on(axis) == found
