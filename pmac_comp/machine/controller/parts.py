@@ -211,7 +211,10 @@ def is_back(link: Link, context: Context, part: Part) -> bool:
     """Whether what stood before a part that was taken back still stands, as far as can be told."""
     if part.kind is ChangeKind.TABLES:
         old, _ = read_table_backup(_backup(context, part))
-        return read_tables(link).crc == old.crc
+        meant, present = _meant_tables(part), read_tables(link)
+        keys = {(t.kind, t.motor) for t in (*old, *meant.tables)}
+        changed = {key for key in keys if old.get(*key) != meant.tables.get(*key)}
+        return all(present.get(*key) == old.get(*key) for key in changed | set(meant.asked))
     return bool(missing(link, context, part))
 
 
@@ -441,8 +444,11 @@ def _clear_master_word(link: Link, old: Settings) -> None:
 
 def uploaded_tables(part: Part) -> Uploaded | None:
     """Tables that an upload left behind, all of them whole; None if it did not get that far."""
-    if part.closing != DONE:
-        return None
+    return _meant_tables(part) if part.closing == DONE else None
+
+
+def _meant_tables(part: Part) -> Uploaded:
+    """Tables that an upload meant to leave behind."""
     new, asked = part.intent.data["new"], part.intent.data.get(ASKED, [])
     return Uploaded(
         TableSet(tuple(table_from_json(t) for t in new)),  # type: ignore[attr-defined]
@@ -451,16 +457,15 @@ def uploaded_tables(part: Part) -> Uploaded | None:
 
 
 def refuse_foreign(link: Link, context: Context, part: Part) -> None:
-    """Look, before anything is taken back, whether it would delete what somebody else put on.
+    """Look, before it is taken back, whether that would delete what somebody else put on.
 
     Raises
     ------
     ForeignChange
         It would; nothing was changed.
     """
-    uploaded = uploaded_tables(part) if part.kind is ChangeKind.TABLES else None
-    if uploaded is not None:
-        require_known(link, _backup(context, part), uploaded.tables)
+    if part.kind is ChangeKind.TABLES and part.closing in {DONE, ROLLED_BACK}:
+        require_known(link, _backup(context, part), _meant_tables(part).tables)
 
 
 def refusals_to_take_back(link: Link, context: Context, part: Part) -> list[SafetyRefusal]:

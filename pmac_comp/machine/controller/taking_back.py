@@ -18,6 +18,7 @@ from pmac_comp.machine.controller.parts import (
     is_back,
     missing,
     parts_of,
+    refuse_foreign,
     replaced_since,
     take_back,
 )
@@ -38,6 +39,8 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
     for part in parts:
         if part.closing == ROLLED_BACK and (was_done or is_back(link, alone, part)):
             continue  # a reset in between may have brought it, or taken what stood before
+        if part.closing == ROLLED_BACK:
+            refuse_foreign(link, alone, part)  # who has begun anew since the reset
         if part.items & replaced_since(context, part):
             notes.append(f"{part.kind.value}: a later upload took its place; it stands")
         else:

@@ -580,6 +580,9 @@ def _refined(
 
     has_gap, has_torque = start.gap_half_m > 0.0, start.torque_limit_Nm > 0.0
     scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
+    if start.torque_constant_Nm == 0.0:
+        # A drive without load is the same both ways: a constant would fit the motions, not it.
+        scales.pop("torque_constant_Nm", None)
     lower = dict(_LOWEST)
     if has_gap:
         scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
