@@ -107,6 +107,11 @@ class Capture:
         return self.desired_position_m
 
     @property
+    def largest_added_m(self) -> float:
+        """Largest correction that a compensation added to the command, m."""
+        return float(np.max(np.abs(self.desired_m - self.commanded_position_m)))
+
+    @property
     def mask(self) -> BoolArray:
         """Validity of each sample as an array, shape (n,)."""
         return np.ones(self.n, dtype=np.bool_) if self.valid is None else self.valid

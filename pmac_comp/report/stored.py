@@ -40,7 +40,8 @@ def report_from_file(source: Path, out: Path) -> Path:
         ) from error
     if not isinstance(data, dict) or not _MARKS & data.keys():
         raise ConfigError(
-            f"{source} is JSON, but not a result of this program.",
+            f"{source} is JSON, but not a result that was stored with --json (a model or a "
+            "compensation file is none).",
             code="PC-REP-002",
             hint=_HINT,
         )

@@ -24,8 +24,9 @@ from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
-from pmac_comp.physics.compensate.unmodelled import Unmodelled, joined_um, model_law
+from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.compensate.wobble import WORTH, with_wobble
+from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
@@ -351,7 +352,7 @@ def compensate_files(
         raise too_large(route, aim, "; ".join(cuts))
     # What cannot be rendered or drawn is refused before it is written.
     sums = sum_remarks(compensation, loaded)
-    summary = describe(loaded, compensation)
+    summary = describe(loaded, compensation) | _promised_of_motion(loaded, compensation, drive)
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
     law = compensation.law
@@ -367,7 +368,7 @@ def compensate_files(
             *cuts,
             *sums,
             *table_remarks(loaded, compensation),
-            *law_remarks(drive, route, has_captures=bool(captures)),
+            *law_remarks(drive, route, has_captures=bool(captures), has_slow=bool(slow)),
             *constant_remarks(loaded, law),
             *wobble_remarks(law),
             *shown_remarks(law),
@@ -386,6 +387,22 @@ def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> lis
     if promiser is None or compensation.route in MOTION_ROUTES or bench.scale is None:
         return []
     return worse_remarks(promiser, verification_motions(bench, _LIKE_VERIFIED))
+
+
+def _promised_of_motion(bench: Bench, compensation: Compensation, drive: Any) -> dict[str, Any]:
+    """What is promised for the one motion of a compensation, the steps of counts in the loop."""
+    promiser = Promiser.of(bench, compensation, drive)
+    position, added = compensation.motion_position_m, compensation.motion_correction_m
+    if promiser is None or bench.scale is None or position is None or added is None:
+        return {}
+    time_s = bench.servo_period_s * np.arange(position.size, dtype=np.float64)
+    said = promiser.of_motion(Trajectory(time_s, position), drawn_m=position + added)
+    aim = compensation.law.provenance.get("exact", {}).get("aim", Aim.TOTAL.value)
+    name = "total_after" if aim == Aim.TOTAL.value else "e_r_after"
+    out = {f"{aim} error after um rms, promised": said[f"{name}_um"]}
+    if f"{name}_upper_um" in said:
+        out[f"{aim} error after um rms, at most"] = said[f"{name}_upper_um"]
+    return out
 
 
 def describe(bench: Bench, compensation: Compensation) -> dict[str, Any]:
@@ -476,17 +493,9 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
         "motion": f"{(position.size - 1) * bench.servo_period_s:.3f} s, {position.size} samples",
         "largest correction um": float(np.max(np.abs(correction)) * UM_PER_M),
         f"{aim} error before um rms": history[0],
-        f"{aim} error after um rms (model alone)": min(history),
+        f"{aim} error after um rms (as computed, on exact positions)": min(history),
         "passes": len(history) - 1,
     }
-    rest = compensation.law.provenance.get("unmodelled")
-    if rest is not None:
-        found = Unmodelled.from_mapping(rest)
-        _, typical_um, most_um = found.total_um if aim == Aim.TOTAL.value else found.mechanical_um
-        own, whole = min(history), history[0]
-        likely_um = math.sqrt(own * joined_um(own, typical_um, own, whole))
-        out[f"{aim} error after um rms, promised"] = likely_um
-        out[f"{aim} error after um rms, at most"] = own + most_um
     if compensation.route == "cam":
         return out | {"cam rounding um": render_cam(compensation, bench).table.quantisation_um}
     drawn = draw_motion(compensation, bench)

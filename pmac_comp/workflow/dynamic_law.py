@@ -312,16 +312,22 @@ def wobble_remarks(law: CompensationLaw) -> list[str]:
     ]
 
 
-def law_remarks(model: "DriveModel", route: str, *, has_captures: bool) -> list[str]:
+def law_remarks(
+    model: "DriveModel", route: str, *, has_captures: bool, has_slow: bool = False
+) -> list[str]:
     """What the law of a route cannot do for this drive, or was not given, for people."""
     if route not in TORQUE_ROUTES:
         return []
     remarks: list[str] = []
     if not has_captures:
+        turn = (
+            "cogging and friction per turn are those of the slow runs, how friction grips is"
+            if has_slow
+            else "cogging, friction per turn and how friction grips are"
+        )
         remarks.append(
-            "no calibration runs were given (--captures): cogging, friction per turn and how "
-            "friction grips are not in the law, nothing trims it, and the promise is the "
-            "model's alone"
+            f"no calibration runs were given (--captures): {turn} not in the law, nothing trims "
+            "it, and the promise is the model's alone"
         )
     if any(split_name(name)[0] == "backlash" for name in model.effects):
         gap_um = model.parameters["backlash.gap_m"] * UM_PER_M

@@ -73,7 +73,7 @@ def check_uncompensated(bench: Bench, captures: Sequence[Capture], names: Sequen
         The desired position departs from the commanded one by more than a count.
     """
     for capture, name in zip(captures, names, strict=True):
-        added_m = float(np.max(np.abs(capture.desired_m - capture.commanded_position_m)))
+        added_m = capture.largest_added_m
         if added_m > bench.motor_resolution_m:
             raise ConfigError(
                 f"{name} was made with a compensation on: up to {added_m * UM_PER_M:.1f} um were "

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -140,10 +140,32 @@ def identify_captures(
     given = list(names) or [
         str(c.attributes.get("motion", f"capture {i + 1}")) for i, c in enumerate(captures)
     ]
+    result = replace(result, statements=(*_made_with_compensation(captures, bench, given),
+                                         *result.statements))  # fmt: skip
     stored = to_model_file(
         result, bench, data=list(zip(given, list(digests) or [""] * len(given), strict=True))
     )
     return IdentificationOutcome(bench, tuple(captures), result, stored)
+
+
+def _made_with_compensation(
+    captures: Sequence[Capture], bench: Bench, names: Sequence[str]
+) -> tuple[str, ...]:
+    """That a compensation acted in runs: the torque that a law adds is not in their columns."""
+    acted = [
+        name
+        for capture, name in zip(captures, names, strict=True)
+        if capture.largest_added_m > bench.motor_resolution_m
+        or capture.attributes.get("compensation") == "on"
+    ]
+    if not acted:
+        return ()
+    return (
+        f"{len(acted)} of {len(names)} captures were made with a compensation on ({acted[0]}"
+        f"{', ...' if len(acted) > 1 else ''}). What a law feeds forward as torque is not in them "
+        "and bends the fit: identify from runs without (`pmac-comp rollback` or `remove` before "
+        "`capture`).",
+    )
 
 
 def identify_files(

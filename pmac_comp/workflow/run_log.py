@@ -4,6 +4,7 @@ What lives here: where the log of one run lies, what is said of it after an erro
 from what it holds. The log itself is ``machine.controller.capture_log``.
 """
 
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -64,9 +65,10 @@ class RunLog:
         if self.n_samples == 0:
             self.drop()
             return ""
+        again = f"--recover {shlex.quote(str(self.path))} --out FOLDER"
         return (
             f"{self.n_samples} samples of this run are kept in {self.path}; `pmac-comp capture URL "
-            f"--bench FILE --recover {self.path} --out FOLDER` makes a capture of them"
+            f"--bench FILE {again}` makes a capture of them"
         )
 
 

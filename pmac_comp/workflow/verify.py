@@ -5,6 +5,7 @@ statistics (``outcome``), plots (``report``).
 """
 
 import json
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -308,7 +309,8 @@ def keep_learned(
     write_compensation(path, found)
     return (
         f"what was learned is in {path}; on the controller the model's own stands as before, and "
-        f"`pmac-comp upload {url} {path} --bench {bench}` puts what was learned in its place"
+        f"`pmac-comp upload {shlex.quote(url)} {shlex.quote(str(path))} --bench "
+        f"{shlex.quote(bench)}` puts what was learned in its place"
     )
 
 

@@ -139,6 +139,9 @@ def test_what_a_law_lacks_is_said() -> None:
     model = DriveModel.base(BENCH)
     (text,) = law_remarks(model, "law", has_captures=False)
     assert "--captures" in text
+    assert "cogging, friction per turn and how friction grips are not in the law" in text
+    (text,) = law_remarks(model, "law", has_captures=False, has_slow=True)
+    assert "cogging and friction per turn are those of the slow runs" in text
     assert law_remarks(model, "law", has_captures=True) == []
     (text,) = law_remarks(model.with_effect("backlash"), "law", has_captures=True)
     assert "takes 3.0 um up as the force" in text
