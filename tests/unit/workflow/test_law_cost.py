@@ -28,6 +28,7 @@ GAP = CompensationLaw(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-7)
 def test_offers_run_less_often_and_say_what_they_lose() -> None:
     model = DriveModel.base(BENCH)
     law = design_law(BENCH, model_loop(model))
+    assert law.torque_constant_Nm == 0.0  # the same both ways: nothing for a constant to fit
     offers = cheaper_laws(BENCH, model, law)
     assert [offer.every_cycles for offer in offers][:2] == [1, 2]
     assert offers[-1].share_frac <= 0.26

@@ -89,10 +89,12 @@ def test_what_was_learned_becomes_a_compensation_to_upload(
         2e-6 * np.sin(known * 300.0), (2.0, 0.6), converged=True, confirmed_um=(fresh_um,)
     )
     learned = Refinement("sine", 9.0, 2.0, learning)
-    said = keep_learned(learned, model, tmp_path, "sim://", "paper")
-    path = tmp_path / "learned.json"
+    folder = tmp_path / "my runs"
+    folder.mkdir()
+    said = keep_learned(learned, model, folder, "sim://", "paper")
+    path = folder / "learned.json"
     assert path.exists() is is_kept
-    assert (f"pmac-comp upload sim:// {path} --bench paper" in said) is is_kept
+    assert (f"pmac-comp upload sim:// '{path}' --bench paper" in said) is is_kept
     if is_kept:
         stored = read_compensation(path)
         assert stored.motion_correction_m == pytest.approx(learning.correction_m)

@@ -1,5 +1,6 @@
-"""Captures in m under a header in mm: what cannot be identified says what may be wrong."""
+"""What is said of captures that are not what `identify` needs: other units, a compensation on."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,17 @@ import pytest
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.physics import identify
 from pmac_comp.workflow import identification
 
 BENCH = load_bench("paper")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Of an identification what is told."""
+
+    statements: tuple[str, ...]
 
 
 @pytest.mark.parametrize(("span_m", "n_told"), [(20e-6, 1), (20e-3, 0)])
@@ -29,3 +38,26 @@ def test_captures_that_hardly_move_are_asked_for_their_unit(
         identification.identify_files([file], "paper")
     notes = getattr(refused.value, "__notes__", [])
     assert sum("are its positions in m?" in note for note in notes) == n_told
+
+
+@pytest.mark.parametrize(
+    ("added_um", "mark", "told"),
+    [(0.0, {}, False), (0.5, {}, False), (3.0, {}, True), (0.0, {"compensation": "on"}, True)],
+)
+def test_runs_with_a_compensation_on_are_named(
+    monkeypatch: pytest.MonkeyPatch, added_um: float, mark: dict[str, str], *, told: bool
+) -> None:
+    """A law that feeds torque forward may add less than a count to the command."""
+    statements: list[str] = []
+
+    def keep(found: _Found, *_: object, **__: object) -> None:
+        statements.extend(found.statements)
+
+    monkeypatch.setattr(identify, "identify", lambda *_, **__: _Found(("one thing",)))
+    monkeypatch.setattr(identify, "to_model_file", keep)
+    time_s = np.arange(200) * BENCH.servo_period_s
+    still = np.zeros(200)
+    run = Capture(time_s, still, still, desired_position_m=still + added_um * 1e-6, attributes=mark)
+    identification.identify_captures([Capture(time_s, still, still), run], BENCH, names=["a", "b"])
+    assert ("1 of 2 captures were made with a compensation on (b)" in " ".join(statements)) is told
+    assert statements[-1] == "one thing"
