@@ -23,6 +23,7 @@ from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 N = 24
+LAST = 5  # requests with which a recovery says that it has ended
 
 
 @pytest.fixture
@@ -175,6 +176,23 @@ def test_f17_a_recovery_that_loses_its_lease_says_what_stands(
             # Not everything need be as before where the tables are.
             meant = {"old": (ControllerState.OLD, ControllerState.DISABLED)}
             assert error.left in meant.get(acts(bench), (ControllerState.DISABLED,))
+        count_runs(1)
+
+
+def test_f17_tables_switched_off_while_they_come_back_are_not_called_old(
+    bench: CardBench, *, exhaustive: bool, count_runs: Count
+) -> None:
+    """Nor is that the end of it: the next recovery switches them on."""
+    torn = Torn(bench)
+    for at in thinned(range(torn.requests()), 9, exhaustive=exhaustive):
+        error = torn.recover_disturbed(at, lambda: void(bench.side_port()("I51=0")))
+        if error is None:
+            # What lies behind the last look nobody sees.
+            assert acts(bench) == "old" or at >= torn.requests() - LAST
+        else:
+            bench.reconnect()
+            assert recovery.recover(bench.link, bench.context).verdict is ControllerState.OLD
+            assert acts(bench) == "old"
         count_runs(1)
 
 

@@ -83,6 +83,7 @@ from pmac_comp.machine.controller.table_recovery import (
     tables_state,
 )
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import ASKED
 from pmac_comp.machine.controller.upload_checks import motion_refusals
@@ -214,8 +215,17 @@ def is_back(link: Link, context: Context, part: Part) -> bool:
         meant, present = _meant_tables(part), read_tables(link)
         keys = {(t.kind, t.motor) for t in (*old, *meant.tables)}
         changed = {key for key in keys if old.get(*key) != meant.tables.get(*key)}
-        return all(present.get(*key) == old.get(*key) for key in changed | set(meant.asked))
+        same = all(present.get(*key) == old.get(*key) for key in changed | set(meant.asked))
+        return same and not is_switched_off(link, context, part)
     return bool(missing(link, context, part))
+
+
+def is_switched_off(link: Link, context: Context, part: Part) -> bool:
+    """Whether tables that acted before an upload were taken back and do not act."""
+    if part.kind is not ChangeKind.TABLES:
+        return False
+    old, enabled = read_table_backup(_backup(context, part))
+    return enabled and len(old) > 0 and not read_head(link, context).i51
 
 
 def how_it_stands(link: Link, context: Context, part: Part) -> UploadResult:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from pmac_comp.base.errors import ControllerState, SafetyRefusal
+from pmac_comp.base.errors import ControllerState, ForeignChange, SafetyRefusal
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, open_again
@@ -16,6 +16,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
     is_back,
+    is_switched_off,
     missing,
     parts_of,
     refuse_foreign,
@@ -52,6 +53,16 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
                 raise
         part.journal.write(ROLLED_BACK)
     notes += _what_came_back(link, alone, parts)
+    own = [p for p in parts if not p.items & replaced_since(context, p)]
+    if any(is_switched_off(link, alone, part) for part in own):
+        raise ForeignChange(
+            "The old tables are back, and somebody has switched them off meanwhile.",
+            code="PC-REC-012",
+            hint="Find out who writes to this controller, then run `pmac-comp recover`: it "
+            "switches them on again.",
+            left=ControllerState.DISABLED,
+            context={"confirmed": True},
+        )
     group.write(ROLLED_BACK)
     return tuple(dict.fromkeys(notes))  # several parts may be of one kind
 
