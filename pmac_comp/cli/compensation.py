@@ -183,7 +183,7 @@ def upload(
     def show_plan() -> None:
         output.echo_all(plan.text)
         if dry_run:
-            output.echo_all([*plan.refused(), *plan.lines])
+            output.echo_all([*plan.lines, *plan.refused()])  # not above what would be sent
 
     if dry_run:
         output.finish(plan.as_result(), json_target, show_plan)

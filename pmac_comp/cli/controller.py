@@ -301,6 +301,7 @@ def capture(
         if dry_run:
             output.echo("nothing was changed")
 
+    plan.require_room_in(out)
     if dry_run:
         output.finish(plan.as_result(), json_target, show_plan)
         return

@@ -55,6 +55,21 @@ class CapturePlan:
         """How long the session takes, for people."""
         return time_needed([(1, motion) for motion in self.motions])
 
+    def files(self, folder: Path) -> list[Path]:
+        """Capture files of the motions in a folder."""
+        motions = enumerate(self.motions, 1)
+        return [folder / f"{i:02d}_{_file_name(motion.name)}.h5" for i, motion in motions]
+
+    def require_room_in(self, folder: Path) -> None:
+        """Refuse a folder with earlier runs, as the capture would; nothing is written.
+
+        Raises
+        ------
+        ConfigError
+            One of the files is there already.
+        """
+        _refuse_old(self.files(folder), folder)
+
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
         names = ("name", "duration_s", "from_mm", "to_mm", "peak_mm_per_s", "peak_m_per_s2")
@@ -94,7 +109,7 @@ def capture_to_folder(
 
     ``tell`` is called with each remark before the axis moves, when it is not too late to stop.
     """
-    paths = [out / f"{i + 1:02d}_{_file_name(m.name)}.h5" for i, m in enumerate(plan.motions)]
+    paths = plan.files(out)
     require_new(paths, out)
     with open_axis(url, bench) as axis, measuring(borrowing_in(axis, journal), url):
         remarks = (*place_remarks(axis.link, axis.bench), *acting_remarks(axis))

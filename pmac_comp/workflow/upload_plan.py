@@ -70,8 +70,8 @@ class UploadPreview:
     change: Difference
 
     def refused(self) -> list[str]:
-        """What forbids it, for people who only look; an upload raises it with what to do."""
-        return [f"  refused: {refusal.message}" for refusal in self.refusals]
+        """What forbids it and what to do, for people who only look."""
+        return [f"  refused: {r.message} {r.advice}".rstrip() for r in self.refusals]
 
     def require_allowed(self) -> None:
         """Raise all refusals together, if there are any; nothing was changed."""

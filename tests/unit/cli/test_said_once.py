@@ -9,7 +9,7 @@ import pytest
 from pmac_comp.cli import app
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import read_capture
-from pmac_comp.workflow import commissioning, verify
+from pmac_comp.workflow import calibrate, commissioning, verify
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.simulated import embedded, make_card
 from pmac_comp.workflow.verification import Verification
@@ -59,6 +59,20 @@ def test_notes_of_a_capture_are_said_once_and_whole(
     assert said.err.count("note: ") == 1
     (path,) = (tmp_path / "runs").glob("*.h5")
     assert read_capture(path).n > 0
+
+
+def test_a_dry_run_into_a_folder_with_runs_is_refused_as_the_capture_would_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["capture", "tcp://192.0.2.1:1025", "--bench", "paper", "--motion", SINE, "--dry-run"]
+    folder = tmp_path / "runs"
+    assert ended([*words, "--out", str(folder)]) == 0
+    assert not folder.exists()
+    folder.mkdir()
+    plan = calibrate.plan_capture("paper", campaign="", motions=(SINE,))
+    plan.files(folder)[0].touch()
+    assert ended([*words, "--out", str(folder)]) == 2
+    assert "of an earlier capture" in capsys.readouterr().err
 
 
 def test_verify_says_where_the_runs_went(
