@@ -1,6 +1,7 @@
 """F01, F17, F20, F36: what comes after a recovery, and what the damage of a journal hides."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,9 @@ from pmac_comp.base.errors import (
     SafetyRefusal,
 )
 from pmac_comp.machine.controller import guard_install, recovery, rollback, waiting
+from pmac_comp.machine.controller.comp_table import TableKind
 from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from tests.faults.change_bench import difference, standing
 from tests.faults.test_f01_f29_every_kind import guarded_table, thinned, with_table
 from tests.faults.upload_bench import new_table, old_table, put_back, saved
@@ -104,6 +106,25 @@ def test_f17_tables_switched_off_after_a_recovery_act_again_or_are_called_off(
     result = recovery.recover(bench.link, bench.context)
     assert result.verdict is ControllerState.OLD
     assert acts(bench) == "old"
+    count_runs(1)
+
+
+@pytest.mark.parametrize("undone", [False, True])
+def test_f17_what_another_folder_has_removed_since_is_not_written_again(
+    bench: CardBench, tmp_path: Path, count_runs: Count, *, undone: bool
+) -> None:
+    """Nothing waits here: the last upload, or what a rollback brought back, is not ours to mend."""
+    guarded_table(bench.link, bench.context)
+    if undone:
+        rollback.rollback_last(bench.link, bench.context)
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    with grouped(bench.link, replace(bench.context, store=folder), "removal") as parts:
+        remove_tables(bench.link, parts, [(TableKind.COMP, 1)])
+    before = standing(bench)
+    result = recovery.recover(bench.link, bench.context)
+    assert "another folder or host has changed" in result.notes[0]
+    assert standing(bench) == before
     count_runs(1)
 
 

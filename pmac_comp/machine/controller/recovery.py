@@ -112,7 +112,9 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
         notes += take_group_back(link, context, group)
-    if not torn or unsettled(context):
+    if since and not waits:
+        result = _as_others_left(link, context, since)
+    elif not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume)
     else:
         if not notes:
@@ -121,6 +123,17 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     _close_replaced(context)
     end_change(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
+
+
+def _as_others_left(link: Link, context: Context, since: int) -> UploadResult:
+    """How the tables stand where nothing waits here and somebody else made the last change."""
+    status = table_status(link, context)
+    note = (
+        f"nothing was left open here, and another folder or host has changed the controller since "
+        f"(number {since}): {status.decision.reason}"
+    )
+    crc = status.tables.crc
+    return UploadResult(status.decision.state, "table", crc, crc, notes=(note,))
 
 
 def _close_replaced(context: Context) -> None:
