@@ -22,6 +22,7 @@ from pmac_comp.machine.controller.journals import (
 )
 from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.manifest import Action
 from pmac_comp.machine.controller.parts import (
     how_it_stands,
     parts_of,
@@ -112,8 +113,9 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
         notes += take_group_back(link, context, group)
-    if since and not waits:
-        result = _as_others_left(link, context, since)
+    others = _as_others_left(link, context, since) if since and not waits else None
+    if others is not None:
+        result = others
     elif not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume)
     else:
@@ -125,9 +127,14 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
 
 
-def _as_others_left(link: Link, context: Context, since: int) -> UploadResult:
-    """How the tables stand where nothing waits here and somebody else made the last change."""
+def _as_others_left(link: Link, context: Context, since: int) -> UploadResult | None:
+    """How the tables stand where nothing waits here and somebody else made the last change.
+
+    None where tables act that nobody announced: those are switched off.
+    """
     status = table_status(link, context)
+    if status.decision.action is Action.DISABLE:
+        return None
     note = (
         f"nothing was left open here, and another folder or host has changed the controller since "
         f"(number {since}): {status.decision.reason}"
@@ -160,6 +167,9 @@ def _forbidden(link: Link, context: Context) -> list[SafetyRefusal]:
 def recovery_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
     """What forbids ``recover`` as controller and motors stand now; nothing is changed."""
     context = replace(context, settling=True)
+    damaged = damage_refusals(context)
+    if damaged:
+        return damaged
     require_own_block(context, waiting(context))
     refusals = _forbidden(link, context)
     torn = {group.group for group in torn_groups(context)}
