@@ -122,6 +122,9 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
         if not notes:
             notes.append("no part of the upload was begun")
         result = UploadResult(ControllerState.OLD, "upload", 0, 0, journal=torn[-1].path)
+    last = "" if torn or waits else last_change(context)
+    if last:
+        notes.append(f"nothing was left open; the last change of this folder was {last}")
     _close_replaced(context)
     end_change(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
