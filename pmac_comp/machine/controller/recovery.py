@@ -22,7 +22,6 @@ from pmac_comp.machine.controller.journals import (
 )
 from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import Action
 from pmac_comp.machine.controller.parts import (
     how_it_stands,
     parts_of,
@@ -113,11 +112,8 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
         notes += take_group_back(link, context, group)
-    others = _as_others_left(link, context, since) if since and not waits else None
-    if others is not None:
-        result = others
-    elif not torn or unsettled(context):
-        result = _recover_changes(link, context, resume=resume)
+    if not torn or unsettled(context):
+        result = _recover_changes(link, context, resume=resume, since=since)
     else:
         if not notes:
             notes.append("no part of the upload was begun")
@@ -128,22 +124,6 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     _close_replaced(context)
     end_change(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))
-
-
-def _as_others_left(link: Link, context: Context, since: int) -> UploadResult | None:
-    """How the tables stand where nothing waits here and somebody else made the last change.
-
-    None where tables act that nobody announced: those are switched off.
-    """
-    status = table_status(link, context)
-    if status.decision.action is Action.DISABLE:
-        return None
-    note = (
-        f"nothing was left open here, and another folder or host has changed the controller since "
-        f"(number {since}): {status.decision.reason}"
-    )
-    crc = status.tables.crc
-    return UploadResult(status.decision.state, "table", crc, crc, notes=(note,))
 
 
 def _close_replaced(context: Context) -> None:
@@ -209,15 +189,18 @@ def keep(link: Link, context: Context) -> UploadResult:
     )
 
 
-def _recover_changes(link: Link, context: Context, *, resume: bool) -> UploadResult:
-    """Settle what is open of every kind; with nothing open say how the last change stands."""
+def _recover_changes(link: Link, context: Context, *, resume: bool, since: int) -> UploadResult:
+    """Settle what is open of every kind; with nothing open say how the last change stands.
+
+    ``since`` is the number of a change of another folder or host behind ours, 0 for none.
+    """
     parts = [p for p in unsettled(context) if p.kind is not ChangeKind.TABLES]
     settled = [settle(link, context, part, resume=resume) for part in parts]
     known = [part for part in parts_of(context) if is_of_block(context, part.journal)]
     last = next(iter(reversed(known)), None)
     together = [p for p in known if last is not None and p.journal.group == last.journal.group]
     alone = last is None or not last.journal.group or len(together) == 1
-    tables = recover_tables(link, context, resume=resume, alone=alone)
+    tables = recover_tables(link, context, resume=resume, alone=alone, since=since)
     if settled and tables.verdict is not ControllerState.DISABLED:
         return replace(settled[0], notes=tuple(n for part in settled for n in part.notes))
     if last is not None and last.kind is not ChangeKind.TABLES and last.closing == DONE:

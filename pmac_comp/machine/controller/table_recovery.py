@@ -142,7 +142,7 @@ def tables_state(link: Link, context: Context, journal: Journal) -> tuple[Contro
 
 
 def recover_tables(
-    link: Link, context: Context, *, resume: bool = True, alone: bool = True
+    link: Link, context: Context, *, resume: bool = True, alone: bool = True, since: int = 0
 ) -> UploadResult:
     """Bring an interrupted upload of tables to OLD or NEW; see ``recovery.recover``.
 
@@ -155,6 +155,9 @@ def recover_tables(
     alone : bool
         Whether the tables of a finished upload make sense without its other parts, so that they
         may be written again after a reset without SAVE.
+    since : int
+        Number of a change of another folder or host behind the last one of this folder, 0 for none:
+        what has ended here is not written over it.
     """
     with host_lock(context):
         last = last_upload(context)
@@ -175,6 +178,14 @@ def recover_tables(
             hint="Run recover where the upload was started, or restore a backup.",
             left=ControllerState.DISABLED,
         )
+    if since and not last.journal.is_open:
+        release_lease(link, context)
+        note = (
+            f"another folder or host has changed the controller since (number {since}): nothing "
+            "was left open here, and nothing was written over that"
+        )
+        crc = status.tables.crc
+        return UploadResult(status.decision.state, "table", crc, crc, notes=(note,))
     return _brought_about(link, context, last, status, resume=resume, alone=alone)
 
 
