@@ -265,3 +265,16 @@ def test_f36_a_damaged_journal_is_named_and_nothing_is_told_of_the_card(
             recovery.keep(bench.link, bench.context)
             assert waiting.left_open(bench.context) == ()
             count_runs(1)
+
+
+def test_f38_a_journal_that_the_full_disk_left_empty_is_no_change(
+    bench: CardBench, count_runs: Count
+) -> None:
+    guarded_table(bench.link, bench.context)
+    newest = sorted(bench.folder.glob("*.journal"))[-1]
+    count = int(newest.name.split("-")[1]) + 1
+    name = newest.name.replace(newest.name.split("-")[1], f"{count:06d}", 1)
+    (newest.parent / name).touch()
+    assert recovery.last_change(bench.context).endswith("done")
+    assert recovery.recover(bench.link, bench.context).verdict is ControllerState.NEW
+    count_runs(1)

@@ -89,7 +89,7 @@ def recover(link: Link, context: Context, *, resume: bool = True) -> UploadResul
 
 def last_change(context: Context) -> str:
     """What this folder did last to the controller and how it ended, in words; empty for nothing."""
-    told = [j for j in journals(context) if not is_temporary(j)]
+    told = [j for j in journals(context) if j.first() is not None and not is_temporary(j)]
     begun = uploads(context)
     whole = [j for j in told if j in begun or not j.group]
     if not whole:
