@@ -391,9 +391,11 @@ def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> lis
 
 def _promised_of_motion(bench: Bench, compensation: Compensation, drive: Any) -> dict[str, Any]:
     """What is promised for the one motion of a compensation, the steps of counts in the loop."""
-    promiser = Promiser.of(bench, compensation, drive)
     position, added = compensation.motion_position_m, compensation.motion_correction_m
-    if promiser is None or bench.scale is None or position is None or added is None:
+    if bench.scale is None or position is None or added is None:
+        return {}
+    promiser = Promiser.of(bench, compensation, drive)
+    if promiser is None:
         return {}
     time_s = bench.servo_period_s * np.arange(position.size, dtype=np.float64)
     said = promiser.of_motion(Trajectory(time_s, position), drawn_m=position + added)

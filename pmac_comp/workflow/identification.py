@@ -140,8 +140,8 @@ def identify_captures(
     given = list(names) or [
         str(c.attributes.get("motion", f"capture {i + 1}")) for i, c in enumerate(captures)
     ]
-    result = replace(result, statements=(*_made_with_compensation(captures, bench, given),
-                                         *result.statements))  # fmt: skip
+    told = _made_with_compensation(captures, bench, given)
+    result = replace(result, statements=(*told, *result.statements))
     stored = to_model_file(
         result, bench, data=list(zip(given, list(digests) or [""] * len(given), strict=True))
     )

@@ -19,7 +19,7 @@ from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from tests.faults.change_bench import difference, standing
 from tests.faults.test_f01_f29_every_kind import guarded_table, thinned, with_table
-from tests.faults.upload_bench import new_table, old_table, put_back, saved
+from tests.faults.upload_bench import Left, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -134,15 +134,7 @@ class Torn:
     def __init__(self, bench: CardBench) -> None:
         self.bench = bench
         cut_while_off(bench, 2)
-        self._card = saved(bench)
-        self._files = {path: path.read_bytes() for path in bench.folder.iterdir()}
-
-    def restart(self) -> None:
-        put_back(self.bench, self._card)
-        for path in self.bench.folder.iterdir():
-            path.unlink()
-        for path, text in self._files.items():
-            path.write_bytes(text)
+        self.restart = Left(bench).put_back
 
     def requests(self) -> int:
         self.restart()

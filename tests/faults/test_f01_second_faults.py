@@ -26,12 +26,11 @@ from tests.faults.same_state import stand_ins, stretches
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
 from tests.faults.upload_bench import (
     SPAN_CT,
+    Left,
     SameIds,
     UploadBench,
     new_table,
     old_table,
-    put_back,
-    saved,
 )
 from tests.unit.machine_controller.card_bench import CardBench
 
@@ -45,17 +44,12 @@ class TornBench:
     def __init__(self, rig: ChangeBench, at: int) -> None:
         self.rig = rig
         rig.run(cut(Way.SEND, at))
-        self._left = saved(rig.fresh())
-        self._files = {path: path.read_bytes() for path in rig.folder.iterdir()}
+        self._left = Left(rig.fresh())
         self._number = rig.ids.n
 
     def start(self) -> CardBench:
         """The same card, folder and numbers each time, with a fresh conversation."""
-        put_back(self.rig.bench, self._left)
-        for path in self.rig.folder.iterdir():
-            path.unlink()
-        for path, text in self._files.items():
-            path.write_bytes(text)
+        self._left.put_back()
         self.rig.ids.n = self._number
         return self.rig.fresh()
 

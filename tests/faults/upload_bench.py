@@ -45,6 +45,22 @@ class Truth:
     i51: int
 
 
+class Left:
+    """Card and folder of a bench as they stand now, to be put back before each run."""
+
+    def __init__(self, bench: CardBench) -> None:
+        self._bench = bench
+        self._card = saved(bench)
+        self._files = {path: path.read_bytes() for path in bench.folder.iterdir()}
+
+    def put_back(self) -> None:
+        put_back(self._bench, self._card)
+        for path in self._bench.folder.iterdir():
+            path.unlink()
+        for path, text in self._files.items():
+            path.write_bytes(text)
+
+
 class SameIds:
     """Stands in for ``secrets``, so that every run of a change says the same.
 

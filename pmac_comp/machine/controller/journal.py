@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import Enum
@@ -127,14 +127,7 @@ class Journal:
         return content.split(b"\n")[:-1]
 
     def _intact_bodies(self) -> list[bytes]:
-        """JSON of the lines before the first damaged one."""
-        found: list[bytes] = []
-        for line in self._lines():
-            crc, _, body = line.partition(b" ")
-            if not body or crc != b"%08x" % zlib.crc32(body):
-                break
-            found.append(body)
-        return found
+        return _intact(self._lines())
 
     @property
     def is_damaged(self) -> bool:
@@ -142,7 +135,13 @@ class Journal:
 
         A power failure leaves half a line or room that was never filled, which is none.
         """
-        return len(self._intact_bodies()) < len(self._lines())
+        lines = self._lines()
+        return len(_intact(lines)) < len(lines)
+
+    @property
+    def last_step(self) -> str:
+        """Step of the last entry; there must be one."""
+        return self.entries()[-1].step
 
     def last(self, step: str) -> Entry | None:
         """Latest entry of a step."""
@@ -172,6 +171,17 @@ class Journal:
         """
         bodies = self._intact_bodies()
         return bool(bodies) and _entry(bodies[-1]).step not in CLOSING
+
+
+def _intact(lines: Sequence[bytes]) -> list[bytes]:
+    """JSON of the lines before the first damaged one."""
+    found: list[bytes] = []
+    for line in lines:
+        crc, _, body = line.partition(b" ")
+        if not body or crc != b"%08x" % zlib.crc32(body):
+            break
+        found.append(body)
+    return found
 
 
 def _entry(body: bytes) -> Entry:

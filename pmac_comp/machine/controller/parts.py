@@ -109,7 +109,7 @@ class Part:
     @property
     def closing(self) -> str:
         """Last step of the journal."""
-        return self.journal.entries()[-1].step
+        return self.journal.last_step
 
     @property
     def new_settings(self) -> Settings:
@@ -213,9 +213,8 @@ def is_back(link: Link, context: Context, part: Part) -> bool:
     if part.kind is ChangeKind.TABLES:
         old, _ = read_table_backup(_backup(context, part))
         meant, present = _meant_tables(part), read_tables(link)
-        keys = {(t.kind, t.motor) for t in (*old, *meant.tables)}
-        changed = {key for key in keys if old.get(*key) != meant.tables.get(*key)}
-        same = all(present.get(*key) == old.get(*key) for key in changed | set(meant.asked))
+        touched = meant.changed(old) | set(meant.asked)
+        same = all(present.get(*key) == old.get(*key) for key in touched)
         return same and not is_switched_off(link, context, part)
     return bool(missing(link, context, part))
 

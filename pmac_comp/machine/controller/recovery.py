@@ -94,7 +94,7 @@ def last_change(context: Context) -> str:
     whole = [j for j in told if j in begun or not j.group]
     if not whole:
         return ""
-    first, last = whole[-1].entries()[0], whole[-1].entries()[-1].step
+    first, last = whole[-1].entries()[0], whole[-1].last_step
     name = first.data.get("name") or first.data.get("route") or first.data.get("kind")
     ends = {DONE: "done", ROLLED_BACK: "taken back", KEPT: "closed without writing"}
     return f"{name}: {ends.get(last, 'interrupted')}"

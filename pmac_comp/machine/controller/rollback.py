@@ -122,7 +122,7 @@ def _left_by_rollback(group: Journal) -> tuple[ControllerState, bool]:
     """What a rollback that stopped has left of an upload, and whether that is certain."""
     if group.is_open:
         return ControllerState.DISABLED, False
-    taken = group.entries()[-1].step == ROLLED_BACK  # only its end is not noted on the controller
+    taken = group.last_step == ROLLED_BACK  # only its end is not noted on the controller
     return (ControllerState.OLD if taken else ControllerState.NEW), True
 
 

@@ -49,6 +49,11 @@ class Uploaded:
     tables: TableSet
     asked: tuple[Key, ...] = ()
 
+    def changed(self, old: TableSet) -> set[Key]:
+        """Which tables the upload put on, put others in the place of, or took off."""
+        keys = {(t.kind, t.motor) for t in (*old, *self.tables)}
+        return {key for key in keys if old.get(*key) != self.tables.get(*key)}
+
 
 @dataclass(frozen=True)
 class Unfinished:
@@ -71,12 +76,12 @@ class Unfinished:
     @property
     def was_taken_back(self) -> bool:
         """Whether this upload ended with what stood before it."""
-        return not self.is_rollback and self.journal.entries()[-1].step == ROLLED_BACK
+        return not self.is_rollback and self.journal.last_step == ROLLED_BACK
 
     @property
     def was_kept(self) -> bool:
         """Whether somebody closed it as it stood."""
-        return self.journal.entries()[-1].step == KEPT
+        return self.journal.last_step == KEPT
 
     @property
     def expected(self) -> Manifest:
@@ -433,8 +438,7 @@ def _with_others_as_now(
         _refuse_unknown(status.tables, old, uploaded)
         return old, enabled  # a reset took them, and may have taken others
     replaced = [t for t in old if uploaded.get(t.kind, t.motor) != t]
-    touched = [(t.kind, t.motor) for t in (*brought, *replaced)]
-    others = status.tables.with_tables((), without=touched)
+    others = status.tables.with_tables((), without=whole.changed(old))
     strangers = any(old.get(t.kind, t.motor) is None for t in others)
     return others.with_tables(replaced), enabled or (strangers and bool(status.i51))
 

@@ -52,8 +52,8 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
                     group.write(DONE)  # nothing was taken back yet
                 raise
         part.journal.write(ROLLED_BACK)
-    notes += _what_came_back(link, alone, parts)
     own = [p for p in parts if not p.items & replaced_since(context, p)]
+    notes += _what_came_back(link, alone, own)
     if any(is_switched_off(link, alone, part) for part in own):
         raise ForeignChange(
             "The old tables are back, and somebody has switched them off meanwhile.",
@@ -67,17 +67,17 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
     return tuple(dict.fromkeys(notes))  # several parts may be of one kind
 
 
-def _what_came_back(link: Link, context: Context, parts: Sequence[Part]) -> Sequence[str]:
+def _what_came_back(link: Link, context: Context, own: Sequence[Part]) -> Sequence[str]:
     """Take back again what a reset meanwhile has brought back, if the upload had been saved."""
     notes: list[str] = []
-    own = [p for p in parts if not p.items & replaced_since(context, p)]
+    watched = list(own)
     for _ in range(_MOST_LOOKS):
-        again = [p for p in own if not missing(link, context, p)]
+        again = [p for p in watched if not missing(link, context, p)]
         for part in again:
             notes.append(take_back(link, context, part))
             part.journal.write(ROLLED_BACK)
             if not missing(link, context, part):
-                own.remove(part)  # it stands as it stood before the upload
+                watched.remove(part)  # it stands as it stood before the upload
         if not again:
             break
     return notes
