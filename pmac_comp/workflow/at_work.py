@@ -10,7 +10,6 @@ card, which a measurement holds throughout.
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.machine.controller.context import Context
@@ -21,12 +20,11 @@ from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.temporary import standing
 from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.controller.verdict import untouched
-from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.machine.transport.url import card_address, parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 
 _SCOPE = ".work"
-_HERE = {"localhost": "127.0.0.1", "::1": "127.0.0.1"}
 
 
 @contextmanager
@@ -70,7 +68,7 @@ def measuring(axis: Axis, url: str) -> Iterator[None]:
             return
         with untouched():
             raise_all(_others_refusals(axis, context_of(axis, axis.setup.store)), "The measurement")
-            axis.setup.hold_card(axis.link, axis.bench, axis.identity)
+            axis.setup.hold_card(axis.link, axis.bench, axis.identity, axis.address)
         try:
             yield
         except (PmacCompError, KeyboardInterrupt) as error:
@@ -80,18 +78,6 @@ def measuring(axis: Axis, url: str) -> Iterator[None]:
             raise
         axis.release_axis()
         axis.setup.let_go(axis.link)
-
-
-def card_address(url: str) -> str:
-    """Address of a card, the same for all URLs that name it by the same host and port, or device.
-
-    Names are not looked up: a host by its name and by its number counts as two.
-    """
-    endpoint = parse_url(url)
-    if endpoint.device:
-        return str(Path(endpoint.device).resolve())
-    host = endpoint.target_host or endpoint.host
-    return f"{_HERE.get(host, host)}:{endpoint.target_port or endpoint.port}"
 
 
 def _is_own(url: str) -> bool:

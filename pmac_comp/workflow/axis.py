@@ -92,6 +92,8 @@ class Axis:
         Controller identity for captures.
     simulated : bool
         Whether the controller says that it is a simulated one; captures then say so.
+    address : str
+        Where it is, which tells it from others that answer alike; empty where nothing has to.
     setup : AxisSetup
         Axis definitions that were put aside, shared by all axes of a session.
     run_log : RunLog
@@ -102,6 +104,7 @@ class Axis:
     bench: Bench
     identity: str = ""
     simulated: bool = False
+    address: str = ""
     setup: AxisSetup = field(default_factory=AxisSetup)
     run_log: RunLog = field(default_factory=RunLog)
     scales: Scales = field(init=False)
@@ -260,7 +263,7 @@ class Axis:
 
     def define_axis(self) -> None:
         """Make the motor axis X in counts; what is lost by that comes back at the session's end."""
-        self.setup.put_on(self.link, self.bench, self.identity)
+        self.setup.put_on(self.link, self.bench, self.identity, self.address)
 
     def release_axis(self) -> None:
         """Bring axis definitions back that measurements put aside."""

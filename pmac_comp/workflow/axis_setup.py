@@ -11,6 +11,7 @@ from typing import Final
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import temporary
+from pmac_comp.machine.controller.alike import known_in_folder
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import own_numbers
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -57,7 +58,7 @@ class AxisSetup:
     _held: Context | None = None
     _held_at_s: float = 0.0
 
-    def hold_card(self, link: Link, bench: Bench, controller: str) -> None:
+    def hold_card(self, link: Link, bench: Bench, controller: str, address: str) -> None:
         """Hold the lease on the card from now on, until ``let_go``.
 
         Raises
@@ -65,7 +66,7 @@ class AxisSetup:
         LeaseHeld, ForeignChange
             Somebody else changes or measures.
         """
-        context = self._context_of(bench, controller)
+        context = self._context_of(link, bench, controller, address)
         hold_lease(link, context, lambda number: number in own_numbers(context))
         self._held, self._held_at_s = context, link.clock.now_s()
 
@@ -94,7 +95,7 @@ class AxisSetup:
         if context is not None:
             drop_lease(link, context)
 
-    def put_on(self, link: Link, bench: Bench, controller: str) -> None:
+    def put_on(self, link: Link, bench: Bench, controller: str, address: str) -> None:
         """Make the motor axis X in counts, with PVT times in ms and velocities per second.
 
         Raises
@@ -107,7 +108,7 @@ class AxisSetup:
             if self._context is not None and _stands(link, motor):
                 return
             goal = borrowed(link, motor)
-        self._context = self._context_of(bench, controller)
+        self._context = self._context_of(link, bench, controller, address)
         temporary.put_on(link, self._context, goal, motors=(motor,))
 
     def take_off(self, link: Link) -> tuple[str, ...]:
@@ -115,16 +116,17 @@ class AxisSetup:
         context, self._context = self._context, None
         return () if context is None else temporary.take_off(link, context)
 
-    def _context_of(self, bench: Bench, controller: str) -> Context:
+    def _context_of(self, link: Link, bench: Bench, controller: str, address: str) -> Context:
         scales = Scales.of(bench)
         self.store.mkdir(parents=True, exist_ok=True)
-        return Context(
+        context = Context(
             block=LawBlock.from_p_block(bench.controller.p_block),
             limits=scales.limits(bench),
             store=self.store,
             servo_period_s=scales.period_s,
             controller=controller or "controller",
         )
+        return known_in_folder(link, context, address)
 
 
 def borrowed(link: Link, motor: int) -> Settings:

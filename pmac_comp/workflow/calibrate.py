@@ -19,7 +19,7 @@ from pmac_comp.workflow.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis, HALT_s, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, require_scale
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -134,7 +134,7 @@ def borrowing_in(axis: Axis, journal: Path) -> Axis:
 
 def acting_remarks(axis: Axis) -> tuple[str, ...]:
     """That the runs will be made with a compensation on: none is computed from such runs."""
-    law, tables = acting(axis, context_of(axis))
+    law, tables = acting(axis, context_to_look(axis))
     ours = tables and any(table.motor == axis.motor for table in read_tables(axis.link))
     told = [name for name, acts in (("tables", ours), ("a law", law)) if acts]
     if not told:
@@ -148,7 +148,7 @@ def acting_remarks(axis: Axis) -> tuple[str, ...]:
 def offset_remarks(axis: Axis) -> tuple[str, ...]:
     """That the output has an offset, which the route ``law`` would write over."""
     name = f"I{axis.motor}29"
-    law, _ = acting(axis, context_of(axis))
+    law, _ = acting(axis, context_to_look(axis))
     offset = 0.0 if law else read_one(axis.link, name)
     if offset == 0.0:
         return ()

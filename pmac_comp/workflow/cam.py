@@ -404,5 +404,7 @@ class CamAxis(Axis):
 def cam_axis(axis: Axis, compensation: Compensation) -> tuple[CamAxis, Sequence[Motion]]:
     """The axis that runs a cam, and its one motion."""
     cam = render_cam(compensation, axis.bench)
-    found = CamAxis(axis.link, axis.bench, axis.identity, axis.simulated, axis.setup, cam=cam)
+    found = CamAxis(
+        axis.link, axis.bench, axis.identity, axis.simulated, axis.address, axis.setup, cam=cam
+    )
     return found, (cam.motion,)

@@ -6,7 +6,7 @@ computing (``computing``).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from pmac_comp.machine.controller import (
     programs,
     switching,
 )
+from pmac_comp.machine.controller.alike import known_in_folder
 from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
@@ -73,24 +74,28 @@ from pmac_comp.workflow.tables import tables_of
 Progress = Callable[[str, float], None]
 
 
-def context_of(axis: Axis, store: Path | None = None, progress: Progress | None = None) -> Context:
-    """Limits, folder and names for changes of an axis; without a folder only for looking."""
-    if store is not None:
-        require_folder(store)
-        axis.setup.store = store
+def context_to_look(axis: Axis, store: Path = DEFAULT_JOURNAL) -> Context:
+    """Limits and names of an axis in a folder, which need not be there."""
+    context = Context(
+        block=LawBlock.from_p_block(axis.bench.controller.p_block),
+        limits=axis.scales.limits(axis.bench),
+        store=store,
+        servo_period_s=axis.scales.period_s,
+        controller=axis.identity or "controller",
+    )
+    return known_in_folder(axis.link, context, axis.address)
+
+
+def context_of(axis: Axis, store: Path, progress: Progress | None = None) -> Context:
+    """Limits, folder and names for changes of an axis."""
+    require_folder(store)
+    axis.setup.store = store
 
     def told(step: str, done: int, total: int) -> None:
         if progress is not None:
             progress(step, done / max(total, 1))
 
-    return Context(
-        block=LawBlock.from_p_block(axis.bench.controller.p_block),
-        limits=axis.scales.limits(axis.bench),
-        store=store or DEFAULT_JOURNAL,
-        servo_period_s=axis.scales.period_s,
-        controller=axis.identity or "controller",
-        progress=told,
-    )
+    return replace(context_to_look(axis, store), progress=told)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -101,7 +101,7 @@ def difference(url: str, bench: str, new: Path) -> Difference:
     """Old against new on a controller; nothing is changed."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        return difference_on(axis, context_of(axis), compensation)
+        return difference_on(axis, context_to_look(axis), compensation)
 
 
 def difference_on(axis: Axis, context: Context, compensation: Compensation) -> Difference:

@@ -218,12 +218,12 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 def _compensation(axis: "Axis") -> Iterator[Finding]:
     from pmac_comp.machine.controller.law_checks import owner_refusals
     from pmac_comp.machine.controller.table_status import table_status
-    from pmac_comp.workflow.deploy import context_of
+    from pmac_comp.workflow.deploy import context_to_look
 
-    for taken in owner_refusals(axis.link, context_of(axis), axis.motor):
+    for taken in owner_refusals(axis.link, context_to_look(axis), axis.motor):
         yield Finding("note", "route law", f"{taken.message} {taken.advice}")
     try:
-        state = table_status(axis.link, context_of(axis))
+        state = table_status(axis.link, context_to_look(axis))
     except PmacCompError as error:
         yield Finding("bad", "compensation", error.message)
         return
@@ -237,10 +237,10 @@ def _compensation(axis: "Axis") -> Iterator[Finding]:
 def _claim(axis: "Axis") -> Iterator[Finding]:
     """Whether bench files of other axes of this card see that something is changed."""
     from pmac_comp.machine.controller.claim import FOREIGN, REGISTER, claim_refusal, read_claim
-    from pmac_comp.workflow.deploy import context_of
+    from pmac_comp.workflow.deploy import context_to_look
 
     found = read_claim(axis.link)
-    other = claim_refusal(found, context_of(axis))
+    other = claim_refusal(found, context_to_look(axis))
     if other is not None:
         yield Finding("note", "other axes", f"{other.message} {other.advice}")
     if found == FOREIGN:

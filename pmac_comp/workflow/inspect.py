@@ -8,10 +8,12 @@ from typing import Any
 
 from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.bench import load_bench
+from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
 from pmac_comp.machine.controller import law_state, motors, recovery, waiting
+from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim
-from pmac_comp.machine.controller.identity import is_simulated, read_identity
+from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
@@ -26,7 +28,7 @@ from pmac_comp.machine.controller.table_status import (
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.law_cost import load_text
 from pmac_comp.workflow.session import open_axis, open_link
 
@@ -40,12 +42,11 @@ def controller_info(url: str) -> dict[str, Any]:
             return {"url": url, "kind": "Power PMAC", "version": " ".join(ask("vers"))}
     with open_link(url, load_bench(_BENCH_FOR_LOOKING)) as link:
         identity = read_identity(link)
-        simulated = is_simulated(link)
         names = ("I3", "I4", "I6", "I9", "I10", "I51")
         values = read_many(link, list(names))
     return {
         "url": url,
-        "simulated": simulated,
+        "simulated": identity.is_simulated,
         **identity.as_dict(),
         "servo_rate_Hz": 1.0 / identity.servo_period_s,
         **{name: int(value) for name, value in values.items()},
@@ -59,9 +60,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     """
     with open_axis(url, bench) as axis:
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
-        context = context_of(axis)
-        if journal is not None:
-            context = replace(context, store=journal)
+        context = context_to_look(axis, journal or DEFAULT_JOURNAL)
         state = table_status(axis.link, context)
         if state.decision.action is Action.DISABLE:
             other = announced_elsewhere(axis.link, context, state.tables)
@@ -76,7 +75,9 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
     still_open = "; ".join(waiting.left_open(context))
-    advice = f"{still_open}: run `pmac-comp recover`" if still_open else "nothing"
+    advice = "; ".join(filter(None, ("nothing", left_open_alike(context))))
+    if still_open:
+        advice = f"{still_open}: run `pmac-comp recover`"
     if elsewhere:
         advice = "a change from another folder or host has not ended: `pmac-comp recover` there"
     if claimed is not None:

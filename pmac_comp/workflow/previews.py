@@ -5,13 +5,14 @@ anything that writes to a controller or a journal.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller import recovery, rollback, waiting
+from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import (
@@ -23,7 +24,7 @@ from pmac_comp.workflow.campaigns import (
     verification_motions,
 )
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.improve import require_many_motions
 from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
 from pmac_comp.workflow.program import motion_of
@@ -143,15 +144,16 @@ def preview_recovery(url: str, bench: str, journal: Path) -> dict[str, Any]:
 
 def what_is_open(axis: Axis, journal: Path) -> dict[str, Any]:
     """Changes of a folder that were left open, and how the tables stand."""
-    context = replace(context_of(axis), store=journal)
+    context = context_to_look(axis, journal)
     decision = table_status(axis.link, context).decision
     found = waiting.left_open(context)
+    nothing = "; ".join(filter(None, ("nothing was left open", left_open_alike(context))))
     refusals = recovery.recovery_refusals(axis.link, context)
     return {
         "would_settle": list(found),
         "refusals": [refusal.message for refusal in refusals],
         "tables": f"{decision.state.value}: {decision.reason}",
-        "summary": "; ".join(found) or "nothing was left open",
+        "summary": "; ".join(found) or nothing,
     }
 
 
@@ -171,7 +173,7 @@ def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
     MotorNotSafe
         There is no place where its tables could be switched without a step.
     """
-    context = replace(context_of(axis), store=journal)
+    context = context_to_look(axis, journal)
     group, parts = rollback.upload_to_take_back(context)
     refusals = rollback.rollback_refusals(axis.link, context, group)
     begin = group.first()

@@ -133,6 +133,6 @@ def program_axis(axis: Axis, compensation: Compensation) -> tuple[ProgramAxis, t
     """The axis that runs the uploaded program of a compensation, and its one motion."""
     drawn = draw_motion(compensation, axis.bench)
     found = ProgramAxis(
-        axis.link, axis.bench, axis.identity, axis.simulated, axis.setup, drawn=drawn
+        axis.link, axis.bench, axis.identity, axis.simulated, axis.address, axis.setup, drawn=drawn
     )
     return found, (drawn.motion,)

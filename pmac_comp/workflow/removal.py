@@ -36,7 +36,7 @@ from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off
-from pmac_comp.workflow.deploy import Progress, context_of
+from pmac_comp.workflow.deploy import Progress, context_of, context_to_look
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.standing import (
@@ -88,7 +88,7 @@ def standing_on(axis: Axis) -> Standing:
     """Tables of the bench's motors and the law of its motor; nothing is changed."""
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
-    in_plc_0 = law_goal.law_stands(axis.link, context_of(axis))
+    in_plc_0 = law_goal.law_stands(axis.link, context_to_look(axis))
     return Standing(tables, _form_of_law(axis), _beside(axis), in_plc_0)
 
 
@@ -134,7 +134,7 @@ def _form_of_law(axis: Axis) -> LawForm:
 
     What is left of one, too: a motor that follows the master word.
     """
-    link, context = axis.link, context_of(axis)
+    link, context = axis.link, context_to_look(axis)
     head = law_state.read_law_head(link, context.block)
     if head.motor != axis.motor:
         return LawForm.NONE

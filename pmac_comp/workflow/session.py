@@ -9,8 +9,8 @@ from pmac_comp.base.clock import Clock
 from pmac_comp.base.errors import PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.identity import is_simulated, read_identity
-from pmac_comp.machine.transport.url import parse_url
+from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.transport.url import card_address, parse_url
 from pmac_comp.workflow.axis import Axis
 
 
@@ -34,7 +34,10 @@ def open_axis(url: str, bench: str | Bench, *, clock: Clock | None = None) -> It
     with ExitStack() as stack:
         link = stack.enter_context(open_link(url, loaded, clock=clock))
         identity = read_identity(link)
-        axis = Axis(link, loaded, identity.fingerprint, is_simulated(link))
+        # A card of this process is nobody else's.
+        apart = identity.is_alone or parse_url(url).scheme == "sim"
+        address = "" if apart else card_address(url)
+        axis = Axis(link, loaded, identity.fingerprint, identity.is_simulated, address)
         if parse_url(url).scheme == "sim":
             # What a run borrows ends with the card, and cards of other processes have its name.
             axis.setup.store = Path(stack.enter_context(tempfile.TemporaryDirectory()))

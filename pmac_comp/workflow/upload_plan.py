@@ -5,7 +5,7 @@ and everything that forbids it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, edited_remarks, read_compensation
 from pmac_comp.workflow.deploy import (
-    context_of,
+    context_to_look,
     guard_download,
     law_download,
     route_refusals,
@@ -95,7 +95,7 @@ def plan_upload(
     """Preview of an upload; ``persist`` says that it will be saved to flash afterwards."""
     compensation = read_compensation(new)
     with open_axis(url, bench) as axis:
-        context = replace(context_of(axis), store=journal)
+        context = context_to_look(axis, journal)
         return preview(axis, context, compensation, url, persist=persist)
 
 

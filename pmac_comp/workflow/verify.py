@@ -33,7 +33,7 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.identification import load_model
 from pmac_comp.workflow.late_scale import scale_age_s, scale_remarks
 from pmac_comp.workflow.law_cost import require_time_left
@@ -258,7 +258,7 @@ def verify_on_controller(
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
     drive = None if model is None else load_model(model, stated)
     with open_axis(url, bench) as axis, measuring(borrowing_in(axis, journal), url):
-        context = context_of(axis)
+        context = context_to_look(axis)
         require_on_card(axis, context, compensation)
         with (
             _told_what_is_left(kept, axis.motor),

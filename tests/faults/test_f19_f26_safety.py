@@ -210,7 +210,7 @@ class Answers:
     def query(self, text: str) -> list[str]:
         if text.startswith("CID"):
             return self.identity_lines
-        return {"I10": ["3707733"], "RY$3F": ["409600"]}[text]
+        return {"I10": ["3707733"], "RY$3F": ["409600"], "SID": ["0"]}[text]
 
 
 CARDS = [

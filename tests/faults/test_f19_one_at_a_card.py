@@ -13,8 +13,9 @@ from pmac_comp.machine.controller.journals import new_transaction_id
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.lease import card_lock, read_lease
 from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.transport.url import card_address
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.at_work import at_work, card_address, measuring
+from pmac_comp.workflow.at_work import at_work, measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.compensation_file import Compensation

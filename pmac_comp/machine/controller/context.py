@@ -43,7 +43,9 @@ class Context:
     servo_period_s : float
         For the watch after enabling.
     controller : str
-        Name of the controller for lock and files, e.g. its fingerprint.
+        Name of the controller for files of the folder (``alike``).
+    alike : str
+        Name that cards which answer alike share, for the lock; empty where no other name is used.
     progress : callable
         Told of every step and packet.
     stop_requested : callable
@@ -60,6 +62,7 @@ class Context:
     store: Path
     servo_period_s: float
     controller: str = "controller"
+    alike: str = ""
     progress: Progress = _no_progress
     stop_requested: Callable[[], bool] = never
     group: int = 0

@@ -22,6 +22,7 @@ CARDS: Final = {
     603382: "3U Turbo PMAC2 (UMAC, Geo Brick)",
 }
 OLDEST_FIRMWARE: Final = 1.934  # per-port addressing, ## groups (p. 270, 276)
+NO_MODULE: Final = "0"  # answer to SID without an ID module (p. 331)
 _CLOCK_CT_PER_MS: Final = 8388608.0
 
 
@@ -43,6 +44,8 @@ class Identity:
         From I10.
     free_long_words : int
         SIZE.
+    serial : str
+        Number of its ID module (SID), ``0`` without one.
     """
 
     card: int
@@ -53,11 +56,29 @@ class Identity:
     dpram: str
     servo_period_s: float
     free_long_words: int
+    serial: str = NO_MODULE
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the controller says itself that it is a simulated one."""
+        return self.serial == SIMULATED_ID
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no other controller answers alike: it has an ID module."""
+        return self.serial not in {NO_MODULE, SIMULATED_ID}
 
     @property
     def fingerprint(self) -> str:
         """SHA-256 over what does not change from day to day."""
-        fixed = (self.card, self.firmware, self.card_type, self.cpu, self.dpram)
+        fixed: tuple[object, ...] = (
+            self.card,
+            self.firmware,
+            self.card_type,
+            self.cpu,
+            self.dpram,
+            *((self.serial,) if self.is_alone else ()),
+        )
         return hashlib.sha256(repr(fixed).encode()).hexdigest()[:16]
 
     def as_dict(self) -> dict[str, object]:
@@ -66,7 +87,7 @@ class Identity:
 
 
 def read_identity(link: Link) -> Identity:
-    """Ask the controller who it is; four questions.
+    """Ask the controller who it is; five questions.
 
     Raises
     ------
@@ -97,6 +118,7 @@ def read_identity(link: Link) -> Identity:
         dpram=_dpram(link),
         servo_period_s=servo_period_s,
         free_long_words=parse_integer(free),
+        serial=_serial(link),
     )
 
 
@@ -105,12 +127,13 @@ def read_servo_period_s(link: Link) -> float:
     return read_one(link, "I10") / _CLOCK_CT_PER_MS / 1e3
 
 
-def is_simulated(link: Link) -> bool:
-    """Whether the controller says itself that it is a simulated one."""
+def _serial(link: Link) -> str:
+    """Number of the ID module; firmware that does not know the question has none."""
     try:
-        return [line.strip() for line in link.query("SID")] == [SIMULATED_ID]
+        lines = link.query("SID")
     except CommandRefused:
-        return False
+        return NO_MODULE
+    return lines[0].strip() if lines else NO_MODULE
 
 
 def _version(text: str) -> float:

@@ -51,7 +51,7 @@ if sys.platform != "win32":
 CLOCK_REGISTER: Final = 0x17
 CLOCK_TEXT: Final = f"RL${CLOCK_REGISTER:X}"
 LEASE_s: Final = 120.0
-_NO_FILE_NAME: Final = re.compile(r"[^A-Za-z0-9.-]+")
+NO_FILE_NAME: Final = re.compile(r"[^A-Za-z0-9.-]+")
 _NUMBERS_END: Final = float(1 << 31)
 
 
@@ -72,7 +72,7 @@ def card_lock(address: str) -> Iterator[None]:
         The folder for locks cannot be used.
     """
     folder = locks_folder()
-    path = folder / f"{_NO_FILE_NAME.sub('_', address)}.lock"
+    path = folder / f"{NO_FILE_NAME.sub('_', address)}.lock"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         release = _lock(path)
@@ -108,14 +108,14 @@ def host_lock(context: Context, scope: str = "") -> Iterator[None]:
     scope : str
         What else than a single change is locked, e.g. a whole upload; a lock of its own.
     """
-    path = context.store / f"{context.controller}{scope}.lock"
+    name = context.alike or context.controller  # in whatever way the card is reached
+    path = context.store / f"{name}{scope}.lock"
     require_folder(context.store)
     try:
         release = _lock(path)
     except (Timeout, BlockingIOError) as error:
         raise LeaseHeld(
-            f"Another pmac-comp on this host measures or changes {context.controller}: it holds "
-            f"{path}.",
+            f"Another pmac-comp on this host measures or changes {name}: it holds {path}.",
             code="PC-TXN-001",
             hint="Wait until it has ended, or end it there with Ctrl-C. Cards that answer alike "
             "(simulated ones do) count as one: give each a --journal of its own.",

@@ -7,6 +7,7 @@ the parts of an upload are taken back together in ``taking_back``.
 from dataclasses import replace
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
+from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import (
     DONE,
@@ -121,6 +122,8 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     last = "" if torn or waits else last_change(context)
     if last:
         notes.append(f"nothing was left open; the last change of this folder was {last}")
+    if not (torn or waits) and (alike := left_open_alike(context)):
+        notes.append(alike)
     _close_replaced(context)
     end_change(link, context)
     return replace(result, notes=tuple(dict.fromkeys((*result.notes, *notes))))

@@ -140,7 +140,8 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
         raise ConfigError(
             f"There is no upload in {context.store} that could be taken back.",
             code="PC-REC-001",
-            hint="Name the folder of the upload with --journal.",
+            hint="Name the folder of the upload with --journal. A card that answers as another one "
+            "does is known by its address: reach it as the upload did.",
         )
     require_own_block(context, groups[-1:])
     return groups[-1], standing_parts(context, groups[-1])

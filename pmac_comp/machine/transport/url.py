@@ -9,6 +9,7 @@ keeps every byte of the session in a file.
 import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from pmac_comp.base.errors import ConfigError
@@ -16,6 +17,7 @@ from pmac_comp.machine.transport.base import Framing
 
 PACKET_PORT = 1025
 SSH_PORT = 22
+_HERE = {"localhost": "127.0.0.1", "::1": "127.0.0.1"}
 _EXAMPLES = {
     "sim": "sim://",
     "tcp": "tcp://192.6.94.5",
@@ -94,6 +96,18 @@ class Endpoint:
         if text not in {"yes", "no", "1", "0", "true", "false"}:
             raise _wrong(f"{key}={text} in the address is neither yes nor no", self.scheme)
         return text in {"yes", "1", "true"}
+
+
+def card_address(url: str) -> str:
+    """Address of a card, the same for all URLs that name it by the same host and port, or device.
+
+    Names are not looked up: a host by its name and by its number counts as two.
+    """
+    endpoint = parse_url(url)
+    if endpoint.device:
+        return str(Path(endpoint.device).resolve())
+    host = endpoint.target_host or endpoint.host
+    return f"{_HERE.get(host, host)}:{endpoint.target_port or endpoint.port}"
 
 
 def _wrong(message: str, scheme: str = "", *, hint: str = "") -> ConfigError:
