@@ -244,8 +244,11 @@ def has_cam(axis: Axis) -> bool:
 
 
 def rest_time_motor(axis: Axis) -> None:
-    """Bring the time motor to zero if the card has a cam; a card without one is left alone."""
-    if has_cam(axis):
+    """Bring the time motor to zero if the card has a cam; a card without one is left alone.
+
+    So is a time motor that is not active, after a reset say: it counts nothing.
+    """
+    if has_cam(axis) and read_one(axis.link, f"I{axis.bench.controller.cam_motor_number}00"):
         reset_time(axis)
 
 

@@ -105,6 +105,17 @@ def test_a_cam_of_another_folder_is_off_and_its_program_gone(axis: Axis, tmp_pat
     axis.run(MOTION)
 
 
+def test_a_cam_whose_time_motor_somebody_switched_off_can_be_taken_off(
+    axis: Axis, tmp_path: Path
+) -> None:
+    put_on(axis, "cam", tmp_path)
+    axis.link.command("I800=0")  # as a reset does where the cam was not saved
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    assert not read_tables(axis.link)
+    assert axis.link.query("I800") == ["0"]
+    assert standing_on(axis).is_empty
+
+
 def test_what_the_law_of_another_axis_needs_stays(axis: Axis, tmp_path: Path) -> None:
     put_on(axis, "table", tmp_path)
     axis.link.command("I8=1")
