@@ -16,7 +16,7 @@ from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
 from pmac_comp.machine.controller.context import UNKNOWN, Context
-from pmac_comp.machine.controller.gather import note_failure
+from pmac_comp.machine.controller.law_aside import law_aside
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
 from pmac_comp.workflow.axis import Axis
@@ -47,18 +47,8 @@ def check_law_sign(axis: Axis, context: Context) -> list[str]:
     if head.is_armed or not status.is_closed_loop:
         return []
     context.progress("measuring the sign of the law: the motor moves", *UNKNOWN)
-    # The law writes the master word every cycle: it must stand aside while the test does.
-    axis.link.command("DISABLE PLC 0")
-    try:
-        axis.link.clock.sleep_s(0.01)
+    with law_aside(axis.link, context):
         found = _sign_against_friction(axis)
-    except PmacCompError as error:
-        note_failure(error, lambda: _enable_plc_0(axis))
-        raise
-    except KeyboardInterrupt:
-        _enable_plc_0(axis)
-        raise
-    _enable_plc_0(axis)
     if found.sign < 0:
         raise SafetyRefusal(
             f"A correction of {found.offset_ct:+.0f} counts moved the motor by "
@@ -70,10 +60,6 @@ def check_law_sign(axis: Axis, context: Context) -> list[str]:
         f"sign measured on this controller: {found.offset_ct:+.0f} counts move the motor by "
         f"{found.moved_ct:+.1f} counts"
     ]
-
-
-def _enable_plc_0(axis: Axis) -> None:
-    axis.link.command("ENABLE PLC 0")
 
 
 def _sign_against_friction(axis: Axis) -> SignResult:

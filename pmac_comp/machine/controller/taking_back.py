@@ -12,6 +12,7 @@ from pmac_comp.base.errors import ControllerState, ForeignChange, SafetyRefusal
 from pmac_comp.machine.controller.context import Context, never
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import DONE, ROLLED_BACK, open_again
+from pmac_comp.machine.controller.law_aside import set_going_again
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
@@ -36,6 +37,7 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
     if was_done:
         # From here on less than all of it may stand: `recover` has to know.
         open_again(context, group, _TAKING_BACK)
+    set_going_again(link, alone, group)
     parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
     for part in parts:
         if part.closing == ROLLED_BACK and (was_done or is_back(link, alone, part)):
