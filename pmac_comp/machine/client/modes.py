@@ -4,6 +4,7 @@ I3, I4, I6 and I9 belong to the whole card, and other clients set them too. They
 anything is written: what cannot be read as a PMAC's answer is not a PMAC.
 """
 
+import re
 from dataclasses import dataclass
 
 from pmac_comp.base.clock import Deadline
@@ -15,6 +16,8 @@ from pmac_comp.machine.wire.replies import read_settled
 _QUESTION = b"I3I4I6I9"
 _NAMES = ("I3", "I4", "I6", "I9")
 _TRIES = 2
+# A bare acknowledgement or an error, in whatever mode; behind it the sum of the line with I4 = 1.
+_IN_BUFFER = re.compile(rb"[\r\n]*(\x06|\x07([\r\n]*ERR003[\r\n]*)?).?", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,19 @@ def _find_modes(link: Link, deadline: Deadline) -> Modes:
 
     What was under way when the line opened, or an answer to FLUSH that came after its time, can
     stand before the first answer. The question only reads, so that asking it anew harms nothing.
+    A program that was cut on its way leaves its buffer open on this port, for which the question
+    is program text: refused, or taken without an answer. CLOSE ends that, and nothing otherwise.
     """
     for _ in range(_TRIES):
         data = _collected(link, deadline)
         modes = read_modes(data)
         if modes is not None:
             return modes
+        if _IN_BUFFER.fullmatch(data):
+            link.collect(b"CLOSE", deadline)
+            modes = read_modes(_collected(link, deadline))
+            if modes is not None:
+                return modes
     raise ConnectFailed(
         f"{link.transport.name} answered '{visible(data[:60])}', which no PMAC says",
         hint="Check address and port. Nothing was written.",

@@ -11,6 +11,12 @@ from pmac_comp.machine.wire import ethernet
 from pmac_comp.machine.wire.errors import error_meaning, error_text
 from pmac_comp.machine.wire.replies import Reply
 
+_ADVICE = {
+    7: "A program buffer is open that was opened over another port, by a change that was cut or by "
+    "somebody else. If nobody is loading a program, `pmac-comp terminal URL -c 'CLOSE ALL'` closes "
+    "it; then run the command again.",
+}
+
 
 def encoded(text: str) -> bytes:
     """Bytes of a line, or LocalProtocolError if it cannot be sent as one."""
@@ -58,6 +64,7 @@ def refused(error: int, text: str, lines: Sequence[str]) -> CommandRefused:
     return CommandRefused(
         f"the controller refused '{text}': {error_meaning(error)}",
         code=error_text(error),
+        hint=_ADVICE.get(error, ""),
         context={"command": text, "error": error, "lines": list(lines)},
     )
 
@@ -75,6 +82,7 @@ def batch_refused(
     return CommandRefused(
         f"the controller refused {texts} during a download: {error_meaning(error)}",
         code=error_text(error),
+        hint=_ADVICE.get(error, ""),
         context={
             "error": error,
             "line_index": candidates[0] if len(candidates) == 1 else None,

@@ -55,7 +55,8 @@ def buffer_refusals(head: Head) -> list[SafetyRefusal]:
         SafetyRefusal(
             f"{name.capitalize()} is open on the controller.",
             code="PC-UPL-020",
-            hint="Close it (CLOSE) where it was opened.",
+            hint="Close it (CLOSE) where it was opened. If nobody is loading a program, `pmac-comp "
+            "terminal URL -c 'CLOSE ALL'` closes it.",
         )
         for bit, name in _BUFFER_BITS.items()
         if head.global2 & bit
