@@ -285,7 +285,7 @@ def remove(
 _MEANS = {
     "NEW": "what was uploaded stands on the controller",
     "OLD": "what stood before stands on the controller",
-    "DISABLED": "compensation is off on the controller",
+    "DISABLED": "compensation is off on the controller, or not whole",
 }
 
 

@@ -45,7 +45,7 @@ from pmac_comp.machine.controller.table_set import read_table, read_tables
 from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_checks import buffer_refusals
+from pmac_comp.machine.controller.upload_checks import buffer_refusals, flash_refusals
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.as_described import description_refusals
@@ -199,7 +199,8 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     link, route = axis.link, compensation.route
     refusals = description_refusals(axis)
     refusals += block_refusals(link, context.block)
-    refusals += buffer_refusals(read_head(link, context))
+    stands = read_head(link, context)
+    refusals += [*flash_refusals(stands), *buffer_refusals(stands)]
     refusals += double_corrections(axis, context, compensation)
     refusals += _place_refusals(axis, compensation)
     if motors.read_motor(link, axis.motor).status.is_closed_loop:

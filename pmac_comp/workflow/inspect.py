@@ -20,11 +20,14 @@ from pmac_comp.machine.controller.lease import read_clock, read_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import Action, CLOCK_PER_s, Lease
 from pmac_comp.machine.controller.processor_load import read_load
+from pmac_comp.machine.controller.table_recovery import status_by_journal
 from pmac_comp.machine.controller.table_status import (
     TableStatus,
     announced_elsewhere,
+    read_head,
     table_status,
 )
+from pmac_comp.machine.controller.upload_checks import flash_refusals
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
@@ -61,7 +64,9 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     with open_axis(url, bench) as axis:
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_to_look(axis, journal or DEFAULT_JOURNAL)
-        state = table_status(axis.link, context)
+        since = waiting.number_since_ours(axis.link, context)
+        judge = table_status if since else status_by_journal
+        state = judge(axis.link, context)
         if state.decision.action is Action.DISABLE:
             other = announced_elsewhere(axis.link, context, state.tables)
             state = replace(state, decision=other or state.decision)
@@ -70,7 +75,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         form = law_state.running_form(axis.link, head)
         law = _law_text(axis.link, block, form, head)
         elsewhere = waiting.open_elsewhere(axis.link, context)
-        since = waiting.number_since_ours(axis.link, context)
+        flash = flash_refusals(read_head(axis.link, context))
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
@@ -80,6 +85,8 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         advice = f"{still_open}: run `pmac-comp recover`"
     if elsewhere:
         advice = "a change from another folder or host has not ended: `pmac-comp recover` there"
+    if flash:
+        advice = f"{flash[0].message} {flash[0].advice}"
     if claimed is not None:
         advice = f"{claimed.message[0].lower()}{claimed.message[1:]} {claimed.advice}"
     compensation = {

@@ -5,18 +5,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from pmac_comp.base.errors import ConfigError, VerifyMismatch
+from pmac_comp.base.errors import ConfigError, ControllerState, PmacCompError, VerifyMismatch
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import backup as kept
 from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.restore import restore
 from pmac_comp.machine.controller.settings import Settings, differences, read_settings
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.verdict import mark_left
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
@@ -97,10 +99,8 @@ def restore_from_file(
         goal, others = _settings_of(programs.parse_source(_program_text(bench, source)))
         with open_axis(url, bench) as axis:
             context = context_of(axis, journal, progress)
-            with at_work(axis, url), grouped(axis.link, context, source.name) as inner:
-                axis.link.write_buffer(["CLOSE", *others])
-                if not goal.is_empty:
-                    change_settings(axis.link, inner, goal, route="program")
+            with at_work(axis, url):
+                _load(axis, context, source.name, goal, others)
             held = _held_programs(axis, goal)
         return {
             "summary": f"{source.name}: {len(goal.variables)} variables, {len(goal.definitions)} "
@@ -120,6 +120,25 @@ def restore_from_file(
         "remaining": [f"{d.item}: {d.before} -> {d.after}" for d in left],
         "summary": _restored_text([d.item for d in left]),
     }
+
+
+def _load(axis: Axis, context: Context, name: str, goal: Settings, others: list[str]) -> None:
+    """Send a program file as one change; commands that no rollback undoes are owned up to."""
+    sent = False
+    try:
+        with grouped(axis.link, context, name) as inner:
+            sent = bool(others)
+            axis.link.write_buffer(["CLOSE", *others])
+            if not goal.is_empty:
+                change_settings(axis.link, inner, goal, route="program")
+    except PmacCompError as error:
+        if sent:
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
+            error.add_note(
+                "Commands of the file may have acted that no rollback undoes: "
+                + ", ".join(others[:_NAMED])
+            )
+        raise
 
 
 def _restored_text(left: Sequence[str]) -> str:

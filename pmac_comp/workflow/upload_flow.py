@@ -12,14 +12,14 @@ from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import motors, recovery, rollback, temporary
+from pmac_comp.machine.controller import motors, parts, recovery, rollback, temporary, waiting
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journals import ChangeKind
-from pmac_comp.machine.controller.lease import drop_lease
+from pmac_comp.machine.controller.lease import drop_lease, read_change
 from pmac_comp.machine.controller.persist import persist as save_checked
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.table_files import read_table_backup
-from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
+from pmac_comp.machine.controller.verdict import is_told, link_is_lost, mark_left, untouched
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
@@ -142,12 +142,25 @@ def _save(
     try:
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
     except PmacCompError as error:
-        mark_left(error, left, confirmed=not link_is_lost(error))
         what = "upload" if left is ControllerState.NEW else "rollback"
+        if not link_is_lost(error) and _is_reset(axis, context):
+            mark_left(error, ControllerState.DISABLED, confirmed=False)
+            error.add_note(f"The controller was reset: of the {what} what was not saved is gone.")
+            raise
+        mark_left(error, left, confirmed=not link_is_lost(error))
         error.add_note(
             f"The {what} itself stands until the next reset; only SAVE did not end well."
         )
         raise
+
+
+def _is_reset(axis: Axis, context: Context) -> bool:
+    """Whether the number is gone that the last upload, or its rollback, left on the controller."""
+    last = parts.uploads(context)[-1]
+    try:
+        return waiting.was_reset(read_change(axis.link, context), last)
+    except PmacCompError:
+        return True
 
 
 def _after_failure(error: PmacCompError, url: str, bench: str, journal: Path) -> str:
@@ -195,6 +208,17 @@ def tables_coming_back(axis: Axis, context: Context) -> Sets:
     return bringing_back(axis.motor, lambda: [read_table_backup(path)[0] for path in backups])
 
 
+@contextmanager
+def _nothing_taken_back() -> Iterator[None]:
+    """Errors before the first step of a rollback leave with NEW on them, unless they tell more."""
+    try:
+        yield
+    except PmacCompError as error:
+        if not is_told(error):
+            mark_left(error, ControllerState.NEW, confirmed=not link_is_lost(error))
+        raise
+
+
 _FLASH = (
     "the flash was not touched: if the upload was saved there, a reset brings it back "
     "(--persist saves the old over it, motors killed)"
@@ -214,9 +238,10 @@ def rollback_upload(
         temporary.take_off(axis.link, context)
         with untouched():
             sets = tables_coming_back(axis, context)  # none: the axis does not move for it
-        rollback.refuse_rollback(axis.link, context, place_refusals(axis, sets))
-        rest_time_motor(axis)
-        stand_to_switch(axis, sets)
+        with _nothing_taken_back():
+            rollback.refuse_rollback(axis.link, context, place_refusals(axis, sets))
+            rest_time_motor(axis)
+            stand_to_switch(axis, sets)
         result = rollback.rollback_last(axis.link, context)
         rest_time_motor(axis)  # of a cam that came back
         said = _FLASH

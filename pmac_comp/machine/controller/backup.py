@@ -4,6 +4,7 @@ What lives here: reading the whole configuration as text the card printed, a sea
 differences, restoring in an order the card takes. SAVE is never part of it.
 """
 
+import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -25,6 +26,7 @@ from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sea
 from pmac_comp.machine.controller.settings import plc_runs, read_axes, read_body
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.table_status import FLASH_FAULTS
 from pmac_comp.machine.wire.numbers import read_number
 
 VARIABLES: Final = 8192
@@ -33,8 +35,8 @@ Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin w
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)
 N_PROGRAMS: Final = 224
 _ASSIGNED: Final = re.compile(r"^(I\d+)=")
+_DEFINITION: Final = re.compile(r"\*|[A-Z]{1,3}:[!-~]{1,40}")
 _WANTED: Final = "Give a file that `pmac-comp backup --out` wrote."
-FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 SUSPECT_SHARE: Final = 0.2
 SUSPECT_LEAST: Final = 5
 # Communication modes belong to the conversation, I51 and I30 to the tables.
@@ -215,9 +217,27 @@ def load_backup(path: Path) -> Backup:
         ) from error
 
 
+def _is_number(text: str) -> bool:
+    """Whether a card can have printed it, so that nothing else is ever sent as a value."""
+    try:
+        return math.isfinite(read_number(text))
+    except RemoteProtocolError:
+        return False
+
+
+def _is_definition(text: str) -> bool:
+    return bool(_DEFINITION.fullmatch(text))
+
+
 def _from_dict(data: Mapping[str, object]) -> Backup:
-    def numbered(name: str) -> dict[int, str]:
-        return {int(k): str(v) for k, v in dict(data[name]).items()}  # type: ignore[call-overload]
+    def numbered(name: str, is_one: Callable[[str], bool] = _is_number) -> dict[int, str]:
+        found = {int(k): str(v) for k, v in dict(data[name]).items()}  # type: ignore[call-overload]
+        wrong = [
+            f"{name}{k} = {v!r}" for k, v in found.items() if not (0 <= k < VARIABLES and is_one(v))
+        ]
+        if wrong:
+            raise ValueError(f"there cannot be {wrong[0]}")
+        return found
 
     axes = [(int(c), int(m), str(t)) for c, m, t in data["axes"]]  # type: ignore[attr-defined]
     found = [
@@ -231,7 +251,7 @@ def _from_dict(data: Mapping[str, object]) -> Backup:
         pvariables=numbered("p"),
         # Backups of earlier versions have none.
         qvariables=numbered("q") if "q" in data else {},
-        definitions=numbered("m"),
+        definitions=numbered("m", _is_definition),
         axes=tuple(axes),
         programs=tuple(found),
         tables=TableSet(tuple(tables)),

@@ -18,6 +18,8 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import MAGIC
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.open_servos import motors_in_open_servo
+from pmac_comp.machine.controller.variables import answers
+from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
 
@@ -30,8 +32,8 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
     at the end of the block, and what an open servo scribbles, for whichever motor, before it is set
     up for ours.
     """
-    texts = link.query(f"P{block.first}..{block.p(Index.MOTIONS) - 1}")
-    values = [float(text) for text in texts]
+    texts = answers(link, f"P{block.first}..{block.p(Index.MOTIONS) - 1}", int(Index.MOTIONS))
+    values = [float(read_number(text)) for text in texts]
     marked = (
         int(values[Index.SIGNATURE]) in {SIGNATURE_PLC, SIGNATURE_SERVO}
         or values[Index.MANIFEST] == MAGIC

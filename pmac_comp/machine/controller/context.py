@@ -52,6 +52,8 @@ class Context:
         Asked between packets; True ends the change at the next safe place.
     group : int
         Number of the upload of several parts that this change is one of, 0 for none.
+    number_before : int
+        Number of the last change that stood on the controller as that upload began.
     settling : bool
         Whether an interrupted or unwanted change is being settled: what is left open then is what
         it is about, and no reason to refuse.
@@ -66,6 +68,7 @@ class Context:
     progress: Progress = _no_progress
     stop_requested: Callable[[], bool] = never
     group: int = 0
+    number_before: int = 0
     settling: bool = False
 
     @cached_property

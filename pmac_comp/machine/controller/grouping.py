@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from pmac_comp.base.errors import (
     ChangeInterrupted,
@@ -13,13 +14,19 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import DONE, open_group
-from pmac_comp.machine.controller.lease import read_lease, release_lease
+from pmac_comp.machine.controller.lease import read_change, read_lease, release_lease
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.parts import Part, missing, parts_of
+from pmac_comp.machine.controller.parts import first_missing, parts_of
 from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.temporary import take_off
+from pmac_comp.machine.controller.transaction import RESET_AMID
 from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
-from pmac_comp.machine.controller.waiting import end_change, one_at_a_time, waiting_refusals
+from pmac_comp.machine.controller.waiting import (
+    end_change,
+    one_at_a_time,
+    waiting_refusals,
+    was_reset,
+)
 
 
 @contextmanager
@@ -62,7 +69,8 @@ def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
     for refusal in waiting_refusals(link, context):
         raise refusal
     take_off(link, context)  # what a measurement borrowed must not become part of an upload
-    return open_group(context, name)
+    journal, inner = open_group(context, name)
+    return journal, replace(inner, number_before=read_change(link, context))
 
 
 @contextmanager
@@ -91,35 +99,26 @@ def _done_before(context: Context, group: Journal) -> bool:
 
 
 def _require_whole(link: Link, context: Context, group: int) -> None:
-    """Every part still stands at the end: a reset in between takes the first ones away.
-
-    What was put on last is looked at last: who touches a bank switches the law off with it.
-    """
-    touched: set[object] = set()
-    standing: list[Part] = []
-    for part in reversed([p for p in parts_of(context) if p.journal.group == group]):
-        # Some parts an upload can do without; such a one was taken back.
-        if part.closing == DONE and not part.items & touched:
-            standing.append(part)
-        touched |= part.items
-    for part in reversed(standing):
-        wrong = missing(link, context, part)
-        if wrong:
-            raise VerifyMismatch(
-                f"A part of the upload does not stand at its end: {wrong}.",
-                code="PC-REC-003",
-                hint="Was the controller reset, or does somebody else write to it?",
-            )
+    """Every part still stands at the end: a reset in between takes the first ones away."""
+    wrong = first_missing(link, context, group)
+    if wrong:
+        raise VerifyMismatch(
+            f"A part of the upload does not stand at its end: {wrong}.",
+            code="PC-REC-003",
+            hint="Was the controller reset, or does somebody else write to it?",
+        )
 
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
     try:
-        notes = take_group_back(link, context, group)
+        begun = any(p.journal.group == group.group for p in parts_of(context))
+        reset = error.code == RESET_AMID or (begun and was_reset(read_change(link, context), group))
+        notes = take_group_back(link, context, group, was_reset=reset)
     except PmacCompError as second:
         error.add_note(f"The parts before could not be taken back: {second.message}")
         mark_left(error, ControllerState.DISABLED, confirmed=False)
         return
-    mark_left(error, ControllerState.OLD, confirmed=True)
+    mark_left(error, ControllerState.OLD, confirmed=not reset)
     for note in notes:
         error.add_note(note)
     try:

@@ -239,5 +239,7 @@ def unwritable(folder: Path, error: OSError) -> ConfigError:
     return ConfigError(
         f"The folder {folder} cannot be written: {why(error)}.",
         code="PC-JRN-002",
-        hint="Choose a folder with room that you may write to; the controller was not touched.",
+        hint="Make room there, or see that you may write to it and to the files in it (those of an "
+        "earlier `sudo` are not yours). What was interrupted is settled with that folder only; for "
+        "a new change --journal may name another one.",
     )

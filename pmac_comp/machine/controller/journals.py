@@ -73,15 +73,16 @@ def _journals(context: Context, names: Sequence[str]) -> list[Journal]:
 
 def own_numbers(context: Context) -> set[int]:
     """Numbers of the changes that were begun from this folder."""
-    return {_number_of(name) for name in journal_names(context)}
+    return {number_in(name) for name in journal_names(context)}
 
 
 def number_of(journal: Journal) -> int:
     """Number of a change that is no part of an upload."""
-    return _number_of(journal.path.name)
+    return number_in(journal.path.name)
 
 
-def _number_of(name: str) -> int:
+def number_in(name: str) -> int:
+    """Number of a change in the name of its journal."""
     return int(name.rsplit("-", 1)[1].removesuffix(".journal"))
 
 

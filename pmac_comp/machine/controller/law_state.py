@@ -7,6 +7,7 @@ from typing import Final
 from pmac_comp.base.errors import SafetyRefusal, VerifyMismatch
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.law_bank import (
+    BANK_VALUES,
     SIGNATURE_PLC,
     SIGNATURE_SERVO,
     Index,
@@ -16,10 +17,12 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.settings import plc_runs
-from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.variables import answers, read_one
+from pmac_comp.machine.wire.numbers import read_number
 
 SIGN_OF_LIFE_CYCLES: Final = 400
 GAIN_TOLERANCE: Final = 1e-6
+_HEAD_LINES: Final = 10 + 14 + 14 + 2  # answers to the question for a head
 
 
 class LawForm(Enum):
@@ -94,10 +97,12 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
     first, work = block.p(0), block.p(Index.WORK_PLC)
     servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED_SERVO)
     torque = block.p(Index.TORQUE_PLC)
-    lines = link.query(
-        f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{torque}P{bed}"
+    lines = answers(
+        link,
+        f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{torque}P{bed}",
+        _HEAD_LINES,
     )
-    values = [float(v) for v in lines]
+    values = [float(read_number(v)) for v in lines]
     head, plc, own = values[:10], values[10:24], values[24:38]
     in_servo = int(head[0]) == SIGNATURE_SERVO
     running = own if in_servo else plc
@@ -139,7 +144,7 @@ def read_bank(link: Link, block: LawBlock, bank: int) -> LawParameters | None:
 
 def read_bank_values(link: Link, block: LawBlock, bank: int) -> list[float]:
     """All values of bank 0 or 1, in their order."""
-    return [float(v) for v in link.query(block.bank_text(bank))]
+    return [float(read_number(v)) for v in answers(link, block.bank_text(bank), BANK_VALUES)]
 
 
 def is_running(link: Link, block: LawBlock, servo_period_s: float) -> LawForm:

@@ -39,7 +39,13 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.law_checks import beside_open_servo
 from pmac_comp.machine.controller.law_goal import follows
-from pmac_comp.machine.controller.law_state import LawHead, read_bank, read_law_head
+from pmac_comp.machine.controller.law_state import (
+    LawForm,
+    LawHead,
+    read_bank,
+    read_law_head,
+    running_form,
+)
 from pmac_comp.machine.controller.law_upload import (
     LawBackup,
     decide_law,
@@ -193,9 +199,12 @@ def missing(link: Link, context: Context, part: Part) -> str:
         state, reason = tables_state(link, context, part.journal)
         return "" if state is ControllerState.NEW else reason
     if part.kind is ChangeKind.LAW:
-        law = read_bank(link, context.block, read_law_head(link, context.block).bank)
-        same = (0 if law is None else law.digest) == part.crc_of_law
-        return "" if same else "the bank in use holds another law"
+        head = read_law_head(link, context.block)
+        law = read_bank(link, context.block, head.bank)
+        if (0 if law is None else law.digest) != part.crc_of_law:
+            return "the bank in use holds another law"
+        runs = law is None or running_form(link, head) is not LawForm.NONE
+        return "" if runs else "the program of the law does not run"
     new = part.new_settings
     if part.intent.data["skip_refused"]:
         # Of a backup of another firmware not everything can stand.
@@ -206,6 +215,21 @@ def missing(link: Link, context: Context, part: Part) -> str:
     kept = {name: text for name, text in new.variables.items() if name not in ours}
     new = replace(new, variables=kept)
     return "; ".join(differences(new, read_settings(link, new))[:3])
+
+
+def first_missing(link: Link, context: Context, group: int) -> str:
+    """What of a finished upload does not stand, in words; empty if all of it does.
+
+    What was put on last is looked at last: who touches a bank switches the law off with it.
+    """
+    touched: set[object] = set()
+    standing: list[Part] = []
+    for part in reversed([p for p in parts_of(context) if p.journal.group == group]):
+        # Some parts an upload can do without; such a one was taken back.
+        if part.closing == DONE and not part.items & touched:
+            standing.append(part)
+        touched |= part.items
+    return next((wrong for p in reversed(standing) if (wrong := missing(link, context, p))), "")
 
 
 def is_back(link: Link, context: Context, part: Part) -> bool:
@@ -240,8 +264,8 @@ def how_it_stands(link: Link, context: Context, part: Part) -> UploadResult:
 def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, str, int, int]:
     """State of a law or of settings, why, and both checksums."""
     if part.kind is ChangeKind.LAW:
-        state, old, _ = _law_in_use(link, context, part)
-        return state, _LAW_REASONS[state], old.crc, part.crc_of_law
+        state, old, head = _law_in_use(link, context, part)
+        return state, _law_reason(state, head), old.crc, part.crc_of_law
     before, new = read_settings_backup(_backup(context, part)), part.new_settings
     state, reason = settings_state(link, before, new)
     return state, reason, before.crc, new.crc
@@ -271,14 +295,14 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
     if part.kind is ChangeKind.TABLES:
         return tables_state(link, context, part.journal)
     # Settings that parts behind them have changed stand as meant all the same.
-    if not missing(link, context, part):
-        return ControllerState.NEW, "stands as meant"
-    if part.kind is not ChangeKind.LAW:
-        return _judge(link, context, part)[:2]
+    stands = not missing(link, context, part)
+    if part.kind is not ChangeKind.LAW or (stands and not part.crc_of_law):
+        as_meant = (ControllerState.NEW, "stands as meant")
+        return as_meant if stands else _judge(link, context, part)[:2]
     state, old, head = _law_in_use(link, context, part)
     if state is ControllerState.OLD and not same_value(head.clamp_ct, old.clamp_ct):
         return ControllerState.DISABLED, f"{_LAW_REASONS[state]}, with another clamp"
-    return state, _LAW_REASONS[state]
+    return state, _law_reason(state, head)
 
 
 def _law_in_use(
@@ -293,9 +317,15 @@ def _law_in_use(
 
 _LAW_REASONS = {
     ControllerState.OLD: "the old law is in use",
-    ControllerState.NEW: "the new law is in use; arm it when the axis is ready",
+    ControllerState.NEW: "the new law is in use",
     ControllerState.DISABLED: "the bank in use holds neither the old nor the new law",
 }
+
+
+def _law_reason(state: ControllerState, head: LawHead) -> str:
+    """Why the law is judged so, and whether a new one acts."""
+    loaded = state is ControllerState.NEW and not head.is_armed
+    return _LAW_REASONS[state] + (", not armed: upload it with the motor enabled" if loaded else "")
 
 
 # Settling it -------------------------------------------------------------------------------------
@@ -401,6 +431,9 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
         if part.closing == DONE and state is ControllerState.DISABLED:
             asked = tolerated(new) if tolerant else new
             others = set_by_others(old, asked, read_settings(link, asked))
+            if others:  # not by one misread listing
+                again = set_by_others(old, asked, read_settings(link, asked))
+                others = [name for name in others if name in again]
         old = without(old, others)
         raise_all(beside_open_servo(link, context, old), "Writing back what stood before")
         _take_offset_out(link, context, old)

@@ -9,7 +9,6 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     VerifyMismatch,
 )
-from pmac_comp.machine.controller.backup import FLASH_FAULTS
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import GUARD
 from pmac_comp.machine.controller.journals import ChangeKind
@@ -20,6 +19,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.settings import Buffer, Settings, read_settings
 from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.table_status import FLASH_FAULTS
 from pmac_comp.machine.controller.transaction import Change
 from pmac_comp.machine.wire.numbers import read_number
 

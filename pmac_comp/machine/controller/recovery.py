@@ -24,6 +24,8 @@ from pmac_comp.machine.controller.journals import (
 from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
+    Part,
+    first_missing,
     how_it_stands,
     parts_of,
     refusals_to_take_back,
@@ -31,14 +33,16 @@ from pmac_comp.machine.controller.parts import (
     settle,
     unsettled,
     uploads,
+    what_stands,
 )
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_recovery import recover_tables
-from pmac_comp.machine.controller.table_status import table_status
-from pmac_comp.machine.controller.taking_back import take_group_back
+from pmac_comp.machine.controller.table_status import read_head, table_status
+from pmac_comp.machine.controller.taking_back import RESET, take_group_back
 from pmac_comp.machine.controller.temporary import take_off
 from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.upload_checks import flash_refusals
 from pmac_comp.machine.controller.verdict import link_is_lost, mark_left, untouched
 from pmac_comp.machine.controller.waiting import (
     changed_elsewhere,
@@ -51,6 +55,7 @@ from pmac_comp.machine.controller.waiting import (
     waiting,
     waiting_parts,
     waiting_refusals,
+    was_reset,
 )
 
 
@@ -98,7 +103,9 @@ def last_change(context: Context) -> str:
     first, last = whole[-1].entries()[0], whole[-1].last_step
     name = first.data.get("name") or first.data.get("route") or first.data.get("kind")
     ends = {DONE: "done", ROLLED_BACK: "taken back", KEPT: "closed without writing"}
-    return f"{name}: {ends.get(last, 'interrupted')}"
+    end = begun[-1].last(ROLLED_BACK) if begun else None
+    amid = ", the controller was reset amid it" if end is not None and RESET in end.data else ""
+    return f"{name}: {ends.get(last, 'interrupted')}{amid}"
 
 
 def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
@@ -107,12 +114,15 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     since = number_since_ours(link, context)
     torn, waits = torn_groups(context), waiting(context)
     require_own_block(context, waits)
+    found = 0
     if waits:
-        take_over(link, context, torn[-1] if torn else waits[0])
+        found = take_over(link, context, torn[-1] if torn else waits[0])
     # What a measurement borrowed is given back if nobody else has written it since.
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
-        notes += take_group_back(link, context, group)
+        begun = any(p.journal.group == group.group for p in parts_of(context))
+        reset = group is torn[-1] and begun and was_reset(found, group)
+        notes += take_group_back(link, context, group, was_reset=reset)
     if not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume, since=since)
     else:
@@ -143,7 +153,7 @@ def _close_replaced(context: Context) -> None:
 
 def _forbidden(link: Link, context: Context) -> list[SafetyRefusal]:
     """What of other writers forbids a recovery."""
-    refusals = lease_refusals(link, context)
+    refusals = lease_refusals(link, context) + flash_refusals(read_head(link, context))
     since = number_since_ours(link, context)
     if since and waiting_parts(context):
         return [*refusals, changed_elsewhere(since)]
@@ -177,19 +187,24 @@ def keep(link: Link, context: Context) -> UploadResult:
     """
     with untouched(), one_at_a_time(context):
         raise_all(lease_refusals(link, context), "Keeping what stands")
+        seen = _seen_of_waiting(link, context)
         still_open = [j for j in journals(context) if is_torn(j) or j.is_damaged]
         for journal in reversed(still_open):
             journal.write(KEPT)
         release_lease(link, context, number=-abs(read_change(link, context)))
         status = table_status(link, context)
+    state, words = seen or (status.decision.state, f"tables: {status.decision.reason}")
     note = f"what stands was kept; {len(still_open)} open change(s) of this folder closed"
-    return UploadResult(
-        status.decision.state,
-        "kept",
-        0,
-        status.tables.crc,
-        notes=(note, f"tables: {status.decision.reason}"),
-    )
+    return UploadResult(state, "kept", 0, status.tables.crc, notes=(note, words))
+
+
+def _seen_of_waiting(link: Link, context: Context) -> tuple[ControllerState, str] | None:
+    """State of what waits, and in words that of each part; None where nothing does or can tell."""
+    parts = waiting_parts(context)
+    try:
+        return what_stands(link, context, parts) if parts else None
+    except (PmacCompError, OSError):  # of a damaged journal or a backup that is lost
+        return None
 
 
 def _recover_changes(link: Link, context: Context, *, resume: bool, since: int) -> UploadResult:
@@ -207,5 +222,19 @@ def _recover_changes(link: Link, context: Context, *, resume: bool, since: int) 
     if settled and tables.verdict is not ControllerState.DISABLED:
         return replace(settled[0], notes=tuple(n for part in settled for n in part.notes))
     if last is not None and last.kind is not ChangeKind.TABLES and last.closing == DONE:
-        return how_it_stands(link, context, last)
+        return _how_upload_stands(link, context, last)
     return tables
+
+
+def _how_upload_stands(link: Link, context: Context, last: Part) -> UploadResult:
+    """How the last upload stands: whole, or something of it went since."""
+    result = how_it_stands(link, context, last)
+    group = last.journal.group
+    if not group or not first_missing(link, context, group):
+        return result
+    parts = [p for p in parts_of(context) if p.journal.group == group and p.closing == DONE]
+    state, words = what_stands(link, context, parts)
+    if state is ControllerState.NEW:  # not all of it
+        state = ControllerState.DISABLED
+    note = f"something changed since the last upload: {words}"
+    return replace(result, verdict=state, notes=(note,))

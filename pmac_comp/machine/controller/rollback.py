@@ -31,8 +31,10 @@ from pmac_comp.machine.controller.parts import (
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import lease_refusals
 from pmac_comp.machine.controller.table_recovery import FOREIGN_TABLES
+from pmac_comp.machine.controller.table_status import read_head
 from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.upload_checks import flash_refusals
 from pmac_comp.machine.controller.verdict import link_is_lost, mark_left
 from pmac_comp.machine.controller.waiting import (
     changed_elsewhere,
@@ -171,5 +173,6 @@ def rollback_refusals(link: Link, context: Context, group: Journal) -> list[Safe
     ]
     settling = replace(context, settling=True)
     refusals += [*lease_refusals(link, context), *waiting_refusals(link, settling)]
+    refusals += flash_refusals(read_head(link, context))
     since = number_since_ours(link, context)
     return [changed_elsewhere(since)] if since and not refusals else refusals

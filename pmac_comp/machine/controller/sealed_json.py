@@ -52,7 +52,7 @@ def read_sealed_json(path: Path) -> dict[str, object]:
     if not path.exists():
         raise ConfigError(
             f"There is no file {path}.",
-            code="PC-TXN-012",
+            code="PC-TXN-017",
             hint="Give a file that `pmac-comp backup --out` wrote, or one of a journal folder.",
         )
     try:
@@ -60,7 +60,7 @@ def read_sealed_json(path: Path) -> dict[str, object]:
         body = str(outer["body"])
         fits = sha256(body.encode()).hexdigest() == outer["sha256"]
         data = json.loads(body)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ConfigError(
             f"{path} is no readable backup.",
             code="PC-TXN-005",

@@ -137,6 +137,20 @@ def _unfinished(context: Context, journal: Journal) -> Unfinished:
     )
 
 
+def status_by_journal(link: Link, context: Context) -> TableStatus:
+    """State of the tables as ``recover`` judges it, where the last change of them was an upload.
+
+    A reset brings an older manifest with older tables, which the card alone cannot tell.
+    """
+    try:
+        last = last_upload(context)
+    except (ConfigError, OSError):
+        last = None  # damaged: `left_open` says so
+    if last is None or last.is_rollback or last.was_taken_back or last.was_kept:
+        return table_status(link, context)
+    return table_status(link, context, journal_manifest=last.expected)
+
+
 def tables_state(link: Link, context: Context, journal: Journal) -> tuple[ControllerState, str]:
     """How the tables of one upload stand."""
     last = _unfinished(context, journal)
@@ -311,6 +325,11 @@ def _settled(
     untouched = state is ControllerState.OLD
     if last.is_rollback:
         untouched = state is ControllerState.OLD and not last.is_undoing
+        acts_again = bool(status.i51 and crc) and crc not in {
+            last.manifest.crc_old,
+            last.manifest.crc_new,
+        }
+        untouched = untouched or acts_again
         state = ControllerState.NEW if untouched else ControllerState.OLD
         if untouched and last.journal.is_open:
             reason = "the rollback was not begun: the uploaded tables act"

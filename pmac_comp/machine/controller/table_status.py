@@ -27,6 +27,7 @@ from pmac_comp.machine.wire.numbers import read_number
 
 _P_VARIABLES: Final = 8192
 _P_STEP: Final = 64
+FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 HEAD_LINES: Final = 3 + MANIFEST_SIZE + 2 + 1
 
 

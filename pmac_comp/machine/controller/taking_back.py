@@ -25,12 +25,31 @@ from pmac_comp.machine.controller.parts import (
     take_back,
 )
 
+RESET: Final = "reset"  # in the end of an upload amid which the controller was reset
+RESET_NOTE: Final = (
+    "the controller was reset meanwhile: what stood beside the upload and had not been saved (a "
+    "law, the motor of a cam) is gone; compare with `pmac-comp doctor --backup`, restore a backup "
+    "or upload again"
+)
 _TAKING_BACK: Final = "taking back"  # of an upload that stood whole
 _MOST_LOOKS: Final = 4  # at what was taken back; more than one only where the card was reset
 
 
-def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
-    """Take back every part, the last one first; may be repeated after an interruption."""
+def take_group_back(
+    link: Link, context: Context, group: Journal, *, was_reset: bool = False
+) -> Sequence[str]:
+    """Take back every part, the last one first; may be repeated after an interruption.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and folder.
+    group : Journal
+        The upload.
+    was_reset : bool
+        Whether the controller was reset amid it: the parts come back, but not what stood beside
+        them and had never been saved.
+    """
     alone = replace(context, group=0, stop_requested=never, settling=True)
     notes: list[str] = []
     was_done = not group.is_open
@@ -65,7 +84,9 @@ def take_group_back(link: Link, context: Context, group: Journal) -> Sequence[st
             left=ControllerState.DISABLED,
             context={"confirmed": True},
         )
-    group.write(ROLLED_BACK)
+    if was_reset:
+        notes.append(RESET_NOTE)
+    group.write(ROLLED_BACK, {RESET: True} if was_reset else {})
     return tuple(dict.fromkeys(notes))  # several parts may be of one kind
 
 

@@ -34,6 +34,7 @@ from pmac_comp.machine.controller.journals import (
     journal_names,
     new_transaction_id,
     next_journal,
+    number_in,
     number_of,
     own_numbers,
     take_mark_away,
@@ -100,6 +101,9 @@ class UploadResult:
             "journal": None if self.journal is None else str(self.journal),
             "notes": list(self.notes),
         }
+
+
+RESET_AMID: Final = "PC-TXN-016"  # of an error: between the parts of an upload
 
 
 class Change:
@@ -238,6 +242,21 @@ class Change:
             self.link, self.context, self._number, lambda n: n in own_numbers(self.context)
         )
         self._leased_at_s = self.link.clock.now_s()
+        follows = self._follows_a_part
+        if self.context.group and self._found != (
+            self._number if follows else self.context.number_before
+        ):
+            raise ForeignChange(
+                "The controller was reset as the upload went on, or somebody else made a change.",
+                code=RESET_AMID,
+                hint="Look at what stands (`pmac-comp status`), then upload again.",
+            )
+
+    @property
+    def _follows_a_part(self) -> bool:
+        """Whether another part of the same upload stands before this one in the folder."""
+        before = [name for name in self._before if name != self.journal.path.name]
+        return bool(self.context.group and before) and number_in(before[-1]) != self.context.group
 
     def do_without_lease(self, command: str, *, timeout_s: float) -> None:
         """Send what must not find a lease in the memory, and take the lease again.

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pmac_comp.base.errors import (
+    ControllerState,
     MotorNotSafe,
     SafetyRefusal,
 )
@@ -17,7 +18,7 @@ from pmac_comp.machine.controller.motors import (
 from pmac_comp.machine.controller.table_set import (
     TableSet,
 )
-from pmac_comp.machine.controller.table_status import Head
+from pmac_comp.machine.controller.table_status import FLASH_FAULTS, Head
 
 HEADER_LONG_WORDS: Final = 8  # allowed for per table on top of its entries
 PACKET_BYTES: Final = 1024
@@ -47,6 +48,27 @@ def difference(meant: TableSet, found: TableSet) -> str:
     if len(found) == len(meant):
         return "a table selects its entries by another position (D)"
     return f"{len(found)} tables instead of {len(meant)}"
+
+
+def flash_refusals(head: Head) -> list[SafetyRefusal]:
+    """Refusal because the controller came up with something else than what was saved.
+
+    Its settings are the factory's then: what is written beside them acts on no axis of ours.
+    """
+    if not head.global1 & FLASH_FAULTS:
+        return []
+    return [
+        SafetyRefusal(
+            "The controller reports a flash error: it came up with something else than its saved "
+            "configuration.",
+            code="PC-BCK-005",
+            hint="Check the axis before moving it. `pmac-comp restore` brings a backup back "
+            "(motors killed); save that (`pmac-comp terminal URL -c SAVE`): the report ends with a "
+            "reset.",
+            left=ControllerState.DISABLED,
+            context={"confirmed": False},
+        )
+    ]
 
 
 def buffer_refusals(head: Head) -> list[SafetyRefusal]:

@@ -192,7 +192,7 @@ def ask(
     RemoteProtocolError
         Number of answers differs from the number of questions.
     """
-    answers: list[str] = []
+    found: list[str] = []
     for group in batches(names):
         between(0.0)
         lines = link.query(" ".join(group))
@@ -202,8 +202,16 @@ def ask(
                 code=code,
                 context={"asked": list(group), "answer": lines[:8]},
             )
-        answers += [line.strip() for line in lines]
-    return answers
+        found += [line.strip() for line in lines]
+    return found
+
+
+def answers(link: Link, text: str, n: int) -> list[str]:
+    """Lines that answer a question; raises RemoteProtocolError if they are not ``n``."""
+    lines = link.query(text)
+    if len(lines) != n:
+        raise RemoteProtocolError(f"'{text}' was answered with {len(lines)} lines, not {n}.")
+    return lines
 
 
 def read_many(link: Link, names: Sequence[str]) -> dict[str, float]:

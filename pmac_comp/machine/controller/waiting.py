@@ -138,6 +138,11 @@ def _since_ours(last: int, context: Context) -> int:
     return 0 if number in own_numbers(context) | seen else number
 
 
+def was_reset(number: int, group: Journal) -> bool:
+    """Whether a reset took away the number that the parts of an upload had left."""
+    return abs(number) != group.group
+
+
 def changed_elsewhere(number: int) -> ForeignChange:
     """Refusal to write back what stood before somebody else's change."""
     return ForeignChange(
