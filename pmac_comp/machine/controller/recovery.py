@@ -230,11 +230,12 @@ def _how_upload_stands(link: Link, context: Context, last: Part) -> UploadResult
     """How the last upload stands: whole, or something of it went since."""
     result = how_it_stands(link, context, last)
     group = last.journal.group
-    if not group or not first_missing(link, context, group):
+    wrong = first_missing(link, context, group) if group else ""
+    if not wrong:
         return result
     parts = [p for p in parts_of(context) if p.journal.group == group and p.closing == DONE]
     state, words = what_stands(link, context, parts)
-    if state is ControllerState.NEW:  # not all of it
-        state = ControllerState.DISABLED
-    note = f"something changed since the last upload: {words}"
-    return replace(result, verdict=state, notes=(note,))
+    if state is ControllerState.OLD:
+        return replace(result, verdict=state, notes=(f"the last upload is gone: {words}",))
+    note = f"something of the last upload does not stand any more: {wrong}"
+    return replace(result, verdict=ControllerState.DISABLED, notes=(note,))

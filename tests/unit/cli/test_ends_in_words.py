@@ -16,8 +16,11 @@ def test_one_statement_stands_beside_the_verdict_several_below_it() -> None:
     assert _ended(one) == ["OLD: no upload is under way", "Look at it"]
     two = {"verdict": "DISABLED", "said": ["tables off", "law off"], "next": "Go on"}
     assert _ended(two) == [
-        "DISABLED: compensation is off on the controller, or not whole", "  - tables off", "  - law off", "Go on"
-    ]  # fmt: skip
+        "DISABLED: compensation is off on the controller, or not whole",
+        "  - tables off",
+        "  - law off",
+        "Go on",
+    ]
 
 
 def test_each_refusal_keeps_its_advice_below_it() -> None:
