@@ -45,7 +45,7 @@ class Desk:
         self.start = saved(self.bench)
         monkeypatch.setattr(session, "open_link", self._link)
         monkeypatch.setattr(
-            session, "Axis", lambda link, bench, name, simulated: Axis(
+            session, "Axis", lambda link, bench, name, simulated, _address: Axis(
                 link, bench, name, simulated, setup=AxisSetup(self.store)
             )
         )  # fmt: skip

@@ -14,7 +14,12 @@ from pmac_comp.base.errors import (
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import DONE, open_group
-from pmac_comp.machine.controller.lease import read_change, read_lease, release_lease
+from pmac_comp.machine.controller.lease import (
+    read_change,
+    read_change_and_claim,
+    read_lease,
+    release_lease,
+)
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import first_missing, parts_of
 from pmac_comp.machine.controller.taking_back import take_group_back
@@ -66,11 +71,12 @@ def grouped(link: Link, context: Context, name: str) -> Iterator[Context]:
 
 
 def _begin(link: Link, context: Context, name: str) -> tuple[Journal, Context]:
-    for refusal in waiting_refusals(link, context):
+    found = read_change_and_claim(link, context)
+    for refusal in waiting_refusals(link, context, found):
         raise refusal
     take_off(link, context)  # what a measurement borrowed must not become part of an upload
     journal, inner = open_group(context, name)
-    return journal, replace(inner, number_before=read_change(link, context))
+    return journal, replace(inner, number_before=found[0])
 
 
 @contextmanager

@@ -199,12 +199,11 @@ def missing(link: Link, context: Context, part: Part) -> str:
         state, reason = tables_state(link, context, part.journal)
         return "" if state is ControllerState.NEW else reason
     if part.kind is ChangeKind.LAW:
-        head = read_law_head(link, context.block)
-        law = read_bank(link, context.block, head.bank)
+        runs = running_form(link, read_law_head(link, context.block)) is not LawForm.NONE
+        law = read_bank(link, context.block, read_law_head(link, context.block).bank)
         if (0 if law is None else law.digest) != part.crc_of_law:
             return "the bank in use holds another law"
-        runs = law is None or running_form(link, head) is not LawForm.NONE
-        return "" if runs else "the program of the law does not run"
+        return "" if runs or law is None else "the program of the law does not run"
     new = part.new_settings
     if part.intent.data["skip_refused"]:
         # Of a backup of another firmware not everything can stand.

@@ -237,5 +237,6 @@ def _how_upload_stands(link: Link, context: Context, last: Part) -> UploadResult
     state, words = what_stands(link, context, parts)
     if state is ControllerState.OLD:
         return replace(result, verdict=state, notes=(f"the last upload is gone: {words}",))
-    note = f"something of the last upload does not stand any more: {wrong}"
+    gone = "something of the last upload does not stand any more"
+    note = f"{gone} (a reset without SAVE, or somebody else's change): {wrong}"
     return replace(result, verdict=ControllerState.DISABLED, notes=(note,))

@@ -42,9 +42,14 @@ def one_at_a_time(context: Context) -> AbstractContextManager[None]:
     return host_lock(context, ".upload")
 
 
-def waiting_refusals(link: Link, context: Context) -> list[SafetyRefusal]:
-    """Refusals of a change while another one, of this folder or elsewhere, has not ended."""
-    number, claimed = read_change_and_claim(link, context)
+def waiting_refusals(
+    link: Link, context: Context, found: tuple[int, int] | None = None
+) -> list[SafetyRefusal]:
+    """Refusals of a change while another one, of this folder or elsewhere, has not ended.
+
+    ``found`` is what ``read_change_and_claim`` found, if it has been asked already.
+    """
+    number, claimed = found or read_change_and_claim(link, context)
     elsewhere = _of_elsewhere(number, context)
     other = claim_refusal(claimed, context)
     torn = torn_refusals(context)
