@@ -13,6 +13,8 @@ from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
 from pmac_comp.machine.controller import law_state, motors, recovery, waiting
 from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim
+from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.guard_install import guard_settings
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
@@ -76,6 +78,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         law = _law_text(axis.link, block, form, head)
         elsewhere = waiting.open_elsewhere(axis.link, context)
         flash = flash_refusals(read_head(axis.link, context))
+        guard = _guard_text(axis.link, context)
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
@@ -98,6 +101,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         "left_open": advice,
         "last_change": (recovery.last_change(context) or "none from this folder")
         + ("; another folder or host has changed the controller since" if since else ""),
+        "guard": guard,
         "lease": lease,
         "law": form.name.lower(),
         "law_bank": head.bank,
@@ -131,6 +135,16 @@ def _why(state: TableStatus, axis: Axis) -> str:
     if not state.tables or ours & set(state.tables.motors):
         return state.decision.reason
     return f"{state.decision.reason}, none of them of motor #{axis.motor}"
+
+
+def _guard_text(link: Link, context: Context) -> str:
+    """Whether the guard keeps half-written tables off, whoever switches them on."""
+    refusal, goal = guard_settings(link, context)
+    if refusal:
+        return f"none: {refusal}"
+    if not goal.is_empty:
+        return "does not run; the next upload of tables puts it there"
+    return "runs (PLC 1)"
 
 
 def _law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:

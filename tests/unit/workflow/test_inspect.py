@@ -1,7 +1,7 @@
 """What `status` says of a controller, and of what this host left open on it."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.deploy import context_of, context_to_look, deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
 from tests.compensations import lead_map
 
@@ -23,14 +23,14 @@ def test_a_torn_upload_is_told_although_the_tables_are_old(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names: list[str] = []
-    as_it_is = inspect.context_of
+    as_it_is = context_to_look
 
-    def noted(axis: Axis) -> Context:
-        context = as_it_is(axis)
+    def noted(axis: Axis, store: Path) -> Context:
+        context = as_it_is(axis, store)
         names.append(context.controller)
         return context
 
-    monkeypatch.setattr(inspect, "context_of", noted)
+    monkeypatch.setattr(inspect, "context_to_look", noted)
     before = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
     assert (before["verdict"], before["left_open"], before["lease"]) == ("OLD", "nothing", "free")
     assert before["law"] == "none"
@@ -91,6 +91,7 @@ def test_status_has_stable_names_without_blanks(tmp_path: Path) -> None:
         "why",
         "left_open",
         "last_change",
+        "guard",
         "lease",
         "law",
         "law_bank",
@@ -125,3 +126,14 @@ def test_tables_of_other_axes_are_no_compensation_of_this_one(
     assert found["last_change"] == f"table: done; {since}"
     nowhere = inspect.controller_status("", "", tmp_path / "nowhere")["compensation"]
     assert nowhere["last_change"] == f"none from this folder; {since}"
+
+
+def test_a_guard_that_stopped_is_told(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inspect, "open_axis", lambda *_: nullcontext(axis))
+    deploy(axis, Compensation("table", CompensationLaw(), lead_map()), context_of(axis, tmp_path))
+    told = [inspect.controller_status("", "", tmp_path)["compensation"]["guard"]]
+    axis.link.command("DISABLE PLC 1")
+    told.append(inspect.controller_status("", "", tmp_path)["compensation"]["guard"])
+    assert told == ["runs (PLC 1)", "does not run; the next upload of tables puts it there"]
