@@ -330,13 +330,19 @@ def _law_reason(state: ControllerState, head: LawHead) -> str:
 # Settling it -------------------------------------------------------------------------------------
 
 
-def settle(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
-    """Bring an interrupted law or settings to OLD or NEW and close the journal."""
+def settle(
+    link: Link, context: Context, part: Part, *, resume: bool, was_reset: bool = False
+) -> UploadResult:
+    """Bring an interrupted law or settings to OLD or NEW and close the journal.
+
+    ``was_reset`` says that the controller was reset since: what stands otherwise than before and
+    than meant is nobody's then.
+    """
     with _locked(link, context, part):
         _require_rest(link, context, part)
         if part.kind is ChangeKind.LAW:
             return _settle_law(link, context, part, resume=resume)
-        return _settle_settings(link, context, part, resume=resume)
+        return _settle_settings(link, context, part, resume=resume, was_reset=was_reset)
 
 
 @contextmanager
@@ -414,7 +420,9 @@ def _backup(context: Context, part: Part) -> Path:
     return context.store / Path(str(part.intent.data["backup"])).name
 
 
-def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:
+def _settle_settings(
+    link: Link, context: Context, part: Part, *, resume: bool, was_reset: bool
+) -> UploadResult:
     new, tolerant = part.new_settings, bool(part.intent.data["skip_refused"])
     if any(kind is ProgramKind.PROG for kind, _ in new.programs):
         raise_all(running_refusals(link), "The recovery")
@@ -427,7 +435,7 @@ def _settle_settings(link: Link, context: Context, part: Part, *, resume: bool) 
         old = read_settings_backup(_backup(context, part))
         others: list[str] = []
         # What an interruption left may be neither; of another firmware not all stands as meant.
-        if part.closing == DONE and state is ControllerState.DISABLED:
+        if part.closing == DONE and state is ControllerState.DISABLED and not was_reset:
             asked = tolerated(new) if tolerant else new
             others = set_by_others(old, asked, read_settings(link, asked))
             if others:  # not by one misread listing
@@ -516,8 +524,8 @@ def refusals_to_take_back(link: Link, context: Context, part: Part) -> list[Safe
     return _rest_refusals(link, context, part)
 
 
-def take_back(link: Link, context: Context, part: Part) -> str:
-    """Bring back what stood before a part of any kind; what was done, in words."""
+def take_back(link: Link, context: Context, part: Part, *, was_reset: bool = False) -> str:
+    """Bring back what stood before a part of any kind (``settle``); what was done, in words."""
     backup = _backup(context, part)
     if part.kind is ChangeKind.TABLES:
         rollback_tables(link, context, backup, uploaded_tables(part))
@@ -527,4 +535,5 @@ def take_back(link: Link, context: Context, part: Part) -> str:
             _require_rest(link, context, part)
             restore_law(link, context, read_law_backup(backup))
         return "the old law is back"
-    return "; ".join(settle(link, context, part, resume=False).notes)
+    settled = settle(link, context, part, resume=False, was_reset=was_reset)
+    return "; ".join(settled.notes)

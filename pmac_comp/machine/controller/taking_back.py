@@ -67,7 +67,7 @@ def take_group_back(
             notes.append(f"{part.kind.value}: a later upload took its place; it stands")
         else:
             try:
-                notes.append(take_back(link, alone, part))
+                notes.append(take_back(link, alone, part, was_reset=was_reset))
             except SafetyRefusal as error:
                 if was_done and not notes and error.left in {None, ControllerState.OLD}:
                     group.write(DONE)  # nothing was taken back yet
