@@ -19,6 +19,7 @@ from pmac_comp.machine.controller.law_state import LawHead, read_law_head
 from pmac_comp.machine.controller.open_servos import scratch_remarks
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.safety import raise_all
+from pmac_comp.machine.controller.saved_plcs import power_up_remarks
 from pmac_comp.machine.controller.table_set import Key
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
@@ -142,11 +143,16 @@ def preview(
     if compensation.route in TORQUE_ROUTES:
         text.append(f"  now {load_text(read_load(axis.link, axis.bench.servo_period_s))}")
     text += [f"  {remark}" for remark in place_remarks(axis.link, axis.bench)]
-    text += [_SAVED if persist else _NOT_SAVED]
+    text += _flash_lines(axis, context) if persist else [_NOT_SAVED]
     refusals = list({refusal.message: refusal for refusal in refusals}.values())
     return UploadPreview(
         url, compensation.route, tuple(text), tuple(lines), tuple(refusals), change
     )
+
+
+def _flash_lines(axis: Axis, context: Context) -> list[str]:
+    kept = power_up_remarks(axis.link, context.block, axis.motor)
+    return [_SAVED, *(f"  {remark}" for remark in kept)]
 
 
 def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:

@@ -556,7 +556,7 @@ def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     download_source(bench.link, source("bench_setup.pmc"))
     download_source(bench.link, source("homing.plc"))
-    bench.link.write_buffer(["I123=10", "I7012=2", "I7013=0", "P7191=700", "ENABLE PLC 2"])
+    bench.link.write_buffer(["I123=10", "I7012=2", "I7013=0", "P7199=700", "ENABLE PLC 2"])
     bench.clock.sleep_s(0.9)
     assert bench.p(7190) == 1
     assert float(bench.link.query("#1P")[0]) > 100
@@ -568,7 +568,7 @@ def homing_bench(folder: Path, *settings: str) -> CardBench:
     bench = CardBench(folder)
     download_source(bench.link, source("bench_setup.pmc"))
     download_source(bench.link, source("homing.plc"))
-    bench.link.write_buffer([*settings, "P7191=20000", "ENABLE PLC 2"])
+    bench.link.write_buffer([*settings, "P7199=20000", "ENABLE PLC 2"])
     return bench
 
 

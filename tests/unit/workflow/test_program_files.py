@@ -31,7 +31,7 @@ def test_homing_comes_whole_and_goes_with_its_definitions(
     assert "4 definitions and 1 programs" in done["summary"]
     assert axis.link.query(ASKED) == ["X:$B0,18", "Y:$C0,0", "Y:$C0,10", "X:$B0,10"]
     axis.kill()
-    axis.link.write_buffer(["I5=2", "P7191=300", "I123=0", "ENABLE PLC 2"])
+    axis.link.write_buffer(["I5=2", "P7199=300", "I123=0", "ENABLE PLC 2"])
     axis.link.clock.sleep_s(2.0)
     assert axis.link.query("P7190") == ["3"]  # it runs to its end: no trigger came
     axis.link.write_buffer(["#1J/"])

@@ -5,13 +5,16 @@ from pathlib import Path
 
 import pytest
 
+from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow import safekeeping, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.simulated import embedded
+from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import lead_map
 
 
@@ -43,3 +46,59 @@ def test_rollback_reaches_the_flash_on_demand_only(
     told = upload_flow.rollback_upload("sim://", "paper", store / "third", persist=True)
     assert (told["verdict"], told["saved"]) == ("OLD", True)
     assert after_reset(axis, card) == 0
+
+
+HOMED, NOT_STARTED = "2", "4"
+
+
+@pytest.mark.parametrize("saved_while", ["homed", "searching"])
+def test_a_saved_homing_plc_moves_nothing_at_power_up(
+    axis: Axis, card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved_while: str
+) -> None:
+    monkeypatch.setattr(safekeeping, "open_axis", lambda _url, _bench: nullcontext(axis))
+    safekeeping.restore_from_file("sim://", "paper", firmware_path("homing.plc"), journal=tmp_path)
+    axis.kill()
+    # as a run of motion_sine.pmc leaves its parameters and its last sine
+    axis.link.write_buffer(["I5=3", "I123=10", "I7012=1", "I126=0", "P7191=20000", "P7197=1"])
+    axis.link.write_buffer(["P7199=20000", "ENABLE PLC 2"])
+    if saved_while == "homed":
+        axis.link.clock.sleep_s(8.0)
+        assert axis.link.query("P7190") == [HOMED]
+    else:
+        axis.link.clock.sleep_s(0.6)
+        assert axis.link.query("P7190") == ["1"]
+    axis.kill()
+    card.save()
+    card.reset()
+    with embedded(card) as link:
+        link.write_buffer(["I3=2", "I6=1"])
+        assert link.query("LIST PLC 2,0,1")
+        link.clock.sleep_s(2.0)
+        assert link.query("P7190P7199I5") == [NOT_STARTED, "0", "3"]
+        assert link.query("M7003") == ["1"]  # open loop
+        # and it still homes where somebody asks for it
+        link.write_buffer(["P7199=20000", "ENABLE PLC 2"])
+        link.clock.sleep_s(8.0)
+        assert link.query("P7190M7003") == [HOMED, "0"]
+    axis.link.write_buffer(["I3=2", "I6=1"])
+
+
+def test_a_plan_to_save_names_what_runs_at_power_up(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(safekeeping, "open_axis", lambda _url, _bench: nullcontext(axis))
+    context = context_of(axis, tmp_path)
+    new = Compensation("table", CompensationLaw(), lead_map(20.0))
+
+    def kept() -> list[str]:
+        text = preview(axis, context, new, "sim://", persist=True).text
+        return [line for line in text if "runs at power-up" in line]
+
+    axis.link.command("I5=3")
+    safekeeping.restore_from_file("sim://", "paper", firmware_path("homing.plc"), journal=tmp_path)
+    assert kept() == []
+    axis.link.write_buffer(["OPEN PLC 7 CLEAR", 'COMMAND"#1J/"', "CLOSE"])
+    (line,) = kept()
+    assert "SAVE keeps PLC 7 as well" in line
+    axis.link.command("I5=1")
+    assert kept() == []

@@ -1,0 +1,61 @@
+"""Background PLCs that a SAVE would keep, and that then run at every power-up.
+
+What lives here: which of them are not of this tool, and saying so. What may not: SAVE itself
+(``persist``).
+"""
+
+from typing import Final
+
+from pmac_comp.base.errors import CommandRefused
+from pmac_comp.files.resources import firmware_path
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.guard_install import guard_program
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.variables import read_one
+
+_BACKGROUND: Final = range(1, 32)
+_BACKGROUND_RUN: Final = 2  # bit of I5 (Software Reference Manual, I5)
+_NO_PROGRAM: Final = 3  # ERR003
+
+
+def homing_program(block: LawBlock, motor: int) -> Program:
+    """Homing PLC of ``firmware_plc`` for a motor and a block; it starts on purpose only."""
+    text = firmware_path("homing.plc").read_text(encoding="utf-8")
+    return programs.parse_source(programs.render(text, motor=motor, first_p=block.first)).program
+
+
+def power_up_remarks(link: Link, block: LawBlock, motor: int) -> tuple[str, ...]:
+    """What SAVE makes run at power-up beside what is of this tool, for a person.
+
+    Every PLC in memory is enabled at power-up, whether it is now or not, and what it commands then
+    nobody has asked for (Software Reference Manual p. 39).
+    """
+    if not int(read_one(link, "I5")) & _BACKGROUND_RUN:
+        return ()
+    ours = {p.number: p for p in (guard_program(block), homing_program(block, motor))}
+    others = [n for n in _BACKGROUND if _stands(link, n) and not _is_ours(link, ours.get(n))]
+    if not others:
+        return ()
+    names = ", ".join(f"PLC {n}" for n in others)
+    return (
+        f"SAVE keeps {names} as well: every PLC in memory runs at power-up, enabled now or not; "
+        "what enables or moves a motor should be off the controller before",
+    )
+
+
+def _stands(link: Link, number: int) -> bool:
+    """Whether a PLC stands in memory, by its first line: a whole one takes seconds to list."""
+    try:
+        return bool(programs.canonical(link.query(f"LIST PLC {number},0,1")))
+    except CommandRefused as error:
+        if error.context.get("error") == _NO_PROGRAM:
+            return False
+        if programs.explain_protection(error):
+            return True  # behind a password: of somebody else
+        raise
+
+
+def _is_ours(link: Link, program: Program | None) -> bool:
+    return program is not None and programs.is_present(link, program)
