@@ -6,6 +6,7 @@ with it; of those of another folder what stood before is not known, and they sta
 transactions (``machine.controller``).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,16 @@ from pmac_comp.machine.controller import (
     temporary,
 )
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.definition_use import definitions_in_use
 from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.leftovers import REMOVAL, before_uploads, merged
+from pmac_comp.machine.controller.leftovers import (
+    REMOVAL,
+    before_uploads,
+    known_definitions,
+    merged,
+)
 from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
@@ -89,11 +96,16 @@ def standing_on(axis: Axis) -> Standing:
     ours = {axis.motor, axis.bench.controller.cam_motor_number}
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
     in_plc_0 = law_goal.law_stands(axis.link, context_to_look(axis))
-    return Standing(tables, _form_of_law(axis), _beside(axis), in_plc_0)
+    law = _form_of_law(axis)
+    return Standing(tables, law, _beside(axis, law), in_plc_0)
 
 
-def _beside(axis: Axis) -> Settings:
-    """What of ours stands beside tables and law, switched off, emptied or undefined."""
+def _beside(axis: Axis, law: LawForm, known: Collection[int] = ()) -> Settings:
+    """What of ours stands beside tables and law, switched off, emptied or undefined.
+
+    A definition is a law's or a guard's where one of ours stands or has just been taken off: others
+    use the same registers. Those that are known to have stood before stay.
+    """
     link, guard = axis.link, guard_install.guard_program(_block(axis)).tokens
     motions = [(ProgramKind.PROG, number) for number in (CAM_PROGRAM, COMPENSATED_PROGRAM)]
     defined = law_goal.definitions(axis.motor)
@@ -104,7 +116,13 @@ def _beside(axis: Axis) -> Settings:
     ours = [key for key in motions if programs.is_sealed_motion(found.programs[key])]
     if programs.canonical(found.programs[guard_install.GUARD]) == guard:
         ours.append(guard_install.GUARD)
-    free = {n: "*" for n, text in defined.items() if same_definition(text, found.definitions[n])}
+    of_law = set(defined) - {guard_install.GUARD_DEFINITION} if law is LawForm.PLC else set()
+    of_guard = {guard_install.GUARD_DEFINITION} if guard_install.GUARD in ours else set()
+    free = {
+        n: "*"
+        for n in (of_law | of_guard) - set(known)
+        if same_definition(defined[n], found.definitions[n])
+    }
     goal = merged(
         Settings(definitions=free, programs=dict.fromkeys(ours, ())), time_motor_off(axis)
     )
@@ -122,6 +140,8 @@ def _not_of_others(axis: Axis, goal: Settings) -> Settings:
         goal = replace(goal, variables={k: v for k, v in goal.variables.items() if k != "I8"})
     if programs.canonical(found[guard_install.GUARD]) not in {(), guard}:
         kept.pop(guard_install.GUARD_DEFINITION, None)
+    used = definitions_in_use(axis.link, kept, goal.programs) if kept else frozenset()
+    kept = {n: text for n, text in kept.items() if n not in used}
     return replace(goal, definitions=kept)
 
 
@@ -194,14 +214,15 @@ def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadRe
             results.append(law_install.fade_law(axis.link, inner, axis.motor))
         if found.tables:
             results.append(remove_tables(axis.link, inner, found.tables))
-        results += _remove_beside(axis, inner)
+        results += _remove_beside(axis, inner, found.law)
     return tuple(results)
 
 
-def _remove_beside(axis: Axis, context: Context) -> list[UploadResult]:
+def _remove_beside(axis: Axis, context: Context, law: LawForm) -> list[UploadResult]:
     """What is left beside tables and law, as it stood before where this folder knows that."""
     with untouched():
-        goal = _not_of_others(axis, merged(_beside(axis), before_uploads(axis.link, context)))
+        beside = _beside(axis, law, known_definitions(context))
+        goal = _not_of_others(axis, merged(beside, before_uploads(axis.link, context)))
     if goal.is_empty:
         return []
     off = [int(name[1:-2]) for name, text in goal.variables.items() if _is_off(name, text)]

@@ -74,6 +74,13 @@ def before_uploads(link: Link, context: Context) -> Settings:
     return goal
 
 
+def known_definitions(context: Context) -> frozenset[int]:
+    """M-variables of which the uploads of this folder tell what stood before them."""
+    groups = _groups(context)
+    parts = [p for p in _of_uploads(context, groups) if groups[p.journal.group] != REMOVAL]
+    return frozenset(n for part in parts for n in part.new_settings.definitions)
+
+
 def merged(first: Settings, second: Settings) -> Settings:
     """Items of both, those of the second where both have one."""
     return Settings(

@@ -12,7 +12,7 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.guard_install import guard_program
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.variables import read_one
 
 _BACKGROUND: Final = range(1, 32)

@@ -125,6 +125,47 @@ def test_what_the_law_of_another_axis_needs_stays(axis: Axis, tmp_path: Path) ->
     assert axis.link.query("M7000->M7001->I8") == ["X:$0,24", "D:$108", "0"]
 
 
+HOMING = ("M7003->X:$B0,18", "M7011->Y:$C0,0", "M7012->Y:$C0,10", "M7015->X:$B0,10")
+OF_HOMING = "M7003->M7011->M7012->M7015->"
+
+
+def load_homing(axis: Axis) -> list[str]:
+    axis.link.write_buffer([*HOMING, "OPEN PLC 2 CLEAR", "P7190=M7003", "CLOSE"])
+    return axis.link.query(OF_HOMING)
+
+
+@pytest.mark.parametrize("route", ["table", "law"])
+@pytest.mark.parametrize("homing", ["first", "second"])
+def test_what_a_program_that_stays_uses_stays(
+    axis: Axis, tmp_path: Path, route: str, homing: str
+) -> None:
+    if homing == "first":
+        load_homing(axis)
+    put_on(axis, route, tmp_path)
+    defined = load_homing(axis)
+    remove_from(axis, context_of(axis, tmp_path / "elsewhere"), standing_on(axis))
+    assert axis.link.query(OF_HOMING) == defined
+    put_on(axis, route, tmp_path)
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    assert axis.link.query(OF_HOMING) == defined
+    assert standing_on(axis).is_empty
+
+
+def test_definitions_that_no_law_put_there_stay(axis: Axis, tmp_path: Path) -> None:
+    """A person's own names at a terminal: no law stood, or they stood before it did."""
+    axis.link.write_buffer([*HOMING, "M7007->D:$17", "M7001->D:$88"])
+    asked = f"M7001->M7007->{OF_HOMING}"
+    defined = axis.link.query(asked)
+    put_on(axis, "table", tmp_path / "there")
+    remove_from(axis, context_of(axis, tmp_path / "here"), standing_on(axis))
+    assert axis.link.query(asked)[:1] == defined[:1]
+    assert axis.link.query(OF_HOMING) == defined[2:]
+    axis.link.command("M7007->D:$17")
+    put_on(axis, "law", tmp_path)
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    assert axis.link.query(asked) == defined
+
+
 def test_a_law_that_pushes_at_rest_comes_back(axis: Axis, tmp_path: Path) -> None:
     """Its torque is an output: read back under a running law it is never the same."""
     pushing = replace(LAW, torque_constant_Nm=0.3)

@@ -1,0 +1,59 @@
+"""Which M-variables the programs on the card use: taken away, they would read nothing.
+
+What lives here: looking through the texts of programs. What may not: deciding what is taken off.
+"""
+
+import re
+from collections.abc import Collection, Iterator
+from typing import Final
+
+from pmac_comp.base.errors import CommandRefused
+from pmac_comp.machine.controller import programs
+from pmac_comp.machine.controller.backup import N_PROGRAMS, PROGRAM_TABLE
+from pmac_comp.machine.controller.link import Link
+from pmac_comp.machine.controller.numbers import parse_integer
+from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.settings import Buffer
+
+_PLCS: Final = range(32)
+_NAMED: Final = re.compile(r"M(\d+)")
+
+
+def definitions_in_use(
+    link: Link, wanted: Collection[int], without: Collection[Buffer]
+) -> frozenset[int]:
+    """Those of the wanted M-variables that a program names, but for programs that go.
+
+    Parameters
+    ----------
+    link : Link
+        Conversation.
+    wanted : Collection of int
+        Numbers to look for.
+    without : Collection of (ProgramKind, int)
+        Programs that are not looked at.
+
+    Returns
+    -------
+    frozenset of int
+        All of them where a password hides a program: it may name any.
+    """
+    used: set[int] = set()
+    for kind, number in _buffers(link):
+        if (kind, number) in without or used >= set(wanted):
+            continue
+        try:
+            text = "\n".join(programs.listing(link, kind, number) or ())
+        except CommandRefused as error:
+            if programs.explain_protection(error):
+                return frozenset(wanted)
+            raise
+        used |= {int(found) for found in _NAMED.findall(text.upper())}
+    return frozenset(used & set(wanted))
+
+
+def _buffers(link: Link) -> Iterator[Buffer]:
+    yield from ((ProgramKind.PLC, number) for number in _PLCS)
+    words = [w for line in link.query(f"RX${PROGRAM_TABLE:X},{N_PROGRAMS}") for w in line.split()]
+    numbers = {parse_integer(word) & 0xFFFF for word in words} - {0}
+    yield from ((ProgramKind.PROG, number) for number in sorted(numbers))
