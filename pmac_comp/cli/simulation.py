@@ -83,7 +83,11 @@ def sim(
     bench: BenchOption = "paper",
     plant: PlantOption = "",
     servo: Annotated[
-        Path | None, typer.Option("--servo", help="Source of the open servo to run")
+        Path | None,
+        typer.Option(
+            "--servo",
+            help="Source of the open servo to run; feedforward_servo.txt for p_block of the bench",
+        ),
     ] = None,
     speed: Annotated[str, typer.Option("--speed", help="real, a factor, or max")] = "real",
     dpram: Annotated[

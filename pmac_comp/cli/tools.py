@@ -8,7 +8,7 @@ import typer
 from pmac_comp.cli import output
 from pmac_comp.cli.options import BenchArgument, JsonOption
 
-config_app = typer.Typer(name="config", help="Bench files: show, check, example.")
+config_app = typer.Typer(name="config", help="Bench files: show, check, example, servo.")
 
 
 def register(app: typer.Typer) -> None:
@@ -111,3 +111,19 @@ def config_example(
     output.finish(
         {"name": name, "text": loaded.text}, json_target, lambda: output.echo(loaded.text.rstrip())
     )
+
+
+@config_app.command("servo")
+def config_servo(
+    bench: BenchArgument,
+    json_target: JsonOption = "",
+) -> None:
+    """Print the open servo's source for a bench file's p_block, for the vendor's compiler."""
+    from pmac_comp.files.bench import load_bench
+    from pmac_comp.machine.controller.law_bank import LawBlock
+    from pmac_comp.machine.controller.servo_source import servo_source
+
+    block = LawBlock.from_p_block(load_bench(bench).controller.p_block)
+    text = servo_source(block)
+    result = {"bench": str(bench), "first_p": block.first, "text": text}
+    output.finish(result, json_target, lambda: output.echo(text.rstrip()))

@@ -17,6 +17,8 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.client.commander import Commander
+from pmac_comp.machine.controller import servo_source
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.url import Endpoint
 
@@ -85,17 +87,26 @@ def make_card(
 ) -> "Card":
     """Card with the drive of a plant file, or the bench's own."""
     from pmac_comp.simulator.card import Card
-    from pmac_comp.simulator.open_servo import read_open_servo
     from pmac_comp.simulator.plant.door import load_plant
 
     return Card(
         bench,
         plant=None if plant is None else load_plant(plant, bench),
-        servo_source=None if servo is None else read_open_servo(servo),
+        servo_source=None if servo is None else _servo_text(servo, bench),
         dpram=dpram,
         flash=flash,
         faults=faults,
     )
+
+
+def _servo_text(servo: Path, bench: Bench) -> str:
+    """Source of an open servo; that of this installation for the block of a bench file."""
+    from pmac_comp.simulator.open_servo import read_open_servo
+
+    text = read_open_servo(servo)
+    if not servo_source.is_as_it_comes(text):
+        return text
+    return servo_source.servo_for(text, LawBlock.from_p_block(bench.controller.p_block))
 
 
 @contextmanager
@@ -169,23 +180,23 @@ def serve_forever(
         tcp=tcp, udp=udp, ascii_port=ascii_port, pty=pty, host=host, speed=speed, force=force
     )
     check_options(options)
-    _check_files(plant, servo, flash)
+    _check_files(loaded, plant, servo, flash)
     starting()
     warm_up(loaded, plant)
     card = make_card(loaded, plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults)
     serve(card, options)
 
 
-def _check_files(plant: str | None, servo: Path | None, flash: Path | None) -> None:
+def _check_files(bench: Bench, plant: str | None, servo: Path | None, flash: Path | None) -> None:
     """Refuse files that the card cannot start with, as far as it is quickly seen."""
     from pmac_comp.simulator.flash import check_image
-    from pmac_comp.simulator.open_servo import read_open_servo, translate_open_servo
+    from pmac_comp.simulator.open_servo import translate_open_servo
     from pmac_comp.simulator.plant.door import check_plant
 
     if plant is not None:
         check_plant(plant)
     if servo is not None:
-        translate_open_servo(read_open_servo(servo), name=servo.name)
+        translate_open_servo(_servo_text(servo, bench), name=servo.name)
     if flash is not None:
         check_image(flash)
 

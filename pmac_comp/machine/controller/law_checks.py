@@ -12,6 +12,7 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import is_foreign
 from pmac_comp.machine.controller.law_bank import (
+    BLOCK_SIZE,
     MASTER_WORD_ADDRESS,
     SIGNATURE_SERVO,
     Index,
@@ -287,12 +288,14 @@ def _armed(head: LawHead, told: Sequence[SafetyRefusal]) -> list[SafetyRefusal]:
 
 def no_servo(context: Context, motor: int, mode: int) -> SafetyRefusal:
     """Refusal where no open servo of ours runs for a motor; ``mode`` is its Ixx59."""
+    first, last = context.block.first, context.block.first + BLOCK_SIZE - 1
     return SafetyRefusal(
         f"The open servo does not run for motor #{motor} "
         f"(I{motor}59 = {mode}, no signature {SIGNATURE_SERVO} in P{context.block.p(0)}).",
         code="PC-LAW-024",
-        hint="Compile firmware_plc/feedforward_servo.txt with the vendor's tool and download it (a "
-        "simulated card takes the file itself: `pmac-comp sim --servo`), then set "
+        hint=f"Compile its source for P{first}-P{last}, which `pmac-comp config servo BENCH` "
+        "prints, with the vendor's tool and download it (a simulated card takes the file itself: "
+        "`pmac-comp sim --servo firmware_plc/feedforward_servo.txt --bench BENCH`), then set "
         f"I{motor}59 = 1 with the motor killed; or use --route law.",
         left=ControllerState.OLD,
     )

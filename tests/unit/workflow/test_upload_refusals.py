@@ -9,6 +9,7 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.files.bench import load_bench
+from pmac_comp.machine.controller.law_checks import no_servo
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -49,6 +50,8 @@ def test_a_missing_open_servo_is_told_before_tables_are_touched(axis: Axis, tmp_
     steeper = replace(LEAD, error_m=1.1 * LEAD.error_m)
     servo = Compensation("servo", LAW, steeper)
     assert refused(axis, tmp_path, servo) == {"PC-LAW-024"}
+    told = no_servo(context_of(axis, tmp_path), axis.motor, 0).hint
+    assert "source for P7000-P7199, which `pmac-comp config servo BENCH`" in told
     # The switch alone, without an algorithm behind it, proves nothing either.
     axis.link.write_buffer(["I159=1", "P7007=1"])
     assert refused(axis, tmp_path, servo) == {"PC-LAW-024"}
