@@ -20,7 +20,7 @@ from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
 from pmac_comp.physics.diagnose.control_law import told_of_law
-from pmac_comp.physics.diagnose.estimates import Told, estimates_of, pulled
+from pmac_comp.physics.diagnose.estimates import Told, estimates_of, possible, pulled
 from pmac_comp.physics.diagnose.growth import Grown, grow
 from pmac_comp.physics.diagnose.localise import Region, localise
 from pmac_comp.physics.diagnose.lookalikes import (
@@ -215,6 +215,7 @@ def _assembled(
         estimates, _ = estimates_of(alone, Told.of(alone), rules.material)
     estimates = tuple(e for e in estimates if e.name.partition(".")[0] in claims.effects)
     experiment = _experiment(tied, left, grown, library)
+    released, impossible = possible(grown.final.model, findings)
     return Diagnosis(
         verdict=verdict,
         named=named,
@@ -229,7 +230,7 @@ def _assembled(
         gap_channel="table" if grown.bench.channels > 1 else "motor",
         residual=_residual(left, where, verdict),
         separating_experiment=experiment,
-        findings=findings,
+        findings=released,
         statements=(
             *told_of_law(grown.bench.records, bench),
             *statements_of(
@@ -249,6 +250,7 @@ def _assembled(
                     restated=findings[0].text if found.alone else "",
                 )
             ),
+            *impossible,
             *_broken_off(grown, rules),
             *told_by_run(grown, left),
             *told_by_torque(grown, left),

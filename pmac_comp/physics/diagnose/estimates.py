@@ -347,6 +347,30 @@ def finding_of(spec: ParameterSpec, part: Workbench, point: Fitted) -> Finding |
     return _finding(spec, value, std)
 
 
+def possible(
+    model: DriveModel, findings: Sequence[Finding]
+) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+    """Findings that can be, and what is to be said of those that cannot.
+
+    A quantity freed of its tolerance goes where the gap's slope leads: where what the model lacks
+    takes its shape, a stiffness may end below zero.
+    """
+    kept: list[Finding] = []
+    names: list[str] = []
+    for finding in findings:
+        spec = model.spec(finding.parameter)
+        if spec.lower <= spec.from_file(finding.value) <= spec.upper:
+            kept.append(finding)
+        else:
+            names.append(spec.file_name or spec.name)
+    told = (
+        f"What is left looks like another {name}, but like none that can be: something that the "
+        "model lacks takes its shape."
+        for name in names
+    )
+    return tuple(kept), tuple(told)
+
+
 def pulled(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Findings as what they are beside a remainder without a name: where that pulls the fit."""
     return tuple(

@@ -10,7 +10,12 @@ from scipy.signal import lfilter
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.estimates import _estimate, _weighting_spread
+from pmac_comp.physics.diagnose.estimates import (
+    _estimate,
+    _finding,
+    _weighting_spread,
+    possible,
+)
 from pmac_comp.physics.diagnose.gram import Prior
 from pmac_comp.physics.diagnose.statistics import Whitener
 from pmac_comp.physics.diagnose.workbench import Noise, Workbench
@@ -82,3 +87,21 @@ def test_weights_show_what_a_model_lacks():
     step, spread = _moved(left, POLE)
     assert abs(step) < 0.05
     assert spread > 0.5
+
+
+def test_what_cannot_be_is_no_finding():
+    model = DriveModel.base(BENCH)
+    stiffness = model.spec("chain.torsional_stiffness_Nm_per_rad")
+    softer, below_zero = (
+        _finding(stiffness, value, 0.1 * stiffness.nominal)
+        for value in (0.5 * stiffness.nominal, -2.2 * stiffness.nominal)
+    )
+    efficiency = model.spec("chain.efficiency")
+    above_one = _finding(efficiency, 1.3, 0.05)
+    kept, told = possible(model, (softer, below_zero, above_one))
+    assert kept == (softer,)
+    assert [line.split()[6] for line in told] == [
+        "torsional_stiffness_Nm_per_rad,",
+        "efficiency,",
+    ]
+    assert not any("-" in line for line in told)
