@@ -1,11 +1,12 @@
 """Commands of the compensation: compute, compare, upload, take back, verify, improve."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.errors import ConfigError, SafetyRefusal
 from pmac_comp.cli import output
 from pmac_comp.cli.controller import confirmed
 from pmac_comp.cli.options import (
@@ -181,16 +182,14 @@ def upload(
     plan = plan_upload(url, bench, new, journal=journal, persist=persist)
 
     def show_plan() -> None:
-        output.echo_all(plan.text)
-        if dry_run:
-            output.echo_all([*plan.lines, *plan.refused()])  # not above what would be sent
+        output.echo_all([*plan.text, *(plan.lines if dry_run else ())])
 
+    plan.require_allowed()  # before a plan of what will not be
     if dry_run:
         output.finish(plan.as_result(), json_target, show_plan)
         return
     if json_target != "-":
         show_plan()
-    plan.require_allowed()
     confirmed(f"Upload {new} to {url}?", yes=yes)
     progress = ProgressLines()
     result = upload_file(url, bench, new, journal, persist=persist, progress=progress)
@@ -222,6 +221,7 @@ def recover(
     if dry_run:
         plan = preview_recovery(url, bench, journal)
         output.finish(plan, json_target, lambda: output.echo_all(_told("settle", plan)))
+        _end_rehearsal([] if keep else plan["refusals"])
         return
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, keep=keep, progress=progress)
@@ -246,6 +246,7 @@ def rollback(
     if dry_run:
         shown = [*_told("take back", plan)[:-1], *plan["motion"], "nothing was changed"]
         output.finish(plan, json_target, lambda: output.echo_all(shown))
+        _end_rehearsal(plan["refusals"])
         return
     if json_target != "-":
         output.echo_all([plan["summary"], *plan["motion"]])
@@ -300,6 +301,12 @@ def _ended(result: dict[str, Any]) -> list[str]:
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:
     refused = [f"  refused: {message}" for message in plan["refusals"]]
     return [f"would {verb}: {plan['summary']}", *refused, "nothing was changed"]
+
+
+def _end_rehearsal(refusals: Sequence[str]) -> None:
+    """Leave as the command itself would where it is refused; what was told stands above."""
+    if refusals:
+        raise typer.Exit(SafetyRefusal.exit_code)
 
 
 def _show_runs(plan: "RunsPreview", *, dry_run: bool = False) -> None:

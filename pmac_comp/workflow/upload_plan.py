@@ -70,10 +70,6 @@ class UploadPreview:
     refusals: tuple[SafetyRefusal, ...]
     change: Difference
 
-    def refused(self) -> list[str]:
-        """What forbids it and what to do, for people who only look."""
-        return [f"  refused: {r.message} {r.advice}".rstrip() for r in self.refusals]
-
     def require_allowed(self) -> None:
         """Raise all refusals together, if there are any; nothing was changed."""
         raise_all(self.refusals, "The upload")
@@ -83,7 +79,7 @@ class UploadPreview:
         return {
             "url": self.url,
             "route": self.route,
-            "plan": [*self.text, *self.refused()],
+            "plan": list(self.text),
             "lines": list(self.lines),
             "largest_change_um": self.change.largest_change_um,
             "refusals": [refusal.message for refusal in self.refusals],
