@@ -158,7 +158,9 @@ class Controller(_Table):
     """Servo controller."""
 
     kind: Literal["pmac", "si", "cascade"] = Field(description="which of the laws below it runs")
-    servo_period_us: Positive = Field(description="servo cycle; I10 wins where it is given")
+    servo_period_us: Positive | None = Field(
+        default=None, description="servo cycle; I10 wins where it is given, needed where it is not"
+    )
     cpu_clock_MHz: Positive = Field(default=80.0, description="for the cost of the law")
     dpram: Literal["small", "large", "none"] = Field(
         default="large", description="dual-ported RAM of the card"
@@ -186,10 +188,17 @@ class Controller(_Table):
             raise ValueError("kind = 'cascade' needs the table [controller.cascade]")
         if self.p_block[0] > self.p_block[1] or self.p_block[0] < 0 or self.p_block[1] > 8191:
             raise ValueError("p_block = [first, last] must be ascending within 0..8191")
+        if self.servo_period_us is None and self.i10 is None:
+            raise ValueError("servo_period_us is missing, and no I10 in [controller.ivariables]")
         for name in self.ivariables:
             if not (name[:1] == "I" and name[1:].isdigit() and int(name[1:]) <= 8191):
                 raise ValueError(f"'{name}' in [controller.ivariables] is not an I-variable")
         return self
+
+    @property
+    def i10(self) -> float | None:
+        """I10 (servo period in 2^-23 ms) where it is given and says something."""
+        return (self.ivariables.get("I10") or None) if self.kind == "pmac" else None
 
 
 class Travel(_Table):
@@ -242,10 +251,10 @@ class Bench(_Table):
     @property
     def servo_period_s(self) -> float:
         """Servo period in s; I10 (2^-23 ms units) wins over the rounded ``servo_period_us``."""
-        i10 = self.controller.ivariables.get("I10")
-        if self.controller.kind == "pmac" and i10:
+        i10 = self.controller.i10
+        if i10 is not None:
             return i10 / _CLOCK_CT_PER_MS / 1e3
-        return self.controller.servo_period_us / US_PER_S
+        return (self.controller.servo_period_us or math.nan) / US_PER_S  # one of both is given
 
     @property
     def usable_speed_m_per_s(self) -> float:

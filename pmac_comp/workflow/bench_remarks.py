@@ -35,11 +35,11 @@ def remarks(bench: Bench) -> list[str]:
             f"mass and stiffness give a resonance of {computed:.0f} Hz, [known] resonance_Hz says "
             f"{stated:.0f} Hz"
         )
-    rounded = bench.controller.servo_period_us * 1e-6
-    if abs(bench.servo_period_s / rounded - 1.0) > 1e-3:
+    rounded_us = bench.controller.servo_period_us
+    if rounded_us is not None and abs(bench.servo_period_s * 1e6 / rounded_us - 1.0) > 1e-3:
         out.append(
             f"I10 gives a servo period of {bench.servo_period_s * 1e6:.3f} us, servo_period_us "
-            f"says {bench.controller.servo_period_us:g} us; I10 is used"
+            f"says {rounded_us:g} us; I10 is used"
         )
     ends = [bench.screw_position_m(mm / 1e3) for mm in (bench.travel.min_mm, bench.travel.max_mm)]
     if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / 1e3:

@@ -7,6 +7,7 @@ import pytest
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import bundled_benches, load_bench, parse_bench
 from pmac_comp.files.resources import data_folder
+from pmac_comp.workflow.bench_remarks import remarks
 
 
 @pytest.mark.parametrize("name", bundled_benches())
@@ -101,3 +102,15 @@ def test_what_does_not_fit_together_is_said_without_the_whole_table():
 def test_a_missing_file_is_said_in_words(tmp_path):
     with pytest.raises(ConfigError, match=r"There is no bench file .*b\.toml"):
         load_bench(tmp_path / "b.toml")
+
+
+def test_a_bench_with_its_clock_needs_no_rounded_servo_period() -> None:
+    whole = load_bench("paper")
+    text = whole.text.replace("servo_period_us = 442.0\n", "")
+    assert text != whole.text
+    bench = parse_bench(text)
+    assert bench.controller.servo_period_us is None
+    assert bench.servo_period_s == whole.servo_period_s
+    assert remarks(bench) == remarks(whole)
+    with pytest.raises(ConfigError, match="servo_period_us is missing, and no I10"):
+        parse_bench(text.replace("I10 = 3707733\n", ""))
