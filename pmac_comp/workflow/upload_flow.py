@@ -72,7 +72,9 @@ def upload_file(
         "saved": persist,
         "said": said,
         "summary": "; ".join(said),
-        "next": "\n".join(next_steps(url, bench, new, journal, compensation, deployment)),
+        "next": "\n".join(
+            next_steps(url, bench, new, journal, compensation, deployment, persist=persist)
+        ),
     }
 
 
@@ -83,8 +85,10 @@ def next_steps(
     journal: Path,
     compensation: Compensation,
     deployment: Deployment,
+    *,
+    persist: bool = False,
 ) -> Iterator[str]:
-    """Commands that may follow an upload, ready to be run."""
+    """Commands that may follow an upload, ready to be run; a saved one is taken back by a SAVE."""
     where, again = _where(url, bench), _again(journal)
     file = shlex.quote(str(new))
     if not deployment.acts:
@@ -95,7 +99,8 @@ def next_steps(
         )
     check = f"pmac-comp verify {where}{again} --compensation {file}"
     yield f"Check it: {check}{_promise(new, compensation)}"
-    yield f"Take it back: {rollback_command(url, bench, journal)}"
+    saved = " --persist" if persist else ""
+    yield f"Take it back: {rollback_command(url, bench, journal)}{saved}"
 
 
 def _where(url: str, bench: str) -> str:

@@ -11,6 +11,13 @@ from pmac_comp.workflow.deploy import Deployment
 from pmac_comp.workflow.upload_flow import look_after, next_steps
 
 
+def steps_after(folder: Path, *, persist: bool) -> list[str]:
+    done = Deployment(ControllerState.NEW, (), motor=1, acts=True)
+    new, store = Compensation("law", CompensationLaw()), Path("kept")
+    file = folder / "c.json"
+    return list(next_steps("sim://", "paper", file, store, new, done, persist=persist))
+
+
 def check_line(folder: Path) -> str:
     law = CompensationLaw(provenance={"model": "model.json"})
     done = Deployment(ControllerState.NEW, (), motor=1, acts=True)
@@ -43,3 +50,10 @@ def test_a_model_that_lies_elsewhere_is_asked_for(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert "--model with the path of model.json" in check_line(tmp_path)
+
+
+def test_what_was_saved_is_taken_back_with_a_save(tmp_path: Path) -> None:
+    *_, plain = steps_after(tmp_path, persist=False)
+    *_, saved = steps_after(tmp_path, persist=True)
+    assert plain == "Take it back: pmac-comp rollback sim:// --bench paper --journal kept"
+    assert saved == f"{plain} --persist"
