@@ -239,9 +239,9 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
     ]
     # What not every drive has is shown where either law has it.
     shown = [row for row in units if row[1] not in _SPECIAL or _has(row[1], old, new)]
-    middle_ct = middle_m / m
+    middle_ct, middle_mm = middle_m / m, middle_m * MM_PER_M
     return [
-        ("law, told for the axis at", middle_m * MM_PER_M, middle_m * MM_PER_M, "mm"),
+        ("law, told for the axis at", None if old is None else middle_mm, middle_mm, "mm"),
         *(
             (
                 name,

@@ -49,7 +49,7 @@ def test_plan_upload_and_end_of_each_route(tmp_path: Path, route: str) -> None:
     said = lines[lines.index("NEW: what was uploaded stands on the controller") + 1 :]
     assert any(line.startswith("  - ") and "saved to flash and read again" in line for line in said)
     assert "pmac-comp verify sim:// --bench paper --compensation c.json" in done.stdout
-    assert "pmac-comp rollback sim:// --bench paper" in done.stdout
+    assert "pmac-comp rollback sim:// --bench paper --persist" in done.stdout
     assert "largest change of" in done.stdout  # the plan comes first
 
 
@@ -68,6 +68,7 @@ def test_old_against_new_of_a_law_is_numbers_in_um_and_a_plot(tmp_path: Path) ->
     rows = {row["quantity"]: row for row in found["rows"]}
     assert rows["law, friction (each side)"]["new"] == pytest.approx(0.9, rel=1e-3)
     assert rows["law, friction (each side)"]["old"] is None
+    assert rows["law, told for the axis at"]["old"] is None
     assert rows["backlash table, highest"]["new"] == pytest.approx(4.0, abs=0.1)
     # 35 um per m, to the rounding of two entries; beyond the travel the table runs back steeply.
     assert rows["lead table, steepest"]["new"] == pytest.approx(0.035, abs=2 * 0.0625 / 0.5)
