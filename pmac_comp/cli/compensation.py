@@ -362,7 +362,7 @@ def verify(
     """Measure before and after on fresh runs, alternating, against the promise."""
     from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.compensation_file import check_bench, named_compensation
-    from pmac_comp.workflow.previews import preview_verification
+    from pmac_comp.workflow.previews import preview_verification, require_standing
     from pmac_comp.workflow.verify import verify_files, verify_on_controller
 
     if law is not None:
@@ -396,6 +396,7 @@ def verify(
             refine=refine,
         )
         if dry_run:
+            require_standing(url, bench, named_compensation(law))
             output.finish(plan.as_result(), json_target, lambda: _show_runs(plan, dry_run=True))
             return
         if json_target != "-":

@@ -29,6 +29,7 @@ from pmac_comp.workflow.improve import require_many_motions
 from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
+from pmac_comp.workflow.runs import require_on_card
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.standing import standing_lines
 from pmac_comp.workflow.upload_flow import tables_coming_back
@@ -101,6 +102,18 @@ def preview_verification(
     if refine:
         remarks.append(f"then {refine} learning pass(es) on the repeated motion")
     return RunsPreview(tuple(runs), tuple(remarks))
+
+
+def require_standing(url: str, bench: str, compensation: Compensation) -> None:
+    """Refuse a rehearsal of a verification that would be refused; the controller is only read.
+
+    Raises
+    ------
+    VerifyMismatch
+        The controller does not hold the compensation.
+    """
+    with open_axis(url, bench) as axis:
+        require_on_card(axis, context_to_look(axis), compensation)
 
 
 def _verification(

@@ -18,7 +18,7 @@ from pmac_comp.workflow.simulated import embedded, make_card
 from tests.compensations import friction_law, lead_map
 
 PAPER = load_bench("paper")
-REFUSED = 6
+REFUSED, TABLES = 6, 7
 
 
 def ended(words: list[str]) -> int:
@@ -65,3 +65,22 @@ def test_rehearsals_of_a_rollback_and_a_recovery_end_as_they_would(
         assert ended(["rollback", *words]) == REFUSED
         assert "refused: Another folder" in capsys.readouterr().out
         assert ended(["recover", *words]) == 0
+
+
+def test_a_rehearsed_verification_wants_its_compensation_on_the_card(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with embedded(make_card(PAPER)) as link:
+        axis = Axis(link, PAPER, "test", simulated=True)
+        monkeypatch.setattr(previews, "open_axis", lambda _url, _bench: nullcontext(axis))
+        stands, other = (Compensation("table", friction_law(), lead_map(um)) for um in (20.0, 9.0))
+        deploy(axis, stands, context_of(axis, tmp_path / "kept"))
+        words = ["verify", "tcp://card:1", "--bench", "paper", "--dry-run", "--compensation"]
+        for name, compensation in (("stands", stands), ("other", other)):
+            write_compensation(tmp_path / f"{name}.json", compensation)
+        assert ended([*words, str(tmp_path / "stands.json")]) == 0
+        assert capsys.readouterr().out.endswith("nothing was changed\n")
+        assert ended([*words, str(tmp_path / "other.json")]) == TABLES
+        said = capsys.readouterr()
+        assert "PC-VER-005" in said.err
+        assert said.out == ""
