@@ -549,11 +549,17 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
     if lead is None:
         return []
     mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
-    if compensation.backlash:
-        what = "all of it" if compensation.route == "table" else "what friction leaves of it"
+    if compensation.backlash and compensation.route == "table":
+        out = [
+            f"the two directions differ by {mean_um:.2f} um in the mean while the axis moves, which "
+            "the backlash table takes away. At rest it holds the screw's wind-up, and the motor's "
+            "own stop within its friction is left: where that had cancelled the wind-up, the "
+            "reversal value of a positioning test grows"
+        ]
+    elif compensation.backlash:
         out = [
             f"the two directions differ by {mean_um:.2f} um in the mean; the backlash table takes "
-            f"{what} away"
+            "what friction leaves of it away"
         ]
     else:
         why = "not worth a backlash table"

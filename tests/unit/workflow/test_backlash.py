@@ -210,3 +210,15 @@ def test_only_the_route_table_leaves_friction_to_the_backlash_table(route: str) 
     assert has_backlash(static_map(BENCH, "table", [run], law, Limit.REFUSE), "table")
     # The law takes 1.5 um on each side away: the 3 um of the run are all friction.
     assert not has_backlash(static_map(BENCH, route, [run], law, Limit.REFUSE), route)
+
+
+def test_a_table_is_not_said_to_reach_what_differs_at_rest() -> None:
+    """`verify` explains a reversal value that grew; `compensate` says it beforehand."""
+    table, law = (
+        table_remarks(BENCH, Compensation(route, CompensationLaw(), LEAD, backlash=True))[0]
+        for route in ("table", "law")
+    )
+    assert "all of it" not in table
+    assert "while the axis moves" in table
+    assert "the reversal value of a positioning test grows" in table
+    assert "what friction leaves of it" in law
