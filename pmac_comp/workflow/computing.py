@@ -551,7 +551,7 @@ def table_remarks(bench: Bench, compensation: Compensation) -> list[str]:
     mean_um = float(np.mean(lead.reversal_m) * UM_PER_M)
     if compensation.backlash and compensation.route == "table":
         out = [
-            f"the two directions differ by {mean_um:.2f} um in the mean while the axis moves, which "
+            f"the two directions differ by {mean_um:.2f} um in the mean while the axis moves; that "
             "the backlash table takes away. At rest it holds the screw's wind-up, and the motor's "
             "own stop within its friction is left: where that had cancelled the wind-up, the "
             "reversal value of a positioning test grows"
