@@ -10,7 +10,7 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model, written_for
-from pmac_comp.workflow.identification import load_model, user_effects
+from pmac_comp.workflow.identification import acted_in, load_model, user_effects
 from pmac_comp.workflow.same_axis import (
     check_channels,
     check_not_twice,
@@ -27,7 +27,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class DiagnosisOutcome:
-    """A diagnosis with where its grown model was stored."""
+    """A diagnosis with where its grown model was stored.
+
+    ``removal`` takes a compensation off that stands on the controller, before more runs are made.
+    """
 
     bench: Bench
     diagnosis: "Diagnosis"
@@ -37,6 +40,7 @@ class DiagnosisOutcome:
     url: str = "URL"
     sources: tuple[str, ...] = ()
     remark: str = ""
+    removal: str = ""
 
     @property
     def provenance(self) -> str:
@@ -50,13 +54,14 @@ class DiagnosisOutcome:
         return remarks + [f"Finding: {finding.text}." for finding in self.diagnosis.findings]
 
     def commands(self) -> list[str]:
-        """The separating experiment as one command to paste; none where there is none."""
+        """The separating experiment as commands to paste; none where there is none."""
         experiment = self.diagnosis.separating_experiment
         if experiment is None or not experiment.motions:
             return []
         motions = " ".join(f'--motion "{motion}"' for motion in experiment.motions)
         where = f"{shlex.quote(self.url)} --bench {shlex.quote(self.bench_name)}"
-        return [f"  pmac-comp capture {where} --out separating {motions}"]
+        first = [f"  {self.removal}"] if self.removal else []
+        return [*first, f"  pmac-comp capture {where} --out separating {motions}"]
 
     def as_result(self) -> dict[str, Any]:
         """The contract's mapping, with ``model_file`` (path) and the model itself."""
@@ -150,7 +155,10 @@ def diagnose_files(
     for path, capture in read.items():
         check_scales(capture, loaded, path.name)
         check_same_loop(capture, loaded, path.name)
-    remark = check_channels({path.name: capture for path, capture in read.items()}, loaded)
+    remark = " ".join(filter(None, (
+        check_channels({path.name: capture for path, capture in read.items()}, loaded),
+        _acted_text(acted_in(list(read.values()), loaded, [path.name for path in read]), len(read)),
+    )))  # fmt: skip
     outcome = diagnose_captures(
         [read[path] for path in captures],
         loaded,
@@ -163,6 +171,18 @@ def diagnose_files(
     if model_out is not None:
         write_model(model_out, outcome.model)
     return replace(outcome, bench_name=bench, model_path=model_out, remark=remark)
+
+
+def _acted_text(acted: Sequence[str], n_captures: int) -> str:
+    """Which runs a compensation acted in; empty where none."""
+    if not acted:
+        return ""
+    return (
+        f"{len(acted)} of {n_captures} captures were made with a compensation on: "
+        f"{', '.join(acted)}. What a law feeds forward as torque is not in them and looks like the "
+        "drive's: leave them out, or make these runs again without (`pmac-comp remove` before "
+        "`pmac-comp capture`)."
+    )
 
 
 def _base_model(

@@ -148,16 +148,21 @@ def identify_captures(
     return IdentificationOutcome(bench, tuple(captures), result, stored)
 
 
-def _made_with_compensation(
-    captures: Sequence[Capture], bench: Bench, names: Sequence[str]
-) -> tuple[str, ...]:
-    """That a compensation acted in runs: the torque that a law adds is not in their columns."""
-    acted = [
+def acted_in(captures: Sequence[Capture], bench: Bench, names: Sequence[str]) -> list[str]:
+    """Names of the captures in which a compensation acted."""
+    return [
         name
         for capture, name in zip(captures, names, strict=True)
         if capture.largest_added_m > bench.motor_resolution_m
         or capture.attributes.get("compensation") == "on"
     ]
+
+
+def _made_with_compensation(
+    captures: Sequence[Capture], bench: Bench, names: Sequence[str]
+) -> tuple[str, ...]:
+    """That a compensation acted in runs: the torque that a law adds is not in their columns."""
+    acted = acted_in(captures, bench, names)
     if not acted:
         return ()
     return (

@@ -29,6 +29,7 @@ from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.identification import identify_captures, load_model
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.upload_flow import removal_command
 from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import KeptRuns, store, verify_axis
 
@@ -180,7 +181,14 @@ def improve_on_controller(
             result = improve_axis(
                 axis, out, model=model, route=route, seed=seed, effects=effects, progress=progress
             )
-    result = replace(result, diagnosis=replace(result.diagnosis, url=url, bench_name=bench))
+    # What is left on the controller would act in the runs that the diagnosis asks for.
+    asked = replace(
+        result.diagnosis,
+        url=url,
+        bench_name=bench,
+        removal=removal_command(url, bench, out / JOURNAL),
+    )
+    result = replace(result, diagnosis=asked)
     atomic_write_text(out / _RESULT, json.dumps(result.as_result(), indent=2, default=str) + "\n")
     return result
 

@@ -116,6 +116,11 @@ def rollback_command(url: str, bench: str, journal: Path) -> str:
     return f"pmac-comp rollback {_where(url, bench)}{_again(journal)}"
 
 
+def removal_command(url: str, bench: str, journal: Path) -> str:
+    """Command that takes off what stands; a journal makes known what stood before."""
+    return f"pmac-comp remove {_where(url, bench)}{_again(journal)}"
+
+
 def look_after(url: str, bench: str, journal: Path, state: str) -> str:
     """Command that may follow a change which was taken back or settled, ready to be run."""
     if state == ControllerState.DISABLED.value:

@@ -90,6 +90,17 @@ def test_a_tie_shows_both_names_and_a_command_that_can_be_pasted(tmp_path: Path)
     assert "1.41 → 0.162 um" in html
 
 
+def test_a_compensation_that_stands_is_taken_off_before_the_runs_that_would_tell_more() -> None:
+    model = ModelFile(bench_digest="", effects=[], parameters={}, created_utc="")
+    outcome = DiagnosisOutcome(BENCH, diagnosis(), model, None, "paper")
+    (capture,) = outcome.commands()
+    assert replace(outcome, removal="pmac-comp remove URL").commands() == [
+        "  pmac-comp remove URL", capture
+    ]  # fmt: skip
+    lines = replace(outcome, removal="pmac-comp remove URL").lines()
+    assert lines.index("  pmac-comp remove URL") + 1 == lines.index(capture)
+
+
 def test_candidates_are_drawn_and_those_only_screened_are_one_row(tmp_path: Path) -> None:
     html = page(tmp_path, diagnosis())
     assert "<tr><td>round 1</td><td>cogging</td></tr>" in html

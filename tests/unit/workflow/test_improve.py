@@ -1,6 +1,7 @@
 """The order of an improvement: what is uploaded when, what is put back, what people are told."""
 
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -205,3 +206,30 @@ def test_an_end_in_the_middle_says_what_was_kept_and_how_to_settle(
     said = " ".join(left.value.__notes__)
     assert f"so far is in {tmp_path / 'out'}" in said
     assert f"--journal {tmp_path / 'out' / 'journal'}" in said
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """Of a diagnosis what an improvement adds to it."""
+
+    url: str = ""
+    bench_name: str = ""
+    removal: str = ""
+
+    def as_result(self) -> dict[str, str]:
+        return {}
+
+
+def test_runs_that_the_diagnosis_asks_for_begin_with_the_compensation_off(
+    monkeypatch, tmp_path
+) -> None:
+    """One stays on the controller: in runs made beside it, it would look like the drive."""
+    opened(monkeypatch, SimpleNamespace(setup=SimpleNamespace(store=None)))
+    monkeypatch.setattr(improve, "measuring", lambda *a: nullcontext())
+    left = Improvement(_Outcome(), verification(1.0, 2.0), None, "first")
+    monkeypatch.setattr(improve, "improve_axis", lambda *a, **k: left)
+    (tmp_path / "out").mkdir()
+    result = improve_on_controller("tcp://card:1", "paper", tmp_path / "out")
+    assert result.diagnosis.removal == (
+        f"pmac-comp remove tcp://card:1 --bench paper --journal {tmp_path / 'out' / 'journal'}"
+    )

@@ -10,7 +10,7 @@ from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics import identify
-from pmac_comp.workflow import identification
+from pmac_comp.workflow import diagnosis, identification
 
 BENCH = load_bench("paper")
 
@@ -61,3 +61,25 @@ def test_runs_with_a_compensation_on_are_named(
     identification.identify_captures([Capture(time_s, still, still), run], BENCH, names=["a", "b"])
     assert ("1 of 2 captures were made with a compensation on (b)" in " ".join(statements)) is told
     assert statements[-1] == "one thing"
+
+
+def test_a_diagnosis_names_every_run_with_a_compensation_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @dataclass(frozen=True)
+    class Outcome:
+        bench_name: str = ""
+        model_path: Path | None = None
+        remark: str = ""
+
+    monkeypatch.setattr(diagnosis, "diagnose_captures", lambda *_, **__: Outcome())
+    time_s = np.arange(200) * BENCH.servo_period_s
+    paths = [tmp_path / f"{name}.h5" for name in "abc"]
+    for path, added_um in zip(paths, (0.0, 3.0, 4.0), strict=True):
+        at = 1e-3 * np.sin(time_s) + (ord(path.stem) - ord("a")) * 1e-6
+        added = at + added_um * 1e-6
+        run = Capture(time_s, at, at, table_position_m=at, desired_position_m=added)
+        write_capture(path, run)
+    found = diagnosis.diagnose_files(paths[:2], paths[2:], "paper")
+    assert "2 of 3 captures were made with a compensation on: b.h5, c.h5." in found.remark
+    assert diagnosis.diagnose_files(paths[:1], (), "paper").remark == ""
