@@ -279,7 +279,7 @@ def remove(
     progress = ProgressLines()
     result = remove_compensation(url, bench, journal, progress=progress)
     progress.close()
-    shown = ["removed and verified", result["next"]]
+    shown = ["removed and verified", *(f"  - {text}" for text in result["said"]), result["next"]]
     output.finish(result, json_target, lambda: output.echo_all(shown))
 
 

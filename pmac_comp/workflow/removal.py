@@ -182,6 +182,12 @@ def _without(found: Standing) -> Sets:
     return uploading((), found.tables)
 
 
+_FLASH = (
+    "the flash was not touched: if any of it was saved there, a reset brings it back (with all "
+    "motors killed, `pmac-comp terminal URL -c SAVE` keeps what stands now)"
+)
+
+
 def remove_compensation(
     url: str, bench: str, journal: Path, *, progress: Progress | None = None
 ) -> dict[str, Any]:
@@ -190,11 +196,13 @@ def remove_compensation(
         context = context_of(axis, journal, progress)
         with at_work(axis, url):
             temporary.take_off(axis.link, context)
-            found = standing_on(axis)
+            with untouched():
+                found = standing_on(axis)
             results = remove_from(axis, context, found) if not found.is_empty else ()
     return {
         "removed": [] if found.is_empty else found.lines(),
         "parts": [result.as_dict() for result in results],
+        "said": [_FLASH] if results else [],
         "next": f"Bring it back: {rollback_command(url, bench, journal)}",
     }
 
@@ -204,8 +212,8 @@ def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadRe
     with untouched():  # before the axis moves for it
         refusals = waiting_refusals(axis.link, context) + lease_refusals(axis.link, context)
         raise_all([*refusals, *place_refusals(axis, _without(found))], "The removal")
-    rest_time_motor(axis)
-    stand_to_switch(axis, _without(found))
+        rest_time_motor(axis)
+        stand_to_switch(axis, _without(found))
     results: list[UploadResult] = []
     with grouped(axis.link, context, REMOVAL) as inner:
         if found.law is LawForm.PLC:

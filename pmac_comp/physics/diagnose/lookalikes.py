@@ -192,7 +192,9 @@ def _twice(room: _Room) -> tuple[str, ...]:
 _TELLING: Mapping[str, tuple[str, _Motions]] = {
     "position": (
         "Cross the whole travel slowly, both ways, twice: what stays at its place is told from "
-        "what depends on direction or changes with time.",
+        "what depends on direction or changes with time. Where such a run is among these already, "
+        "what stays at its place is an error of the lead of no listed shape: `pmac-comp compensate "
+        "--slow` takes it away with a table, whatever its shape.",
         _twice,
     ),
     "screw_angle": (

@@ -1,11 +1,13 @@
 """`remove` takes off what compensates an axis, with no journal of the upload, and can be undone."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pmac_comp.base.errors import ControllerState, LinkLost
 from pmac_comp.machine.controller import law_install, law_state, motors
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -16,7 +18,7 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import inspect
+from pmac_comp.workflow import inspect, removal
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
@@ -85,6 +87,34 @@ def test_nothing_of_a_route_is_left_behind(axis: Axis, tmp_path: Path, route: st
     assert standing_on(axis).is_empty
     rollback_last(axis.link, context)
     assert standing_on(axis) == found
+
+
+def test_a_removal_that_could_not_begin_left_everything_as_it_was(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put_on(axis, "cam", tmp_path)
+    found = standing_on(axis)
+
+    def lost(_axis: Axis) -> None:
+        raise LinkLost("cut", code="X")
+
+    monkeypatch.setattr(removal, "rest_time_motor", lost)
+    with pytest.raises(LinkLost) as told:
+        remove_from(axis, context_of(axis, tmp_path), found)
+    assert told.value.left is ControllerState.OLD
+    monkeypatch.undo()
+    assert standing_on(axis) == found
+
+
+def test_a_removal_says_that_the_flash_was_not_touched(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put_on(axis, "table", tmp_path)
+    monkeypatch.setattr(removal, "open_axis", lambda *_: nullcontext(axis))
+    monkeypatch.setattr(removal, "at_work", lambda *_: nullcontext())
+    done = removal.remove_compensation("sim://", "paper", tmp_path)
+    assert "a reset brings it back" in done["said"][0]
+    assert removal.remove_compensation("sim://", "paper", tmp_path)["said"] == []
 
 
 def test_what_was_set_after_an_upload_stays_set(axis: Axis, tmp_path: Path) -> None:
