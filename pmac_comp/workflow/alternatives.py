@@ -27,7 +27,7 @@ from pmac_comp.physics.compensate.design import (
     model_loop,
     without_static,
 )
-from pmac_comp.physics.compensate.exact import exact_correction
+from pmac_comp.physics.compensate.exact import exact_correction, faded
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model import slots as s
@@ -335,7 +335,7 @@ def _learning(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeR
     limit = plant.bench.safety.max_correction_um / UM_PER_M
     learned = [exact_correction(loop, r, period, limit_m=limit) for r in commands]
     errors = [
-        Way(plant, correction_m=lambda _r, c=one.correction_m: c).run(r)  # type: ignore[misc]
+        Way(plant, correction_m=lambda _r, c=faded(one.correction_m): c).run(r)  # type: ignore[misc]
         for one, r in zip(learned, commands, strict=True)
     ]
     most = max(len(one.history_um) - 1 for one in learned)

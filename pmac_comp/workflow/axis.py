@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import ClassVar
 
 import numpy as np
 
@@ -109,6 +110,7 @@ class Axis:
     run_log: RunLog = field(default_factory=RunLog)
     scales: Scales = field(init=False)
     program_number: int = field(init=False, default=PROGRAM_NUMBER)
+    keeps_rests: ClassVar[bool] = False  # of a motion at its ends: a known one is judged there too
 
     def __post_init__(self) -> None:
         self.scales = Scales.of(self.bench)
@@ -470,7 +472,13 @@ class Axis:
         desired = actual + scales.motor_m(raw["following_error"])
         table = scales.table_m(raw["scale"]) if "scale" in raw else None
         torque = scales.torque_Nm(raw["output"])
-        first, last = moving_range(commanded, scales.period_s, motion.position_m, skipped)
+        first, last = moving_range(
+            commanded,
+            scales.period_s,
+            motion.position_m,
+            skipped,
+            with_rests=self.keeps_rests,
+        )
         part = slice(first, last)
         if table is not None:
             self._check_sensors(actual[part], table[part])

@@ -13,6 +13,7 @@ p. 463 (PVT), User Manual p. 81 (electronic cam).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -356,6 +357,7 @@ class CamAxis(Axis):
     """Axis whose runs are the uploaded program of its cam; other motions are refused."""
 
     cam: Cam | None = None
+    keeps_rests: ClassVar[bool] = True
 
     def prepare(self, motion: Motion) -> None:
         """Look whether the card still has the table and the program."""

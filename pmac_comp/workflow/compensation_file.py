@@ -18,6 +18,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
+from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.backlash import backlash_table, forward_part
@@ -73,6 +74,11 @@ class Compensation:
         law = {name: value for name, value in document["law"].items() if name != "provenance"}
         acting = json.dumps({**document, "law": law}, sort_keys=True)
         return hashlib.sha256(acting.encode()).hexdigest()
+
+    @property
+    def aim(self) -> Aim:
+        """Which error the correction of the one motion takes away."""
+        return Aim(self.law.provenance.get("exact", {}).get("aim", Aim.TOTAL.value))
 
     @property
     def marks(self) -> dict[str, str]:

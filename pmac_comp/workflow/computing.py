@@ -18,7 +18,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
-from pmac_comp.physics.compensate.exact import Aim, exact_correction
+from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
@@ -26,7 +26,6 @@ from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
 from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.compensate.wobble import WORTH, with_wobble
-from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
@@ -65,7 +64,7 @@ from pmac_comp.workflow.law_cost import (
 from pmac_comp.workflow.loose_nut import flank_remarks
 from pmac_comp.workflow.motions import Motion, is_allowed, parse_motion
 from pmac_comp.workflow.program import draw_motion
-from pmac_comp.workflow.promises import Promiser, worse_remarks
+from pmac_comp.workflow.promises import Promiser, worse_known_remarks, worse_remarks
 from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
@@ -272,8 +271,8 @@ def _for_motion(
     exact = learned(limit_m=limit_m)
     said: dict[str, Any] = {"aim": aim.value, "motion": motion.name}
     said["error_um"] = list(exact.history_um)
-    if np.any(np.abs(exact.correction_m) > _CUT_FRAC * limit_m):
-        said["needed_um"] = float(np.max(np.abs(learned().correction_m))) * UM_PER_M
+    if np.any(np.abs(faded(exact.correction_m)) > _CUT_FRAC * limit_m):
+        said["needed_um"] = float(np.max(np.abs(faded(learned().correction_m)))) * UM_PER_M
     return Compensation(
         route,
         replace(law, provenance={**law.provenance, "exact": said}),
@@ -384,26 +383,29 @@ def compensate_files(
 def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> list[str]:
     """Remarks on motions like those that ``verify`` draws, which the model expects to get worse."""
     promiser = Promiser.of(bench, compensation, drive)
-    if promiser is None or compensation.route in MOTION_ROUTES or bench.scale is None:
+    if promiser is None or bench.scale is None:
         return []
+    if compensation.route in MOTION_ROUTES:
+        return worse_known_remarks(promiser, compensation.aim)
     return worse_remarks(promiser, verification_motions(bench, _LIKE_VERIFIED))
 
 
 def _promised_of_motion(bench: Bench, compensation: Compensation, drive: Any) -> dict[str, Any]:
-    """What is promised for the one motion of a compensation, the steps of counts in the loop."""
-    position, added = compensation.motion_position_m, compensation.motion_correction_m
-    if bench.scale is None or position is None or added is None:
+    """What is promised for the one motion of a compensation, as `verify` will run it."""
+    promiser = None if bench.scale is None else Promiser.of(bench, compensation, drive)
+    said = None if promiser is None else promiser.of_known()
+    if said is None:
         return {}
-    promiser = Promiser.of(bench, compensation, drive)
-    if promiser is None:
-        return {}
-    time_s = bench.servo_period_s * np.arange(position.size, dtype=np.float64)
-    said = promiser.of_motion(Trajectory(time_s, position), drawn_m=position + added)
-    aim = compensation.law.provenance.get("exact", {}).get("aim", Aim.TOTAL.value)
-    name = "total_after" if aim == Aim.TOTAL.value else "e_r_after"
-    out = {f"{aim} error after um rms, promised": said[f"{name}_um"]}
+    aim = compensation.aim
+    before, name = ("total_before", "total_after")
+    if aim is Aim.MECHANICAL:
+        before, name = ("e_before", "e_r_after")
+    out = {
+        f"{aim.value} error before um rms, promised": said[f"{before}_um"],
+        f"{aim.value} error after um rms, promised": said[f"{name}_um"],
+    }
     if f"{name}_upper_um" in said:
-        out[f"{aim} error after um rms, at most"] = said[f"{name}_upper_um"]
+        out[f"{aim.value} error after um rms, at most"] = said[f"{name}_upper_um"]
     return out
 
 
@@ -489,12 +491,12 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
         return {}
     exact = compensation.law.provenance.get("exact", {})
     history = exact.get("error_um", [math.nan])
-    aim = exact.get("aim", Aim.TOTAL.value)
+    aim = compensation.aim.value
     out = {
         "route": compensation.route,
         "motion": f"{(position.size - 1) * bench.servo_period_s:.3f} s, {position.size} samples",
-        "largest correction um": float(np.max(np.abs(correction)) * UM_PER_M),
-        f"{aim} error before um rms": history[0],
+        "largest correction um": float(np.max(np.abs(faded(correction))) * UM_PER_M),
+        f"{aim} error before um rms (as computed, on exact positions)": history[0],
         f"{aim} error after um rms (as computed, on exact positions)": min(history),
         "passes": len(history) - 1,
     }
@@ -527,7 +529,8 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     limit_um = bench.safety.max_correction_um
     correction = compensation.motion_correction_m
     if correction is not None:
-        share = float(np.mean(np.abs(correction) * UM_PER_M > _CUT_FRAC * limit_um))
+        sent_um = np.abs(faded(correction)) * UM_PER_M
+        share = float(np.mean(sent_um > _CUT_FRAC * limit_um))
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
         needed_um = compensation.law.provenance.get("exact", {}).get("needed_um")
         if needed_um is not None:

@@ -8,6 +8,7 @@ runs from a program that is only measured.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -117,6 +118,7 @@ class ProgramAxis(Axis):
     """Axis whose run of one drawn motion is the uploaded program; others are downloaded as ever."""
 
     drawn: DrawnMotion | None = None
+    keeps_rests: ClassVar[bool] = True
 
     def prepare(self, motion: Motion) -> None:
         """Look whether the card still has the program that was uploaded."""

@@ -10,6 +10,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import LoopRunner, model_loop
+from pmac_comp.physics.compensate.exact import Aim, faded
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.promise import Expected, Static, counted_loop, expect
 from pmac_comp.physics.compensate.unmodelled import (
@@ -28,6 +29,7 @@ from pmac_comp.workflow.dynamic_law import without_fed_forward, wobble_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.outcome import ROUNDING, WORSE, error_signals, grown_text
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.run_cut import LEAD_IN_s, TAIL_s
 from pmac_comp.workflow.simulated import Truth
 
 
@@ -72,10 +74,28 @@ class Promiser:
         drawn = capture.desired_m if self.compensation.route in MOTION_ROUTES else None
         return self.of_motion(motion, relaxed=relaxed, drawn_m=drawn)
 
+    def of_known(self) -> Mapping[str, float] | None:
+        """The same of the motion of ``cam`` or ``program``, as `verify` runs and cuts it.
+
+        None for a compensation without one.
+        """
+        known, offset_m = self.compensation.motion_position_m, self.compensation.motion_correction_m
+        if known is None or offset_m is None:
+            return None
+        period_s = self.bench.servo_period_s
+        rests = int(LEAD_IN_s / period_s), int(TAIL_s / period_s)
+        r = np.pad(known, rests, mode="edge")
+        drawn_m = r + np.pad(faded(offset_m), rests)
+        along = static_of(self.compensation, self.bench)
+        if along is not None:
+            drawn_m = drawn_m + along(r).table_m
+        time_s = period_s * np.arange(r.size, dtype=np.float64)
+        return self.of_motion(Trajectory(time_s, r), drawn_m=drawn_m)
+
     def of_motion(
         self, motion: Trajectory, *, relaxed: bool = False, drawn_m: FloatArray | None = None
     ) -> Mapping[str, float]:
-        """The same of a command; ``drawn_m`` is the one with the correction of a known motion.
+        """The same of a command; ``drawn_m`` is it with tables and the correction of the motion.
 
         Beside it stands what the encoder's steps make of e_r through the loop: the difference to
         what the same model does with exact positions.
@@ -99,8 +119,9 @@ class Promiser:
         drawn_m: FloatArray | None,
     ) -> Expected:
         compensation = self.compensation
+        static = static_of(compensation, self.bench)
         if drawn_m is not None:
-            return expect_drawn(loop, motion, drawn_m, head_m)
+            return expect_drawn(loop, motion, drawn_m, head_m, static)
         law = CompensationLaw()
         if compensation.route in TORQUE_ROUTES:
             law = model_law(compensation.law)
@@ -110,8 +131,26 @@ class Promiser:
             motion,
             latency_cycles=LATENCY_CYCLES[compensation.route],
             lead_in_m=head_m,
-            static=static_of(compensation, self.bench),
+            static=static,
         )
+
+
+def worse_known_remarks(promiser: Promiser, aim: Aim) -> list[str]:
+    """That the model expects the one motion of a compensation to get worse with it, for people."""
+    said = promiser.of_known()
+    if said is None:
+        return []
+    worse = [
+        f"{what} {grown_text(before, after)}"
+        for what, before, after, judged in (
+            ("total error", said["total_before_um"], said["model_total_after_um"], True),
+            ("e_r", said["e_before_um"], said["model_e_r_after_um"], aim is Aim.MECHANICAL),
+        )
+        if judged and after > WORSE * before
+    ]
+    if not worse:
+        return []
+    return [f"the model expects the motion to get worse, its rests included: {'; '.join(worse)}"]
 
 
 def worse_remarks(promiser: Promiser, motions: Sequence[Motion]) -> list[str]:
@@ -154,13 +193,18 @@ def static_of(compensation: Compensation, bench: Bench) -> Callable[[FloatArray]
 
 
 def expect_drawn(
-    loop: LoopRunner, motion: Trajectory, desired_m: FloatArray, head_m: FloatArray
+    loop: LoopRunner,
+    motion: Trajectory,
+    desired_m: FloatArray,
+    head_m: FloatArray,
+    static: Callable[[FloatArray], Static] | None = None,
 ) -> Expected:
-    """What the model expects when a motion is drawn with its correction in it."""
+    """What the model expects when a motion is drawn with its correction and its tables in it."""
     r = np.concatenate([head_m, motion.position_m])
-    added = np.concatenate([np.zeros(head_m.size), desired_m - motion.position_m])
+    fixed = Static.nothing(r.size) if static is None else static(r)
+    added = np.concatenate([fixed.table_m[: head_m.size], desired_m - motion.position_m])
     runs = loop(r, None, None), loop(r, r + added, None)
-    return Expected(r, *runs, added, Static.nothing(r.size), head_m.size)
+    return Expected(r, *runs, added, fixed, head_m.size)
 
 
 def _rest_of(law: CompensationLaw) -> Unmodelled | None:

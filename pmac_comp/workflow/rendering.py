@@ -13,6 +13,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.comp_table import CompTable, Table
 from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.physics.compensate.exact import faded
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.scales import Scales
@@ -24,7 +25,6 @@ _LEAST_AT_ZERO = 0.02  # of the compliance at the law's origin
 _KNOTS_PER_TURN_FRAC = 0.05
 CAM_RUN_UP_CYCLES = 16  # the time motor reaches its speed before the motion starts, and after it
 _CAM_SPACING_CYCLES = 4  # of cam entries: linear between them is 0.6 % off at 20 Hz
-_CAM_FADE_FRAC = 0.02  # of the motion at both ends: a cam begins and ends at zero
 
 
 def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
@@ -307,12 +307,9 @@ def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable[CompTable
     scales = Scales.of(bench)
     shape = cam_shape(correction_m.size, bench)
     n = correction_m.size
-    inside = np.minimum(np.arange(n), np.arange(n)[::-1]) / max(1.0, _CAM_FADE_FRAC * n)
-    edge = np.clip(inside, 0.0, 1.0)
-    faded = correction_m * edge * edge * (3.0 - 2.0 * edge)
     step = shape.spacing_cycles
     cycle = np.arange(1, shape.total_cycles // step + 1) * step - CAM_RUN_UP_CYCLES // 2
-    at = np.interp(cycle, np.arange(n), faded, left=0.0, right=0.0)
+    at = np.interp(cycle, np.arange(n), faded(correction_m), left=0.0, right=0.0)
     exact = at / scales.motor_m_per_ct * _ENTRY_PER_CT
     entries = np.round(exact).astype(np.int64)
     table = CompTable(

@@ -17,6 +17,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.exact import (
     Learning,
     MEASURED_CUTOFF_Hz,
+    faded,
     learn,
     moving_of,
     rests_of,
@@ -115,10 +116,7 @@ class Refinement:
 
 def with_offset(motion: Motion, offset_m: FloatArray) -> Motion:
     """The motion whose program carries an offset; at both ends the offset fades to zero."""
-    n = motion.position_m.size
-    edge = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / max(1.0, 0.02 * n), 0.0, 1.0)
-    fade = edge * edge * (3.0 - 2.0 * edge)
-    shape = Trajectory(motion.trajectory.time_s, motion.position_m + fade * offset_m)
+    shape = Trajectory(motion.trajectory.time_s, motion.position_m + faded(offset_m))
     return Motion(motion.name, shape)
 
 

@@ -6,7 +6,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError
 
 TAIL_s = 0.15  # kept after the last motion of a run
-_LEAD_IN_s = 0.05  # kept before the first
+LEAD_IN_s = 0.05  # kept before the first
 _STILL_m = 1e-9  # a command that changes by less stands
 # Of the stroke: a soft start lies some tenths of a second off, as the card draws parabolas between
 # points; of two shares one is not just touched by a wiggle.
@@ -15,7 +15,12 @@ _LENGTH_s = 0.1  # by which a run may be longer or shorter than its motion
 
 
 def moving_range(
-    commanded: FloatArray, period_s: float, planned: FloatArray, skipped: int
+    commanded: FloatArray,
+    period_s: float,
+    planned: FloatArray,
+    skipped: int,
+    *,
+    with_rests: bool = False,
 ) -> tuple[int, int]:
     """First and one past the last sample of the motion, with rest kept at both ends.
 
@@ -29,6 +34,8 @@ def moving_range(
         Command of the motion as it was planned, m.
     skipped : int
         First samples of the motion that only prepared it.
+    with_rests : bool
+        Whether rests that the motion itself begins and ends with are kept whole.
 
     Raises
     ------
@@ -45,11 +52,14 @@ def moving_range(
     # The first sample that moves stands for the first one planned to: all others follow from it.
     begins = int(np.flatnonzero(np.abs(planned - planned[0]) > _STILL_m)[0])
     start = int(moving[0]) + max(0, skipped - begins)
-    first = max(0, start - int(_LEAD_IN_s / period_s))
+    first = max(0, start - int(LEAD_IN_s / period_s))
     _require_length(commanded, planned, period_s)
     steps = np.flatnonzero(np.diff(commanded) != 0.0)
-    last = min(commanded.size, int(steps[-1]) + 2 + int(TAIL_s / period_s))
-    return first, last
+    last = int(steps[-1]) + 2
+    if with_rests:
+        first = max(0, first - begins)
+        last = max(last, int(moving[0]) - begins + planned.size)
+    return first, min(commanded.size, last + int(TAIL_s / period_s))
 
 
 def _require_length(commanded: FloatArray, planned: FloatArray, period_s: float) -> None:

@@ -6,6 +6,10 @@ controllers. Imports ``base`` and this package.
 
 A closed loop passes slow offsets unchanged, so subtracting the error that is left converges up to
 where the loop's phase reaches 60 degrees; above that the filter stops the learning.
+
+Rests are learned like all else: the lag with which an axis stops goes within some hundredths of a
+second, as the integrator takes it away, and an offset that stayed would hold the axis off its
+target by that much for as long as it rests.
 """
 
 import math
@@ -30,6 +34,7 @@ _GROWTH_FRAC = 0.05  # an error that grows by more is taken back
 _RETREAT = 0.6  # cutoff after a pass that was taken back
 _MOST_RETREATS = 2
 _PAD_s = 0.2
+_EDGE_FRAC = 0.02  # of a motion at both ends, over which its offset fades
 _LEAST_REST_s = 0.02  # a shorter stop is a reversal
 _REST_STEP_m = 1e-10  # commands nearer than this are one place
 _NOISE_MARGIN = 1.5  # times the scatter of repeats: nothing is left to learn below
@@ -44,7 +49,7 @@ class Learning:
     correction_m : ndarray, shape (n,)
         Best offset found, added to the command.
     history_um : tuple of float
-        Rms of the total error before each pass and after the last, rests apart, um.
+        Rms of the total error before each pass and after the last, rests included, um.
     converged : bool
         Whether the last pass changed next to nothing, or what is left is the scatter of repeats.
     cutoff_Hz : float
@@ -92,9 +97,10 @@ def learn(
 ) -> Learning:
     """Offset that makes a repeated motion's total error small.
 
-    A pass after which the error grew is taken back, and learning goes on below a lower cutoff.
-    Over rests the offset stays as it is: what moves a resting axis by micrometres turns its
-    friction over, and the next start finds it on the wrong side.
+    A pass after which the error grew is taken back. Where the motion has rests, learning then
+    leaves them out: what moves a resting axis by micrometres may turn its friction over, so that
+    the next start finds it on the wrong side. If that is not enough, it goes on below a lower
+    cutoff. The error that is judged is that of the whole motion, rests included.
 
     Parameters
     ----------
@@ -127,16 +133,16 @@ def learn(
     history: list[float] = []
     errors: list[FloatArray] = []
     retreats = 0
+    left_out: Sequence[slice] = ()
     converged, ended = False, f"the {passes} passes allowed were made"
-    moving = moving_of(n, rests)
 
     def measured(tried: FloatArray) -> FloatArray:
         error = total_error_of(tried)
-        return error - np.mean(error[moving])
+        return error - np.mean(error)
 
     for number in range(passes + 1):
         error = measured(offset)
-        left_um = rms_um(error[moving])
+        left_um = rms_um(error)
         history.append(left_um)
         errors.append(error)
         gained = best_um - left_um
@@ -154,13 +160,16 @@ def learn(
             if retreats > _MOST_RETREATS:
                 ended = f"the error grew {retreats} times and was taken back"
                 break
-            cutoff_Hz *= _RETREAT
-        step = _step(best_error, period_s, cutoff_Hz, rests)
+            if rests and not left_out:
+                left_out = rests
+            else:
+                cutoff_Hz *= _RETREAT
+        step = _step(best_error, period_s, cutoff_Hz, left_out)
         offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
-    fresh = np.array([measured(best)[moving] for _ in range(confirm)])
+    fresh = np.array([measured(best) for _ in range(confirm)])
     scatter_um = rms_um(fresh - np.mean(fresh, axis=0)) if confirm > 1 else 0.0
     # In one band: after a retreat less of the same error lies below the cutoff.
-    learnable = [rms_um(_step(error, period_s, cutoff_Hz, rests)) for error in errors]
+    learnable = [rms_um(_step(error, period_s, cutoff_Hz, left_out)) for error in errors]
     return Learning(
         best,
         tuple(history),
@@ -189,31 +198,38 @@ def moving_of(n: int, rests: Sequence[slice]) -> BoolArray:
 
 
 def _step(
-    error: FloatArray, period_s: float, cutoff_Hz: float, rests: Sequence[slice]
+    error: FloatArray, period_s: float, cutoff_Hz: float, left_out: Sequence[slice]
 ) -> FloatArray:
-    """What is learned from an error: its slow part while the command moves, one value per rest.
+    """What is learned from an error: its slow part, and over rests that are left out nothing.
 
-    A rest keeps the error of the motion that ends in it; before the first motion there is none.
-    What it creeps to within friction differs from run to run, and learning that turns friction
-    over. The way to a rest and from it lies in the motion beside it, for the same reason.
+    What is learned of the motion that ends in such a rest fades, as the lag of the loop does;
+    before the first motion there is nothing. The way to it and from it lies in the motion beside.
     """
+    if not left_out:
+        return zero_phase(error, period_s, cutoff_Hz)
     blend = round(1.0 / (cutoff_Hz * period_s))
-    filled = error.copy()
-    for rest in rests:
-        filled[rest] = np.mean(
-            error[max(0, rest.start - blend) : rest.start] if rest.start else 0.0
-        )
-    step = zero_phase(filled, period_s, cutoff_Hz)
     rise = np.arange(1, blend + 1) / (blend + 1)
     rise = rise**2 * (3.0 - 2.0 * rise)
-    for rest in rests:
-        held = filled[rest.start]
+    filled = error.copy()
+    for rest in left_out:
+        held = np.mean(error[max(0, rest.start - blend) : rest.start]) if rest.start else 0.0
+        filled[rest] = held * _padded(rise[::-1], rest.stop - rest.start)
+    step = zero_phase(filled, period_s, cutoff_Hz)
+    for rest in left_out:
         before = slice(max(0, rest.start - blend), rest.start)
         after = slice(rest.stop, min(rest.stop + blend, error.size))
-        step[rest] = held
-        step[before] += rise[blend - (before.stop - before.start) :] * (held - step[before])
-        step[after] += rise[::-1][: after.stop - after.start] * (held - step[after])
+        first, last = filled[rest.start], filled[rest.stop - 1]
+        step[rest] = filled[rest]
+        step[before] += rise[blend - (before.stop - before.start) :] * (first - step[before])
+        step[after] += rise[::-1][: after.stop - after.start] * (last - step[after])
     return step
+
+
+def _padded(values: FloatArray, n: int) -> FloatArray:
+    """The first ``n`` of values, zeros after their end."""
+    out = np.zeros(n)
+    out[: values.size] = values[:n]
+    return out
 
 
 def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatArray:
@@ -223,6 +239,14 @@ def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatAr
     sos = butter(2, min(cutoff_Hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
     pad = min(values.size - 1, round(_PAD_s / period_s))
     return np.asarray(sosfiltfilt(sos, values, padlen=pad))
+
+
+def faded(offset_m: FloatArray) -> FloatArray:
+    """An offset in m as every route sends it: at both ends of the motion it fades to zero."""
+    n = offset_m.size
+    inside = np.minimum(np.arange(n), np.arange(n)[::-1]) / max(1.0, _EDGE_FRAC * n)
+    edge = np.clip(inside, 0.0, 1.0)
+    return np.asarray(offset_m * edge * edge * (3.0 - 2.0 * edge))
 
 
 class Aim(Enum):
@@ -244,9 +268,10 @@ def exact_correction(
 ) -> Learning:
     """Offset for one known motion by learning on the model; shape (n,) in m.
 
-    A model has no noise: once the slow part is learned, learning goes on in the band of measured
-    runs. That is kept where the error falls by it. A still wider band gains nothing: with 80 Hz
-    the same was left on the simulated card.
+    The model runs it as a route does, ``faded`` at both ends. A model has no noise: once the slow
+    part is learned, learning goes on in the band of measured runs. That is kept where the error
+    falls by it. A still wider band gains nothing: with 80 Hz the same was left on the simulated
+    card.
 
     Parameters
     ----------
@@ -271,7 +296,7 @@ def exact_correction(
     commanded = np.concatenate([head, position_m])
 
     def run(offset: FloatArray) -> FloatArray:
-        added = np.concatenate([np.zeros(head.size), offset])
+        added = np.concatenate([np.zeros(head.size), faded(offset)])
         signals = loop(commanded, commanded + added, None)
         if aim is Aim.MECHANICAL:
             error = signals.table_position_m - signals.motor_position_m + added

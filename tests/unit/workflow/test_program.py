@@ -116,9 +116,8 @@ def test_the_correction_is_computed_for_the_start_that_a_run_has() -> None:
     found = compute_compensation(BENCH, drive, route="program", motion=MOTION)
     promiser = Promiser.of(BENCH, found, drive)
     assert promiser is not None
-    assert found.motion_correction_m is not None
-    drawn_m = MOTION.position_m + found.motion_correction_m
-    run = promiser.of_motion(MOTION.trajectory, drawn_m=drawn_m)
+    run = promiser.of_known()
+    assert run is not None
     told_um = min(found.law.provenance["exact"]["error_um"])
     assert run["model_total_after_um"] < 1.5 * told_um
 
