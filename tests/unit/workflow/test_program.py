@@ -1,28 +1,36 @@
 """The route ``program``: what was uploaded draws the motion with its correction, and is checked."""
 
+import re
+from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import motors, programs
 from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.physics.compensate.exact import Aim, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import upload_flow
+from pmac_comp.workflow import computing, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compute_compensation, limits_report
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.outcome import Spread
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.promises import Promiser
+from pmac_comp.workflow.run_cut import LEAD_IN_s
 from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.verify import verify_axis
-from tests.compensations import friction_law
+from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
 MOTION = parse_motion("sine:amplitude_mm=8,frequency_Hz=3,cycles=3,centre_mm=40", BENCH)
@@ -138,3 +146,75 @@ def test_a_correction_that_is_cut_tells_what_it_would_take() -> None:
     cut_um, (said,) = limited(0.8 * needed_um)
     assert cut_um == pytest.approx(0.8 * needed_um)
     assert f"uncut it would take up to {needed_um:.3g} um" in said
+
+
+MOVE = parse_motion("trapezoid:distance_mm=60,speed_mm_per_s=150,acceleration_m_per_s2=3", BENCH)
+
+
+@pytest.mark.parametrize("route", ["program", "cam"])
+def test_the_table_stays_at_its_target_while_a_known_motion_rests(
+    axis: Axis, tmp_path: Path, route: str
+) -> None:
+    """The offset stayed at the lag of the stop, which the integrator takes away within 0.1 s."""
+    drive = DriveModel.base(BENCH)
+    compensation = compute_compensation(BENCH, drive, route=route, motion=MOVE)
+    context = context_of(axis, tmp_path)
+    deploy(axis, compensation, context)
+    found = verify_axis(axis, context, compensation, (), drive=drive)
+    (before,), (after,) = found.before, found.after
+    assert after.table_position_m is not None
+    error_m = after.table_position_m - after.commanded_position_m
+    begins = round(LEAD_IN_s / BENCH.servo_period_s)
+    rests = rests_of(MOVE.position_m, BENCH.servo_period_s)
+    left_m = [float(error_m[begins + rest.stop - 100 :][:80].mean()) for rest in rests]
+    assert np.ptp(left_m) < 5e-6, left_m  # it was 10 um between one end of the way and the other
+    # Both sides are judged over the motion with all of its rests, and promised alike.
+    whole_s = MOVE.duration_s + 0.2
+    assert [c.n * BENCH.servo_period_s for c in (before, after)] == pytest.approx(
+        [whole_s, whole_s], abs=0.02
+    )
+    (outcome,) = found.motions
+    promiser = Promiser.of(BENCH, compensation, drive)
+    assert promiser is not None
+    assert outcome.promise is not None
+    told = promiser.of_known()
+    assert told is not None
+    for name in ("total_before_um", "total_after_um"):
+        assert outcome.promise[name] == pytest.approx(told[name], rel=0.1)
+        measured: Spread = getattr(outcome, name.removesuffix("_um"))
+        assert measured.value == pytest.approx(told[name], rel=0.3)
+
+
+def test_a_promise_of_a_known_motion_holds_the_lead_error_and_its_table() -> None:
+    """The table's correction was in it and the lead error was not: that was told as an error."""
+    drive = DriveModel.base(BENCH)
+
+    def promised(lead: LeadMap | None) -> Mapping[str, float]:
+        promiser = Promiser.of(BENCH, replace(COMPENSATION, lead=lead), drive)
+        assert promiser is not None
+        told = promiser.of_known()
+        assert told is not None
+        return told
+
+    bare, with_lead = promised(None), promised(lead_map(2000.0))
+    assert with_lead["total_after_um"] == pytest.approx(bare["total_after_um"], rel=0.05)
+    assert abs(with_lead["total_before_um"] - bare["total_before_um"]) > 0.1
+
+
+@pytest.mark.parametrize("route", ["program", "cam"])
+def test_a_known_motion_that_gets_worse_is_named(route: str) -> None:
+    drive = DriveModel.base(BENCH)
+
+    def remarks(offset_m: FloatArray, aim: Aim) -> list[str]:
+        law = CompensationLaw(provenance={"exact": {"aim": aim.value}})
+        known = replace(COMPENSATION, route=route, law=law, motion_correction_m=offset_m)
+        return computing._expected_worse(BENCH, known, drive)
+
+    found = compute_compensation(BENCH, drive, route=route, motion=MOTION)
+    assert found.motion_correction_m is not None
+    assert remarks(found.motion_correction_m, Aim.TOTAL) == []
+    (said,) = remarks(-found.motion_correction_m, Aim.TOTAL)
+    assert re.search(r"to get worse, .* total error [\d.]+ -> [\d.]+ um \(\+\d+ %\)", said)
+    assert "e_r" not in said  # with this aim it holds the lag by its definition
+    (said,) = remarks(-found.motion_correction_m, Aim.MECHANICAL)
+    assert "e_r" in said
