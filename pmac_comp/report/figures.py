@@ -149,7 +149,7 @@ def learning_figure(left_um: Sequence[float], learnable_um: Sequence[float]) -> 
         axis.semilogy(passes, learnable_um, "s--", color=PROMISE, lw=1.0, ms=4,
                       label="its part that can be learned")  # fmt: skip
         axis.set_xticks(passes)
-        axis.set_xlabel("pass (0: the model alone)")
+        axis.set_xlabel("pass (0: what learning began from)")
         axis.set_ylabel("um rms")
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter("{x:g}")

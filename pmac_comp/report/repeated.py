@@ -6,13 +6,13 @@ from pmac_comp.workflow.repeated import Refinement
 
 
 def learning_section(found: Refinement) -> Section:
-    """Error without anything, by the model alone and with what was learned; the passes."""
+    """Error without anything, with what learning began from and with its end; the passes."""
     learning = found.learning
     fresh = f"on {len(learning.confirmed_um)} fresh runs, which differ by {learning.scatter_um:.2f}"
-    added = found.model_share + found.learning_share
+    added = found.start_share + found.learning_share
     rows = [
         ("without compensation", f"{found.without_um:.2f}", "–"),
-        ("with the model alone", f"{found.model_um:.2f}", f"{100 * found.model_share:.1f} %"),
+        (f"with {found.start}", f"{found.start_um:.2f}", f"{100 * found.start_share:.1f} %"),
         (f"with what was learned ({fresh})", f"{found.confirmed_um:.2f}", f"{100 * added:.1f} %"),
     ]
     names = ("pass", "total error, um rms", f"below {learning.cutoff_Hz:.0f} Hz, um rms")
@@ -26,8 +26,8 @@ def learning_section(found: Refinement) -> Section:
         "Learning on top of the model",
         points=[sentence(line) for line in found.lines()],
         tables=[
-            Table(("total error in motion, measured", "um rms", "taken away"), rows),
-            Table(names, passes, "Pass by pass; pass 0 is the model alone"),
+            Table(("total error with its rests, measured", "um rms", "taken away"), rows),
+            Table(names, passes, f"Pass by pass; pass 0 is {found.start}"),
         ],
         figures=[
             (

@@ -78,7 +78,13 @@ class Compensation:
     @property
     def aim(self) -> Aim:
         """Which error the correction of the one motion takes away."""
-        return Aim(self.law.provenance.get("exact", {}).get("aim", Aim.TOTAL.value))
+        told = self.law.provenance.get("exact", {}).get("aim")
+        return Aim.MECHANICAL if told == Aim.MECHANICAL.value else Aim.TOTAL
+
+    @property
+    def learned(self) -> tuple[Mapping[str, Any], ...]:
+        """Each learning from runs that its correction went through; empty for the model's own."""
+        return tuple(self.law.provenance.get("exact", {}).get("learned", ()))
 
     @property
     def marks(self) -> dict[str, str]:

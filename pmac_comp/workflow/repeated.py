@@ -15,13 +15,14 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.exact import (
+    Aim,
     Learning,
     MEASURED_CUTOFF_Hz,
     faded,
     learn,
-    moving_of,
     rests_of,
 )
+from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -37,12 +38,31 @@ _SOFT_START = 150  # samples by which beginnings may lie apart
 
 @dataclass(frozen=True)
 class Refinement:
-    """What the model alone gave and what learning added, total error rms in um."""
+    """What learning began from and what it added.
+
+    Parameters
+    ----------
+    motion : str
+        The motion that was repeated.
+    without_um, start_um : float
+        Rms of the total error without compensation and with what learning began from, over the
+        whole motion with its rests, um.
+    learning : Learning
+        What was learned; its errors are of the whole motion too.
+    began_learned : bool
+        Whether it began from what had been learned before; else from the model alone.
+    """
 
     motion: str
     without_um: float
-    model_um: float
+    start_um: float
     learning: Learning
+    began_learned: bool = False
+
+    @property
+    def start(self) -> str:
+        """What learning began from, for people."""
+        return "what was learned before" if self.began_learned else "the model alone"
 
     @property
     def confirmed_um(self) -> float:
@@ -51,28 +71,52 @@ class Refinement:
         return float(np.sqrt(np.mean(np.square(fresh)))) if fresh else min(self.learning.history_um)
 
     @property
-    def model_share(self) -> float:
-        """Share of the error without anything that the model alone takes away."""
-        return 1.0 - self.model_um / max(self.without_um, 1e-12)
+    def start_share(self) -> float:
+        """Share of the error without anything that is away before learning."""
+        return 1.0 - self.start_um / max(self.without_um, 1e-12)
 
     @property
     def learning_share(self) -> float:
-        """Share of it that learning takes away on top of the model."""
-        return (self.model_um - self.confirmed_um) / max(self.without_um, 1e-12)
+        """Share of it that learning takes away on top."""
+        return (self.start_um - self.confirmed_um) / max(self.without_um, 1e-12)
+
+    @property
+    def is_worth_it(self) -> bool:
+        """Whether fresh runs with what was learned are better than without compensation."""
+        return self.confirmed_um < self.without_um
 
     @property
     def is_gain(self) -> bool:
-        """Whether fresh runs are better with what was learned than with the model alone."""
-        return self.confirmed_um < self.model_um
+        """Whether they are also better than with what learning began from."""
+        return self.is_worth_it and self.confirmed_um < self.start_um
 
     def as_compensation(self, compensation: Compensation) -> Compensation | None:
         """The compensation with what was learned in it; None where its route has no place for it.
 
         Learning began from the correction of the same motion: what it ends with takes its place.
+        The file tells that it was learned, and from what; it takes the total error away.
         """
         if compensation.motion_correction_m is None or not self.is_gain:
             return None
-        return replace(compensation, motion_correction_m=self.learning.correction_m)
+        law = compensation.law
+        exact = law.provenance.get("exact", {})
+        learned = [*exact.get("learned", []), self._told()]
+        said = {**exact, "aim": Aim.TOTAL.value, "learned": learned}
+        return replace(
+            compensation,
+            law=replace(law, provenance={**law.provenance, "exact": said}),
+            motion_correction_m=self.learning.correction_m,
+        )
+
+    def _told(self) -> dict[str, Any]:
+        """Where a learned correction comes from, for its file."""
+        return {
+            "from": self.start,
+            "passes": len(self.learning.history_um) - 1,
+            "without_um": self.without_um,
+            "error_um": list(self.learning.history_um),
+            "confirmed_um": list(self.learning.confirmed_um),
+        }
 
     def lines(self) -> tuple[str, ...]:
         """Sentences for people."""
@@ -84,14 +128,13 @@ class Refinement:
         elif learning.converged:
             proof = "nothing was left that learning could take away"
         else:
-            proof = "no pass made it smaller: what the model gives stands, with nothing learned"
+            proof = "no pass made it smaller: what it began from stands, with nothing learned"
         return (
-            f"'{self.motion}', total error rms in motion: {self.without_um:.2f} um bare, "
-            f"{self.model_um:.2f} um with the model alone, {self.confirmed_um:.2f} um with what "
+            f"'{self.motion}', total error rms with its rests: {self.without_um:.2f} um bare, "
+            f"{self.start_um:.2f} um with {self.start}, {self.confirmed_um:.2f} um with what "
             f"was learned (on {len(learning.confirmed_um)} fresh runs, which differ among "
             f"themselves by {learning.scatter_um:.2f} um)",
-            f"the model takes {100 * self.model_share:.0f} % of it away, learning "
-            f"{100 * self.learning_share:.0f} % more",
+            _shares_text(self),
             f"learning: {steps} um, below {learning.cutoff_Hz:.0f} Hz {part} um; {proof}; it "
             f"ended because {learning.ended}",
         )
@@ -100,10 +143,11 @@ class Refinement:
         """Mapping for ``--json``."""
         return {
             "motion": self.motion,
+            "start": self.start,
             "without_um": self.without_um,
-            "model_um": self.model_um,
+            "start_um": self.start_um,
             "learned_um": self.confirmed_um,
-            "model_share": self.model_share,
+            "start_share": self.start_share,
             "learning_share": self.learning_share,
             "history_um": list(self.learning.history_um),
             "learnable_um": list(self.learning.learnable_um),
@@ -112,6 +156,31 @@ class Refinement:
             "scatter_um": self.learning.scatter_um,
             "ended": self.learning.ended,
         }
+
+
+def _shares_text(found: Refinement) -> str:
+    """What learning began from and learning itself do to the error without compensation."""
+    start, learning = (round(100.0 * share) for share in (found.start_share, found.learning_share))
+    begun = found.start.removesuffix(" alone")
+    if start < 0:
+        return f"{begun} makes it {-start} % larger, learning takes {learning} % of it away"
+    said = f"{begun} takes {start} % of it away, learning "
+    return said + (f"{learning} % more" if learning >= 0 else f"gives {-learning} % back")
+
+
+def learned_remarks(compensation: Compensation) -> list[str]:
+    """That a correction was learned from runs, for people; the model alone knows nothing of it."""
+    learned = compensation.learned
+    if not learned:
+        return []
+    last = learned[-1]
+    fresh = last["confirmed_um"] or [min(last["error_um"])]
+    return [
+        f"this correction was learned from runs, {sum(one['passes'] for one in learned)} passes on "
+        f"top of the model's: the total error was {last['without_um']:.2f} um without it and "
+        f"{fresh[-1]:.2f} um with it then; the model's promise knows nothing of what the runs "
+        "showed beyond it"
+    ]
 
 
 def with_offset(motion: Motion, offset_m: FloatArray) -> Motion:
@@ -208,9 +277,7 @@ def refine_motion(
         return on_motion_grid(motion, capture, table - capture.commanded_position_m)
 
     switch(axis, context, compensation, on=False)
-    rests = rests_of(motion.position_m, axis.scales.period_s)
-    moving = moving_of(nothing.size, rests)
-    without = float(np.std(total(nothing)[moving]) * 1e6)
+    without = centred_rms_um(total(nothing))
     switch(axis, context, compensation, on=True)
     limit = axis.bench.safety.max_correction_um / 1e6
     learned = learn(
@@ -222,9 +289,10 @@ def refine_motion(
         cutoff_Hz=MEASURED_CUTOFF_Hz,
         limit_m=limit,
         confirm=_FRESH_RUNS,
-        rests=rests,
+        rests=rests_of(motion.position_m, axis.scales.period_s),
     )
-    return Refinement(motion.name, without, learned.history_um[0], learned)
+    began_learned = bool(compensation.learned)
+    return Refinement(motion.name, without, learned.history_um[0], learned, began_learned)
 
 
 def _start_offset(compensation: Compensation, motion: Motion) -> FloatArray | None:

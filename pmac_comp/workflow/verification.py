@@ -7,6 +7,7 @@ from typing import Any, Final
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.outcome import WORSE, MotionOutcome, Ratio, Spread, grown_text
 from pmac_comp.workflow.repeated import Refinement
@@ -44,6 +45,8 @@ class Verification:
         What a person should know beside the figures.
     route : str
         How the compensation reached the servo; empty for stored captures without a file.
+    aim : Aim
+        Which error the offset of a known motion takes away.
     mechanical, total : Ratio or None
         After over before, all motions together.
     static : StaticOutcome or None
@@ -51,7 +54,7 @@ class Verification:
     ringing : RingingOutcome or None
         What rings after steps of the acceleration.
     learning : Refinement or None
-        What the model alone gave on a repeated motion, and what learning added.
+        What stood before on a repeated motion, and what learning added.
     """
 
     motions: tuple[MotionOutcome, ...]
@@ -64,6 +67,7 @@ class Verification:
     scale_age_s: float = 0.0
     remarks: tuple[str, ...] = ()
     route: str = ""
+    aim: Aim = Aim.TOTAL
     mechanical: Ratio | None = None
     total: Ratio | None = None
     static: StaticOutcome | None = None
@@ -103,11 +107,10 @@ class Verification:
     def holds_lag(self) -> bool:
         """Whether the offset of a known motion also cancels the lag of the loop.
 
-        Then e_r contains that lag by its definition, and says nothing about the mechanics.
+        Then e_r contains that lag by its definition, and says nothing about the mechanics: with
+        such an aim the total error is judged, also where it grew.
         """
-        if self.mechanical is None or self.total is None or self.route not in MOTION_ROUTES:
-            return False
-        return self.mechanical.value > 1.0 > self.total.value
+        return self.route in MOTION_ROUTES and self.aim is Aim.TOTAL
 
     def judged(self) -> list[str]:
         """What of the figures is the sensors' own, and whether the promise was kept, for people."""
@@ -220,8 +223,10 @@ def _share_text(left_um: float, e_um: float) -> str:
     return f"{left_um / e_um:.2f}" if e_um > 0.0 else f"{left_um:.2f} um of none"
 
 
-def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple[str, ...]:
-    """What a person should know beside the figures."""
+def verdict_remarks(
+    outcomes: Sequence[MotionOutcome], floor_um: float, *, holds_lag: bool = False
+) -> tuple[str, ...]:
+    """What a person should know beside the figures; ``holds_lag`` as `Verification` tells it."""
     remarks: list[str] = []
     missed = [text for m in outcomes if (text := _missed_text(m, floor_um))]
     if missed:
@@ -237,7 +242,7 @@ def verdict_remarks(outcomes: Sequence[MotionOutcome], floor_um: float) -> tuple
     if larger:
         remarks.append(f"the total error grew on: {'; '.join(larger)}")
     grew = [m for m in outcomes if m.e_r_after.lower95 > m.e_before.upper95]
-    fell = {m.name for m in grew if m.total_after.upper95 < m.total_before.lower95}
+    fell = {m.name for m in grew if holds_lag or m.total_after.upper95 < m.total_before.lower95}
     if fell:
         remarks.append(
             f"the offset also cancels the lag of the loop on: {'; '.join(sorted(fell))}; there "

@@ -20,6 +20,7 @@ from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import read_law_head
+from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
@@ -48,7 +49,7 @@ from pmac_comp.workflow.outcome import (
 from pmac_comp.workflow.own_ringing import own_ringing_remarks
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import Promiser, true_errors
-from pmac_comp.workflow.repeated import Refinement, refine_motion
+from pmac_comp.workflow.repeated import Refinement, learned_remarks, refine_motion
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
@@ -302,13 +303,15 @@ def keep_learned(
         )
     found = learned.as_compensation(compensation)
     if found is None:
-        return "what was learned is not kept: fresh runs were no better than with the model alone"
+        better = f"with {learned.start}" if learned.is_worth_it else "without compensation"
+        return f"what was learned is not kept: fresh runs were no better than {better}"
     if out is None:
         return "what was learned is not kept: --out FOLDER writes it as a compensation to upload"
     path = out / _LEARNED
+    stands = learned.start if learned.began_learned else "the model's own"
     write_compensation(path, found)
     return (
-        f"what was learned is in {path}; on the controller the model's own stands as before, and "
+        f"what was learned is in {path}; on the controller {stands} stands as before, and "
         f"`pmac-comp upload {shlex.quote(url)} {shlex.quote(str(path))} --bench "
         f"{shlex.quote(bench)}` puts what was learned in its place"
     )
@@ -475,6 +478,7 @@ def summed_up(
     told: list[str] = []
     if compensation is not None:
         told = [*scale_remarks(compensation.law), *edited_remarks(compensation)]
+        told += learned_remarks(compensation)
 
     def together(which: str) -> Ratio | None:
         if not first or not second:
@@ -484,7 +488,7 @@ def summed_up(
 
     floor = sensor_floor_um(bench)
     own = own_ringing_remarks(outcomes, first, second, floor, bench.servo_period_s)
-    return Verification(
+    found = Verification(
         tuple(outcomes),
         floor,
         simulated,
@@ -493,10 +497,12 @@ def summed_up(
         lead,
         table,
         age_s,
-        (*verdict_remarks(outcomes, floor), *own, *told, *static_remarks(static), *remarks),
-        "" if compensation is None else compensation.route,
-        together("mechanical_m"),
-        together("total_m"),
-        static,
-        ringing,
+        route="" if compensation is None else compensation.route,
+        aim=Aim.TOTAL if compensation is None else compensation.aim,
+        mechanical=together("mechanical_m"),
+        total=together("total_m"),
+        static=static,
+        ringing=ringing,
     )
+    verdict = verdict_remarks(outcomes, floor, holds_lag=found.holds_lag)
+    return replace(found, remarks=(*verdict, *own, *told, *static_remarks(static), *remarks))

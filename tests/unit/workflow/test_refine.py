@@ -8,17 +8,27 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import design_law, model_loop
-from pmac_comp.physics.compensate.exact import Learning
+from pmac_comp.physics.compensate.exact import Aim, Learning
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
+from pmac_comp.report.repeated import learning_section
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation, read_compensation
+from pmac_comp.workflow.compensation_file import (
+    Compensation,
+    read_compensation,
+    write_compensation,
+)
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.repeated import Refinement, delay_samples, refine_motion
+from pmac_comp.workflow.repeated import (
+    Refinement,
+    delay_samples,
+    learned_remarks,
+    refine_motion,
+)
 from pmac_comp.workflow.simulated import embedded
 from pmac_comp.workflow.verify import keep_learned
 from tests.generators.true_values import friction_of
@@ -54,11 +64,11 @@ def refined(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Refinement]:
 
 def test_learning_takes_away_what_the_model_does_not_hold(refined: Refinement) -> None:
     # The law takes friction and elasticity away, the cyclic lead error stays: 3 / sqrt(2) um.
-    assert refined.model_um < 0.5 * refined.without_um
-    assert refined.model_um > 1.5
-    assert refined.confirmed_um < 0.25 * refined.model_um
-    assert refined.model_share > 0.5
-    assert 0.05 < refined.learning_share < 1.0 - refined.model_share
+    assert refined.start_um < 0.5 * refined.without_um
+    assert refined.start_um > 1.5
+    assert refined.confirmed_um < 0.25 * refined.start_um
+    assert refined.start_share > 0.5
+    assert 0.05 < refined.learning_share < 1.0 - refined.start_share
 
 
 def test_convergence_is_shown_by_the_fall_of_what_can_be_learned(refined: Refinement) -> None:
@@ -72,7 +82,7 @@ def test_convergence_is_shown_by_the_fall_of_what_can_be_learned(refined: Refine
 
 def test_a_person_reads_both_shares(refined: Refinement) -> None:
     text = " ".join(refined.lines())
-    assert f"the model takes {100 * refined.model_share:.0f} %" in text
+    assert f"the model takes {100 * refined.start_share:.0f} %" in text
     assert "it converges" in text
     assert "ended because the last pass changed the error by less than" in text
 
@@ -96,12 +106,74 @@ def test_what_was_learned_becomes_a_compensation_to_upload(
     assert path.exists() is is_kept
     assert (f"pmac-comp upload sim:// '{path}' --bench paper" in said) is is_kept
     if is_kept:
+        assert "the model's own stands as before" in said
         stored = read_compensation(path)
         assert stored.motion_correction_m == pytest.approx(learning.correction_m)
         assert stored.motion_position_m == pytest.approx(known)
         assert "--out FOLDER" in keep_learned(learned, model, None, "sim://", "paper")
     law = Compensation("law", CompensationLaw())
     assert "has no place" in keep_learned(learned, law, tmp_path, "sim://", "paper")
+
+
+MODEL = Compensation(
+    "program",
+    CompensationLaw(provenance={"exact": {"aim": "mechanical"}}),
+    None,
+    1e-3 * np.arange(50),
+    np.linspace(0.0, 0.01, 50),
+    np.zeros(50),
+)
+
+
+def learned(without_um: float, *history_um: float, began_learned: bool = False) -> Refinement:
+    """Learning whose fresh runs are as good as its best."""
+    best_um = min(history_um)
+    found = Learning(
+        np.zeros(50),
+        history_um,
+        converged=True,
+        learnable_um=history_um,
+        confirmed_um=(best_um, best_um),
+    )
+    return Refinement("sine", without_um, history_um[0], found, began_learned)
+
+
+def test_what_is_worse_than_no_compensation_is_not_kept_though_learning_gained(
+    tmp_path: Path,
+) -> None:
+    """'learning takes 25 % more' was said of a motion whose total error had grown by 29 %."""
+    found = learned(7.1, 9.1, 8.4)
+    assert found.as_compensation(MODEL) is None
+    said = keep_learned(found, MODEL, tmp_path, "sim://", "paper")
+    assert "no better than without compensation" in said
+    assert not list(tmp_path.iterdir())
+    shares = found.lines()[1]
+    assert shares == "the model makes it 28 % larger, learning takes 10 % of it away"
+
+
+def test_a_learned_file_tells_where_it_comes_from(tmp_path: Path) -> None:
+    """'with the model alone' and 'the model's own stands' were said of a learned correction."""
+    first = learned(9.0, 2.0, 0.6).as_compensation(MODEL)
+    assert first is not None
+    write_compensation(tmp_path / "learned.json", first)
+    stored = read_compensation(tmp_path / "learned.json")
+    assert [one["from"] for one in stored.learned] == ["the model alone"]
+    assert stored.aim is Aim.TOTAL  # that is what the scale taught
+    assert stored.digest == first.digest
+    (told,) = learned_remarks(stored)
+    assert "9.00 um without it and 0.60 um with it" in told
+    assert learned_remarks(MODEL) == []
+
+    again = learned(9.0, 0.6, 0.4, began_learned=True)
+    said = keep_learned(again, stored, tmp_path, "sim://", "paper")
+    assert "what was learned before stands as before" in said
+    text = " ".join([*again.lines(), *learning_section(again).tables[0].rows[1]])
+    assert "0.60 um with what was learned before" in text
+    assert "the model" not in text
+    nothing = learned(9.0, 0.6, began_learned=True)
+    assert nothing.lines()[1] == "what was learned before takes 93 % of it away, learning 0 % more"
+    twice = read_compensation(tmp_path / "learned.json").learned
+    assert [one["from"] for one in twice] == ["the model alone", "what was learned before"]
 
 
 def test_a_rest_that_bows_by_nanometres_is_not_the_beginning_of_the_motion() -> None:

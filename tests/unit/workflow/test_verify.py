@@ -9,13 +9,14 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.outcome import Ratio, Spread, error_signals, outcome_of, sensor_floor_um
 from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
-from pmac_comp.workflow.verify import KeptRuns, verify_files
+from pmac_comp.workflow.verify import KeptRuns, summed_up, verify_files
 from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
@@ -269,6 +270,28 @@ def test_an_offset_against_the_lag_is_told_by_the_total_error_only(route: str) -
     assert any("mechanical error 9.6" in line for line in found.reached()) is not held
     assert any("beyond them e_r" in line for line in found.judged()) is not held
     assert ("mech" in found.lines()[2]) is not held
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+def test_an_offset_against_the_lag_is_judged_by_the_total_error_also_where_that_grew(
+    route: str,
+) -> None:
+    """`program` said that the mechanical error grew, `cam` that the total error counts."""
+    before = [run(correction_um=0.0, e_um=3.0, control_um=1.0)]
+    after = [run(correction_um=-9.0, e_um=3.3, control_um=10.0)]
+    outcomes = [outcome_of("a", before, after)]
+
+    def told(aim: Aim) -> str:
+        law = CompensationLaw(provenance={"exact": {"aim": aim.value}})
+        compensation = Compensation(route, law)
+        found = summed_up(outcomes, [(before, after)], BENCH, compensation, simulated=True)
+        return " ".join(found.lines())
+
+    by_total = told(Aim.TOTAL)
+    assert "the total error grew on: a" in by_total
+    assert "the total error is what counts" in by_total
+    assert "mechanical error" not in by_total
+    assert "the mechanical error grew on: a" in told(Aim.MECHANICAL)
 
 
 def test_one_run_is_not_compared_with_itself(tmp_path: Path) -> None:
