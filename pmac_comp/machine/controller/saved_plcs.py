@@ -18,6 +18,8 @@ from pmac_comp.machine.controller.variables import read_one
 _BACKGROUND: Final = range(1, 32)
 _BACKGROUND_RUN: Final = 2  # bit of I5 (Software Reference Manual, I5)
 _NO_PROGRAM: Final = 3  # ERR003
+_HOMING_TIME: Final = 199  # of the block; what starts homing.plc
+_STARTS_NOTHING: Final = 1.0  # the most that motion programs leave there
 
 
 def homing_program(block: LawBlock, motor: int) -> Program:
@@ -34,15 +36,36 @@ def power_up_remarks(link: Link, block: LawBlock, motor: int) -> tuple[str, ...]
     """
     if not int(read_one(link, "I5")) & _BACKGROUND_RUN:
         return ()
-    ours = {p.number: p for p in (guard_program(block), homing_program(block, motor))}
-    others = [n for n in _BACKGROUND if _stands(link, n) and not _is_ours(link, ours.get(n))]
-    if not others:
-        return ()
-    names = ", ".join(f"PLC {n}" for n in others)
-    return (
-        f"SAVE keeps {names} as well: every PLC in memory runs at power-up, enabled now or not; "
-        "what enables or moves a motor should be off the controller before",
-    )
+    stand = _standing(link)
+    if stand is None:
+        return ("a password hides PLCs: which of them SAVE makes run at power-up is not known",)
+    homing = homing_program(block, motor)
+    ours = {p.number: p for p in (guard_program(block), homing)}
+    others = [n for n in stand if n not in ours or not programs.is_present(link, ours[n])]
+    told = []
+    if others:
+        names = ", ".join(f"PLC {n}" for n in others)
+        told.append(
+            f"SAVE keeps {names} as well: every PLC in memory runs at power-up, enabled now or "
+            "not; what enables or moves a motor should be off the controller before"
+        )
+    start = f"P{block.p(_HOMING_TIME)}"
+    if homing.number in {*stand} - {*others} and read_one(link, start) > _STARTS_NOTHING:
+        told.append(
+            f"SAVE keeps {start}, the start of the homing search (PLC {homing.number}): it would "
+            f"run at power-up; set {start} = 0 before"
+        )
+    return tuple(told)
+
+
+def _standing(link: Link) -> list[int] | None:
+    """Background PLCs in memory; None where a password hides one of them (p. 384)."""
+    try:
+        return [n for n in _BACKGROUND if _stands(link, n)]
+    except CommandRefused as error:
+        if programs.explain_protection(error):
+            return None
+        raise
 
 
 def _stands(link: Link, number: int) -> bool:
@@ -52,10 +75,4 @@ def _stands(link: Link, number: int) -> bool:
     except CommandRefused as error:
         if error.context.get("error") == _NO_PROGRAM:
             return False
-        if programs.explain_protection(error):
-            return True  # behind a password: of somebody else
         raise
-
-
-def _is_ours(link: Link, program: Program | None) -> bool:
-    return program is not None and programs.is_present(link, program)

@@ -84,7 +84,7 @@ def test_a_saved_homing_plc_moves_nothing_at_power_up(
 
 
 def test_a_plan_to_save_names_what_runs_at_power_up(
-    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    axis: Axis, card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(safekeeping, "open_axis", lambda _url, _bench: nullcontext(axis))
     context = context_of(axis, tmp_path)
@@ -92,13 +92,20 @@ def test_a_plan_to_save_names_what_runs_at_power_up(
 
     def kept() -> list[str]:
         text = preview(axis, context, new, "sim://", persist=True).text
-        return [line for line in text if "runs at power-up" in line]
+        return [line for line in text if "at power-up" in line]
 
     axis.link.command("I5=3")
     safekeeping.restore_from_file("sim://", "paper", firmware_path("homing.plc"), journal=tmp_path)
     assert kept() == []
+    axis.link.command("P7199=20000")  # and PLC 2 not enabled yet
+    (line,) = kept()
+    assert "set P7199 = 0 before" in line
+    axis.link.command("P7199=1")
     axis.link.write_buffer(["OPEN PLC 7 CLEAR", 'COMMAND"#1J/"', "CLOSE"])
     (line,) = kept()
     assert "SAVE keeps PLC 7 as well" in line
+    card.programs.password, card.programs.unlocked = "Geheim", False
+    (line,) = kept()
+    assert "a password hides PLCs" in line
     axis.link.command("I5=1")
     assert kept() == []
