@@ -30,6 +30,7 @@ _NAMED = 8
 _BACKGROUND_PLCS = 2  # bit of I5 (Software Reference Manual, I5)
 _LINE_SHOWN = 60
 _DEFINITION: Final = re.compile(r"M(\d+)\s*->\s*(\S.*)", re.I)
+_OPENS_SERVO: Final = re.compile(r"^\s*OPEN\s*SERVO\b", re.I | re.M)
 _VALUE: Final = re.compile(r"([IP]\d+)\s*=\s*(\$[0-9A-F]+|[-+]?[\d.]+)", re.I)
 
 
@@ -196,6 +197,13 @@ def _program_text(bench: str, source: Path) -> str:
             f"The program file {source} is empty.",
             code="PC-BCK-012",
             hint="Give a backup (.json) or a program file as text. Nothing was changed.",
+        )
+    if _OPENS_SERVO.search(text):
+        raise ConfigError(
+            f"{source} is the source of an open servo: a controller takes it compiled only.",
+            code="PC-BCK-013",
+            hint="`pmac-comp config servo BENCH` prints it for your p_block; compile that with the "
+            "vendor's tool, or rehearse with `pmac-comp sim --servo`. Nothing was changed.",
         )
     motor = loaded.encoder.motor_number
     scale_motor = loaded.scale.motor_number if loaded.scale else motor

@@ -1,10 +1,12 @@
 """A program file that `restore` loads: told before, read back, and taken back with all it set."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.programs import ProgramKind
@@ -68,3 +70,10 @@ def test_names_and_gather_sources_come_and_go(
     assert axis.link.query(asked)[:4] == ["X:$10F8,24,S", "D:$10B", "X:$BF,8,16,S", "0"]
     upload_flow.rollback_upload("sim://", "paper", tmp_path)
     assert axis.link.query(asked) == before
+
+
+@pytest.mark.parametrize("act", [safekeeping.plan_restore, safekeeping.restore_from_file])
+def test_the_source_of_an_open_servo_is_for_its_compiler(act: Callable[..., object]) -> None:
+    with pytest.raises(ConfigError, match="compiled only") as refused:
+        act("sim://", "paper", firmware_path("feedforward_servo.txt"))
+    assert "config servo" in refused.value.advice
