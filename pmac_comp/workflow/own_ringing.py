@@ -47,24 +47,26 @@ def own_ringing(
     before: Sequence[ErrorSignals], after: Sequence[ErrorSignals], period_s: float
 ) -> OwnRinging:
     """Strongest narrow band of the mechanical error with compensation, and the same without."""
-    frequency, density = _density(after, period_s)
+    size = min(_SEGMENT, *(run.mechanical_m.size for run in (*before, *after)))
+    frequency, density = _density(after, period_s, size)
     use = (frequency > _LOWEST_Hz) & (frequency < _HIGHEST_FRAC / period_s)
     peak_Hz = float(frequency[use][int(np.argmax(density[use]))])
     half_Hz = _HALF_BAND * peak_Hz
 
     def rms_um(runs: Sequence[ErrorSignals]) -> float:
-        noise_m2 = 2.0 * half_Hz * float(np.median(_density(runs, period_s)[1][use]))
+        noise_m2 = 2.0 * half_Hz * float(np.median(_density(runs, period_s, size)[1][use]))
         within_m2 = [_band_m2(run.mechanical_m, period_s, peak_Hz, half_Hz) for run in runs]
         return math.sqrt(max(0.0, float(np.mean(within_m2)) - noise_m2)) * UM_PER_M
 
     return OwnRinging(peak_Hz, rms_um(before), rms_um(after))
 
 
-def _density(runs: Sequence[ErrorSignals], period_s: float) -> tuple[FloatArray, FloatArray]:
+def _density(
+    runs: Sequence[ErrorSignals], period_s: float, size: int
+) -> tuple[FloatArray, FloatArray]:
     """Frequencies in Hz and mean power spectral density of the mechanical error in m^2/Hz."""
     from scipy.signal import welch
 
-    size = min(_SEGMENT, *(run.mechanical_m.size for run in runs))
     found = [welch(run.mechanical_m, 1.0 / period_s, nperseg=size) for run in runs]
     return found[0][0], np.mean([density for _, density in found], axis=0)
 

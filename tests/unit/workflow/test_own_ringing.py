@@ -66,3 +66,19 @@ def test_a_loop_that_rings_is_told_with_both_figures() -> None:
 )
 def test_what_does_not_keep_the_error_up_is_not_told(before: FloatArray, after: FloatArray) -> None:
     assert told(before, after) == ()
+
+
+@pytest.mark.parametrize("longer", ["before", "after"])
+def test_sides_of_two_lengths_are_compared(longer: str) -> None:
+    """Runs of half a second, of which one side was longer, ended in an IndexError."""
+    short, whole = signals(rings(1.5)), signals(rings(1.5))
+    part = slice(1500, 2700)
+    short = ErrorSignals(
+        short.time_s[part],
+        short.mechanical_m[part],
+        short.control_m[part],
+        short.total_m[part],
+    )
+    before, after = (whole, short) if longer == "before" else (short, whole)
+    found = own_ringing([before], [after], PERIOD_s)
+    assert found.frequency_Hz == pytest.approx(153.0, abs=3.0)
