@@ -14,6 +14,7 @@ from pmac_comp.physics.compensate.exact import (
     LEARNING_CUTOFF_Hz,
     MEASURED_CUTOFF_Hz,
     exact_correction,
+    faded,
 )
 from pmac_comp.physics.signals.trajectory import sinusoid
 
@@ -25,6 +26,28 @@ def sine_m(amplitude_um: float, frequency_Hz: float) -> FloatArray:
     """A disturbance that comes and goes along the motion."""
     phase = 2.0 * np.pi * frequency_Hz * PERIOD_s * np.arange(MOTION_m.size)
     return np.asarray(1e-6 * amplitude_um * np.sin(phase) * hann(MOTION_m.size))
+
+
+def test_the_model_runs_the_offset_as_the_routes_send_it() -> None:
+    """Learned without the fade, an offset met its ends as no run does."""
+    sent: list[FloatArray] = []
+
+    def loop(
+        commanded: FloatArray,
+        desired: FloatArray | None,
+        torque: FloatArray | None,
+        resting_Nm: float = 0.0,
+        /,
+    ) -> LoopSignals:
+        assert desired is not None
+        sent.append(desired - commanded)
+        table = desired + 5e-6 * np.cos(400.0 * commanded)
+        return LoopSignals(desired, table, np.zeros_like(table))
+
+    found = exact_correction(loop, MOTION_m, PERIOD_s)
+    assert abs(found.correction_m[0]) > 1e-6
+    assert all(offset[0] == offset[-1] == 0.0 for offset in sent)
+    assert any(np.allclose(offset, faded(found.correction_m), atol=1e-12) for offset in sent)
 
 
 def corrected(*disturbances: FloatArray, share: float = 1.0, **options: object) -> Learning:

@@ -21,6 +21,17 @@ def test_the_motion_alone_is_cut_out_with_some_rest() -> None:
     assert (first, last) == pytest.approx((1000 - 113, 5000 + 339), abs=5)
 
 
+def test_rests_of_a_known_motion_are_kept_whole() -> None:
+    """Before and after were judged over rests of different lengths."""
+    own = np.zeros(600)
+    planned = np.concatenate([own, MOVE, own])
+    gathered = np.concatenate([REST, planned, REST])
+    cut = moving_range(gathered, PERIOD_s, planned, 0)
+    whole = moving_range(gathered, PERIOD_s, planned, 0, with_rests=True)
+    assert cut == pytest.approx((1600 - 113, 5600 + 339), abs=5)
+    assert whole == pytest.approx((1000 - 113, 6200 + 339), abs=5)
+
+
 def test_a_soft_start_that_the_card_draws_otherwise_is_the_same_motion() -> None:
     begun_m = 2e-6 * np.linspace(0.0, 1.0, 500) ** 3
     drawn = np.concatenate([REST, begun_m, np.maximum(MOVE, begun_m[-1]), REST])
