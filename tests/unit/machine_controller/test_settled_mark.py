@@ -95,7 +95,7 @@ def test_an_upload_whose_rollback_was_cut_off_is_found_behind_the_mark(
         temporary.put_on(link, context, Settings({"I5190": "1000"}))
         temporary.take_off(link, context)
 
-    def killed(*_: object) -> str:
+    def killed(*_: object, **__: object) -> str:
         raise LinkLost("killed")
 
     with monkeypatch.context() as patch:
