@@ -32,6 +32,9 @@ CHEAP_FRAC = 0.25  # of a servo period: more than this is said, and cheaper laws
 # (11 % with two motors at 80 MHz) for the background, where limits are checked.
 MOST_FRAC = 0.84
 BUSIEST_FRAC = 0.95  # all that comes before the background, by the card's own task times
+# By which looks at the task times of one card differ, and what the interrupt itself takes: a law
+# that was counted to fit, at the edge, is not taken back for it.
+_SCATTER_FRAC = 0.01
 _SLOWEST_CYCLES = 4
 
 
@@ -185,7 +188,7 @@ def require_time_left(link: Link, bench: Bench, route: str) -> str:
         Too little: limits would be checked late.
     """
     load = read_load(link, bench.servo_period_s)
-    if load is not None and load.foreground_frac > BUSIEST_FRAC:
+    if load is not None and load.foreground_frac > BUSIEST_FRAC + _SCATTER_FRAC:
         raise SafetyRefusal(
             f"With the law {load_text(load)}: too little is left for the tasks that check limits "
             "and serve the watchdog.",

@@ -136,6 +136,17 @@ def test_an_open_servo_that_leaves_no_time_is_not_sent_to_itself(
         assert ("--route servo" in refused.value.hint) == (route == "law")
 
 
+def test_a_law_that_was_counted_to_fit_is_not_taken_back_for_the_scatter_of_looks(
+    axis: Axis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction by the turn and Stribeck friction: 83.5 % of the time, at the edge."""
+    law = CompensationLaw(inertia_s2=2e-6, turn_friction_Nm=0.05, stribeck_m=1e-7)
+    assert cost_refusals(BENCH, law, load_of()) == []
+    running = replace(load_of(), rti_frac=share_frac(BENCH, law) + 0.008)
+    monkeypatch.setattr(law_cost, "read_load", lambda *_: running)
+    law_cost.require_time_left(axis.link, BENCH, "law")
+
+
 def test_what_a_law_lacks_is_said() -> None:
     model = DriveModel.base(BENCH)
     (text,) = law_remarks(model, "law", has_captures=False)
