@@ -65,6 +65,7 @@ from pmac_comp.workflow.loose_nut import flank_remarks
 from pmac_comp.workflow.motions import Motion, is_allowed, parse_motion
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.promises import Promiser, worse_known_remarks, worse_remarks
+from pmac_comp.workflow.rendering import lead_table
 from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
@@ -257,7 +258,8 @@ def _for_motion(
     *,
     backlash: bool,
 ) -> Compensation:
-    limit_m = bench.safety.max_correction_um / UM_PER_M
+    beside_um = _lead_most_um(bench, lead) if route == "cam" and lead is not None else 0.0
+    limit_m = max(0.0, bench.safety.max_correction_um - beside_um) / UM_PER_M
     # A run meets its start out of a jog and a rest: that friction and integrator are in its error.
     learned = partial(
         exact_correction,
@@ -270,9 +272,11 @@ def _for_motion(
     )
     exact = learned(limit_m=limit_m)
     said: dict[str, Any] = {"aim": aim.value, "motion": motion.name}
+    said["room_um"] = limit_m * UM_PER_M
     said["error_um"] = list(exact.history_um)
     if np.any(np.abs(faded(exact.correction_m)) > _CUT_FRAC * limit_m):
-        said["needed_um"] = float(np.max(np.abs(faded(learned().correction_m)))) * UM_PER_M
+        uncut_um = float(np.max(np.abs(faded(learned().correction_m)))) * UM_PER_M
+        said["needed_um"] = uncut_um + beside_um
     return Compensation(
         route,
         replace(law, provenance={**law.provenance, "exact": said}),
@@ -282,6 +286,15 @@ def _for_motion(
         motion_correction_m=exact.correction_m,
         backlash=backlash,
     )
+
+
+def _lead_most_um(bench: Bench, lead: LeadMap) -> float:
+    """Largest correction of the lead table, which stands beside a cam: together they are limited.
+
+    A cam goes by time and the table by place, so that what both have at most adds up.
+    """
+    entries = np.asarray(lead_table(lead, bench).table.entries)
+    return float(np.max(np.abs(entries))) / 16.0 * bench.motor_resolution_m * UM_PER_M
 
 
 def aim_of(text: str) -> Aim:
@@ -529,12 +542,16 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     limit_um = bench.safety.max_correction_um
     correction = compensation.motion_correction_m
     if correction is not None:
+        exact = compensation.law.provenance.get("exact", {})
+        room_um = exact.get("room_um", limit_um)
         sent_um = np.abs(faded(correction)) * UM_PER_M
-        share = float(np.mean(sent_um > _CUT_FRAC * limit_um))
+        share = float(np.mean(sent_um > _CUT_FRAC * room_um))
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
-        needed_um = compensation.law.provenance.get("exact", {}).get("needed_um")
+        if room_um < limit_um:
+            cut += f", of which the lead table beside it takes {limit_um - room_um:.3g} um"
+        needed_um = exact.get("needed_um")
         if needed_um is not None:
-            cut += f", uncut it would take up to {needed_um:.3g} um"
+            cut += f"; uncut all of it would take up to {needed_um:.3g} um"
         return [cut] if share else []
     law = compensation.law
     largest = law.largest_correction_m * UM_PER_M

@@ -12,6 +12,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.exact import (
@@ -279,7 +280,8 @@ def refine_motion(
     switch(axis, context, compensation, on=False)
     without = centred_rms_um(total(nothing))
     switch(axis, context, compensation, on=True)
-    limit = axis.bench.safety.max_correction_um / 1e6
+    room_um = compensation.law.provenance.get("exact", {}).get("room_um")
+    limit = (room_um or axis.bench.safety.max_correction_um) / UM_PER_M
     learned = learn(
         total,
         nothing.size,

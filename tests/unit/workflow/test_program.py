@@ -14,6 +14,7 @@ from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import motors, programs
 from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.safety import check_sums
 from pmac_comp.physics.compensate.exact import Aim, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
@@ -29,6 +30,8 @@ from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_
 from pmac_comp.workflow.promises import Promiser
 from pmac_comp.workflow.run_cut import LEAD_IN_s
 from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
+from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.tables import tables_of
 from pmac_comp.workflow.verify import verify_axis
 from tests.compensations import friction_law, lead_map
 
@@ -130,6 +133,25 @@ def test_the_correction_is_computed_for_the_start_that_a_run_has() -> None:
     assert run["model_total_after_um"] < 1.5 * told_um
 
 
+def test_a_cam_that_is_cut_leaves_room_for_the_lead_table_beside_it() -> None:
+    """Cut to the whole limit it could not be uploaded: both together were beyond it."""
+    lead = lead_map(20.0)
+    drive = DriveModel.base(BENCH)
+    found = compute_compensation(BENCH, drive, route="cam", motion=MOTION)
+    assert found.motion_correction_m is not None
+    needed_um = 1e6 * float(np.max(np.abs(found.motion_correction_m)))
+    table_um = 1e6 * float(np.max(np.abs(lead.error_m)))
+    safety = BENCH.safety.model_copy(update={"max_correction_um": 0.8 * needed_um + table_um})
+    bench = BENCH.model_copy(update={"safety": safety})
+    cut = computing._for_motion(
+        bench, drive, "cam", found.law, lead, MOTION, Aim.TOTAL, backlash=False
+    )
+    (said,) = limits_report(bench, cut)
+    assert "of which the lead table beside it takes" in said
+    tables = tables_of(cut, bench)
+    assert check_sums(tables, tables, Scales.of(bench).limits(bench)) == []
+
+
 def test_a_correction_that_is_cut_tells_what_it_would_take() -> None:
     """Three limits were tried, each a minute, before one was large enough."""
     drive = DriveModel.base(BENCH)
@@ -145,7 +167,7 @@ def test_a_correction_that_is_cut_tells_what_it_would_take() -> None:
     assert nothing == []
     cut_um, (said,) = limited(0.8 * needed_um)
     assert cut_um == pytest.approx(0.8 * needed_um)
-    assert f"uncut it would take up to {needed_um:.3g} um" in said
+    assert f"uncut all of it would take up to {needed_um:.3g} um" in said
 
 
 MOVE = parse_motion("trapezoid:distance_mm=60,speed_mm_per_s=150,acceleration_m_per_s2=3", BENCH)
