@@ -85,7 +85,10 @@ def _is_own(url: str) -> bool:
 
 
 def _others_refusals(axis: Axis, context: Context) -> list[SafetyRefusal]:
-    """What somebody else runs; what a killed measurement of this folder left is taken off first."""
+    """What somebody else runs; what a killed measurement of this folder left is taken off first.
+
+    Its motion may still run: nothing begins before that has ended.
+    """
     if standing(context):
-        return []
+        return running_refusals(axis.link)
     return [*running_refusals(axis.link), *buffer_refusals(read_head(axis.link, context))]

@@ -152,6 +152,24 @@ def test_what_a_killed_measurement_of_this_folder_left_is_taken_off_first(axis: 
         axis.run(MOTION)
 
 
+def test_f29_nothing_begins_while_the_motion_of_a_killed_measurement_runs(
+    axis: Axis, count_runs: Count
+) -> None:
+    with measuring(axis, URL):
+        axis.run(MOTION)
+        axis.setup = AxisSetup(axis.setup.store)  # as by SIGKILL: nothing is given back
+    axis.link.write_buffer(["OPEN PROG 9 CLEAR", "DWELL5000", "CLOSE"])
+    axis.link.command("&1B9R")
+    with pytest.raises(SafetyRefusal, match="motion program runs") as refused:
+        measuring(axis, URL).__enter__()
+    assert "-c '&1A'" in refused.value.advice
+    axis.link.command("&1A")
+    axis.link.clock.sleep_s(0.1)
+    with measuring(axis, URL):
+        axis.run(MOTION)
+    count_runs(1)
+
+
 def took_it_off(axis: Axis, folder: Path) -> None:
     remove_from(axis, context_of(axis, folder), standing_on(axis))
 

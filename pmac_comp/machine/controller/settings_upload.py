@@ -262,7 +262,7 @@ def running_refusals(link: Link) -> list[SafetyRefusal]:
         MotorNotSafe(
             f"A motion program runs in coordinate system {n}.",
             code="PC-PRG-020",
-            hint="Abort it or wait for its end.",
+            hint=f"Wait for its end, or abort it with `pmac-comp terminal URL -c '&{n}A'`.",
         )
         for n, word in enumerate(words, start=1)
         if int(word.strip()[:6], 16) & RUNNING_PROGRAM
