@@ -243,6 +243,7 @@ def compare(
                 for r in result["models"]
             ],
         )
+        output.echo_all(result["remarks"])
         ways = result["alternatives"]
         if ways["rows"]:
             output.echo()

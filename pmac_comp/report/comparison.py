@@ -15,12 +15,13 @@ def write_comparison_report(result: Mapping[str, Any], path: Path) -> Path:
     basis = result["alternatives"]["basis"]
     bench = f"{result['bench']} – " if result.get("bench") else ""
     sources = "; ".join(result.get("sources", ())) or "not stated"
+    left_out = "".join(f" ({remark})" for remark in result.get("remarks", ()))
     page = Page(
         title="What each leaves uncorrected",
         subtitle=f"{bench}rival models, and what one would do otherwise",
         notice=f"Source of the captures: {sources}. "
         f"Models: judged on {result['judged_on']} positions of captures that were not used "
-        f"for fitting. Other ways: {basis}.",
+        f"for fitting{left_out}. Other ways: {basis}.",
         headline=[
             (f"{models[-1]['left_rms_um']:.3g} um", "mechanical error that the full model leaves"),
             (f"{models[-1]['error_rms_um']:.3g} um", "mechanical error as it is"),

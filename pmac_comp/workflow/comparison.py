@@ -42,6 +42,8 @@ def compare_files(
         "kind": "comparison",
         **_of_what([*given[0], *given[1]], loaded),
         "judged_on": found.judged_on,
+        "elsewhere_share": found.elsewhere_share,
+        "remarks": _remarks(found.elsewhere_share),
         "models": [asdict(row) for row in found.rows],
         "alternatives": {"simulated": True, "basis": BASIS, "rows": [asdict(w) for w in ways]},
     }
@@ -72,6 +74,16 @@ def _compare_rigid(
         "lattice_nm": found.lattice_nm,
         "alternatives": {"simulated": True, "basis": "", "rows": []},
     }
+
+
+def _remarks(elsewhere_share: float) -> list[str]:
+    """What of the judged captures was left out, for people."""
+    if elsewhere_share == 0.0:
+        return []
+    return [
+        f"{100.0 * elsewhere_share:.0f} % of the judged samples lie where no fitted run went, so "
+        "that the static error there is unknown: they are left out"
+    ]
 
 
 def _of_what(captures: Sequence[Capture], bench: Bench) -> dict[str, Any]:

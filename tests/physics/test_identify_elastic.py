@@ -22,6 +22,7 @@ from pmac_comp.physics.identify import (
     to_model_file,
 )
 from pmac_comp.physics.identify.linear_start import six_coefficients
+from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
@@ -302,3 +303,24 @@ def test_rivals_are_judged_on_the_same_unseen_motions(
     assert left[compare.FULL_NAME] == min(left.values())
     assert left[compare.FULL_NAME] < 0.2  # issue: 0.2 um rms on the plant's unquantised positions
     assert left["two inertias, torsion (Lim)"] > 1.0
+
+
+def test_models_are_not_judged_where_no_fitted_run_went(
+    found: Identification,
+    captures: tuple[list[Capture], dict[str, float]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A static map ends somewhere: beyond, lead error counted as an error of every model."""
+    ends_m = np.array([-0.01, 0.03])
+    none = np.zeros(0)
+    short = StaticMap(ends_m, np.array([0.0, 20e-6]), none, none, none, BENCH.pitch_m)
+    known = replace(found, static_map=short)
+    monkeypatch.setattr(compare, "identify_with_friction", lambda *_args, **_kwargs: known)
+    run = sinusoid(period_s=PERIOD_S, amplitude_m=0.03, frequency_Hz=2.0, cycles=4, centre_m=0.0)
+    plant = make_plant(BENCH, effects={}, seed=11)
+    capture = closed_loop_capture(BENCH, plant, run.position_m)
+    result = compare.compare_models(captures[0], [capture], BENCH)
+    assert capture.table_position_m is not None
+    inside = short.covers(capture.table_position_m)
+    assert result.elsewhere_share == pytest.approx(1.0 - np.mean(inside), abs=0.01)
+    assert 0.1 < result.elsewhere_share < 0.9

@@ -49,6 +49,8 @@ class Comparison:
         Mechanical error, static error and offset removed.
     identification : Identification
         The full model's.
+    elsewhere_share : float
+        Share of the judged captures' samples at places that no fitted run went to, left out.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -56,6 +58,7 @@ class Comparison:
     measured_m: tuple[FloatArray, ...]
     predicted_m: dict[str, tuple[FloatArray, ...]]
     identification: Identification
+    elsewhere_share: float = 0.0
 
 
 def compare_models(
@@ -86,6 +89,7 @@ def compare_models(
     tell("full model", 0.0)
     found = identify_with_friction(fit, bench, progress=lambda text, part: tell(text, 0.6 * part))
     measured = tuple(_error_m(capture, found.static_map) for capture in judge)
+    masks = tuple(_judged(capture, found.static_map) for capture in judge)
     predicted: dict[str, tuple[FloatArray, ...]] = {}
     rows = []
     for i, rival in enumerate(rivals()):
@@ -95,12 +99,14 @@ def compare_models(
         fitted = fit_rival(rival, fit, bench, found.static_map)
         predicted[rival.name] = tuple(fitted.predict(c, found.static_map) for c in judge)
         rows.append(
-            _row(rival.name, rival.source, len(rival.parameters), judge, measured, predicted)
+            _row(rival.name, rival.source, len(rival.parameters), masks, measured, predicted)
         )
     predicted[FULL_NAME] = tuple(_full_prediction_m(c, found, bench) for c in judge)
-    rows.append(_row(FULL_NAME, "this project", len(found.parameters), judge, measured, predicted))
+    rows.append(_row(FULL_NAME, "this project", len(found.parameters), masks, measured, predicted))
     tell("compared", 1.0)
-    return Comparison(tuple(rows), _judged_on(judge), measured, predicted, found)
+    used, given = (sum(int(np.sum(m)) for m in each) for each in (masks, [c.mask for c in judge]))
+    share = 1.0 - used / max(given, 1)
+    return Comparison(tuple(rows), _judged_on(judge), measured, predicted, found, share)
 
 
 def parted(
@@ -118,6 +124,18 @@ def parted(
             hint="Give at least two captures, or others with --validate.",
         )
     return fit, judge
+
+
+def _judged(capture: Capture, static_map: StaticMap | None) -> BoolArray:
+    """Samples that models are judged on: those at places that the fitted runs went to.
+
+    Elsewhere nobody knows the static error, and it would count as an error of every model; a run
+    that was nowhere else is judged whole.
+    """
+    if static_map is None or capture.table_position_m is None:
+        return capture.mask
+    covered: BoolArray = capture.mask & static_map.covers(capture.table_position_m)
+    return covered if covered.any() else capture.mask
 
 
 def _error_m(capture: Capture, static_map: StaticMap | None) -> FloatArray:
@@ -150,11 +168,10 @@ def _row(
     name: str,
     source: str,
     n_parameters: int,
-    judge: Sequence[Capture],
+    masks: Sequence[BoolArray],
     measured: Sequence[FloatArray],
     predicted: dict[str, tuple[FloatArray, ...]],
 ) -> ComparisonRow:
-    masks = [capture.mask for capture in judge]
     left = [_centred(m - p, ok) for m, p, ok in zip(measured, predicted[name], masks, strict=True)]
     whole = [_centred(m, ok) for m, ok in zip(measured, masks, strict=True)]
     return ComparisonRow(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
@@ -113,6 +113,12 @@ class StaticMap:
         phase = phase / self.pitch_m
         wobble = np.cos(phase) @ self.cosine_m + np.sin(phase) @ self.sine_m
         return np.asarray(smooth + wobble, dtype=np.float64)
+
+    def covers(self, table_position_m: FloatArray) -> BoolArray:
+        """Whether table positions in m, shape (n,), lie where the map was fitted."""
+        low, high = self.knots_m[0], self.knots_m[-1]
+        inside: BoolArray = (table_position_m >= low) & (table_position_m <= high)
+        return inside
 
 
 @dataclass(frozen=True)
