@@ -48,6 +48,7 @@ from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion
+from pmac_comp.workflow.owners import cam_of_another
 from pmac_comp.workflow.pvt import PvtProgram, pvt_program
 from pmac_comp.workflow.rendering import (
     CAM_RUN_UP_CYCLES,
@@ -114,7 +115,7 @@ def render_cam(compensation: Compensation, bench: Bench) -> Cam:
     check_motion(known, bench)
     shape = cam_shape(position.size, bench)
     lines = _program_lines(pvt_program(known, bench), shape, bench.servo_period_s)
-    program = programs.sealed_motion(CAM_PROGRAM, lines)
+    program = programs.sealed_motion(CAM_PROGRAM, lines, motor=bench.encoder.motor_number)
     return Cam(known, cam_table(correction, bench), program, shape)
 
 
@@ -200,7 +201,12 @@ def cam_settings(bench: Bench, program: Program, present: AxisDefinitions) -> Se
 
 
 def time_motor_off(axis: Axis) -> Settings:
-    """What switches a motor off that counts time as a cam has set it; empty where there is none."""
+    """What switches a motor off that counts time as a cam has set it; empty where there is none.
+
+    Nor where it counts for the cam of another axis.
+    """
+    if cam_of_another(axis) is not None:
+        return Settings()
     number = axis.bench.controller.cam_motor_number
     wanted = time_motor_variables(axis.bench)
     active = read_one(axis.link, f"I{number}00")

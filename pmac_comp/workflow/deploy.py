@@ -64,6 +64,8 @@ from pmac_comp.workflow.law_cost import (
     require_time_left,
     servo_cost_refusals,
 )
+from pmac_comp.workflow.motion_owners import motion_refusals
+from pmac_comp.workflow.owners import time_motor_refusals
 from pmac_comp.workflow.program import deploy_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -213,6 +215,10 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
     if route == "servo":
         refusals += law_checks.servo_refusals(link, context, axis.motor)
         refusals += _busy_servo_refusals(axis, context, compensation)
+    if route == "cam":
+        refusals += time_motor_refusals(axis)
+    if route in MOTION_ROUTES:
+        refusals += motion_refusals(axis)
     if route in TORQUE_ROUTES:
         refusals += _torque_refusals(axis.bench, compensation)
         parameters = law_parameters(compensation.law, axis.scales)

@@ -23,6 +23,7 @@ from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.owners import is_of_axis
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
@@ -110,7 +111,7 @@ def difference_on(axis: Axis, context: Context, compensation: Compensation) -> D
     cam_motor = bench.controller.cam_motor_number
     keys = [(TableKind.COMP, axis.motor), (TableKind.BLCOMP, axis.motor)]
     cam_keys = [] if cam_motor == axis.motor else [(TableKind.COMP, cam_motor)]
-    there = list(read_tables(axis.link, [*keys, *cam_keys]))
+    there = [t for t in read_tables(axis.link, [*keys, *cam_keys]) if is_of_axis(axis, t)]
     meant = list(tables_of(compensation, bench))
     acts = float(axis.link.query("I51")[0]) != 0.0
     old = there if acts else []

@@ -35,6 +35,7 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.law_cost import load_text
+from pmac_comp.workflow.owners import is_of_axis
 from pmac_comp.workflow.session import open_axis, open_link
 
 _BENCH_FOR_LOOKING = "paper"  # sim:// needs some bench; a real controller does not
@@ -131,8 +132,7 @@ def _why(state: TableStatus, axis: Axis) -> str:
 
     What stands then are the tables of other axes.
     """
-    ours = {axis.motor, axis.bench.controller.cam_motor_number}
-    if not state.tables or ours & set(state.tables.motors):
+    if not state.tables or any(is_of_axis(axis, table) for table in state.tables):
         return state.decision.reason
     return f"{state.decision.reason}, none of them of motor #{axis.motor}"
 

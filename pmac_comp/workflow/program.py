@@ -95,7 +95,7 @@ def draw_motion(compensation: Compensation, bench: Bench) -> DrawnMotion:
     check_motion(drawn, bench)
     pvt = pvt_program(drawn, bench)
     lines = ("DWELL100", *pvt.lines, "DWELL50")
-    program = programs.sealed_motion(COMPENSATED_PROGRAM, lines)
+    program = programs.sealed_motion(COMPENSATED_PROGRAM, lines, motor=bench.encoder.motor_number)
     rounding = pvt.rounding_ct * bench.motor_resolution_m * UM_PER_M
     return DrawnMotion(motion, drawn, program, pvt.shape_error_m * UM_PER_M, rounding)
 

@@ -31,7 +31,6 @@ from pmac_comp.machine.controller.leftovers import (
     known_definitions,
     merged,
 )
-from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
 from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
@@ -42,9 +41,11 @@ from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import CAM_PROGRAM, rest_time_motor, time_motor_off
+from pmac_comp.workflow.axis_setup import UNITS
+from pmac_comp.workflow.cam import rest_time_motor, time_motor_off
 from pmac_comp.workflow.deploy import Progress, context_of, context_to_look
-from pmac_comp.workflow.program import COMPENSATED_PROGRAM
+from pmac_comp.workflow.motion_owners import MOTIONS, is_motion_of, motions_of_others
+from pmac_comp.workflow.owners import cam_of_another, is_of_axis
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.standing import (
     Sets,
@@ -92,9 +93,8 @@ class Standing:
 
 
 def standing_on(axis: Axis) -> Standing:
-    """Tables of the bench's motors and the law of its motor; nothing is changed."""
-    ours = {axis.motor, axis.bench.controller.cam_motor_number}
-    tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if t.motor in ours)
+    """Tables and law of the bench's axis; nothing is changed."""
+    tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if is_of_axis(axis, t))
     in_plc_0 = law_goal.law_stands(axis.link, context_to_look(axis))
     law = _form_of_law(axis)
     return Standing(tables, law, _beside(axis, law), in_plc_0)
@@ -107,13 +107,12 @@ def _beside(axis: Axis, law: LawForm, known: Collection[int] = ()) -> Settings:
     use the same registers. Those that are known to have stood before stay.
     """
     link, guard = axis.link, guard_install.guard_program(_block(axis)).tokens
-    motions = [(ProgramKind.PROG, number) for number in (CAM_PROGRAM, COMPENSATED_PROGRAM)]
     defined = law_goal.definitions(axis.motor)
     asked = Settings(
-        definitions=defined, programs=dict.fromkeys([*motions, guard_install.GUARD], ())
+        definitions=defined, programs=dict.fromkeys([*MOTIONS, guard_install.GUARD], ())
     )
     found = read_settings(link, asked)
-    ours = [key for key in motions if programs.is_sealed_motion(found.programs[key])]
+    ours = [key for key in MOTIONS if is_motion_of(axis, key[1], found.programs[key])]
     if programs.canonical(found.programs[guard_install.GUARD]) == guard:
         ours.append(guard_install.GUARD)
     of_law = set(defined) - {guard_install.GUARD_DEFINITION} if law is LawForm.PLC else set()
@@ -130,7 +129,8 @@ def _beside(axis: Axis, law: LawForm, known: Collection[int] = ()) -> Settings:
 
 
 def _not_of_others(axis: Axis, goal: Settings) -> Settings:
-    """Without what law and guard of another axis use as well, where one of them stands."""
+    """Without what law, guard and motion of another axis use as well, where one of them stands."""
+    goal = _not_of_their_motions(axis, goal)
     places = Settings(programs={law_goal.LAW: (), guard_install.GUARD: ()})
     found = read_settings(axis.link, places).programs
     guard = guard_install.guard_program(_block(axis)).tokens
@@ -143,6 +143,23 @@ def _not_of_others(axis: Axis, goal: Settings) -> Settings:
     used = definitions_in_use(axis.link, kept, goal.programs) if kept else frozenset()
     kept = {n: text for n, text in kept.items() if n not in used}
     return replace(goal, definitions=kept)
+
+
+def _not_of_their_motions(axis: Axis, goal: Settings) -> Settings:
+    """Without axes and units, where coordinate system 1 serves a motion of another axis.
+
+    And without the motor that counts time, where it does so for that one.
+    """
+    shared = cam_of_another(axis) is not None
+    if not shared and not motions_of_others(axis):
+        return goal
+    counting = f"I{axis.bench.controller.cam_motor_number}" if shared else None
+    kept = {
+        name: text
+        for name, text in goal.variables.items()
+        if name not in UNITS and name[:-2] != counting
+    }
+    return replace(goal, variables=kept, axes=None)
 
 
 def _block(axis: Axis) -> LawBlock:

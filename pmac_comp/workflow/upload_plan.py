@@ -20,6 +20,7 @@ from pmac_comp.machine.controller.open_servos import scratch_remarks
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.saved_plcs import power_up_remarks
+from pmac_comp.machine.controller.settings import plain_axes, read_axes
 from pmac_comp.machine.controller.table_set import Key
 from pmac_comp.machine.controller.upload import TableUpload
 from pmac_comp.machine.controller.upload_plan import UploadPlan
@@ -27,7 +28,7 @@ from pmac_comp.machine.controller.waiting import waiting_refusals
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import CAM_PROGRAM, render_cam
+from pmac_comp.workflow.cam import CAM_PROGRAM, axis_settings, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, edited_remarks, read_compensation
 from pmac_comp.workflow.deploy import (
     context_to_look,
@@ -159,8 +160,8 @@ def _settled_by_moving(refusal: PmacCompError, axis: Axis) -> bool:
 def _table_lines(axis: Axis, plan: UploadPlan, url: str) -> list[str]:
     names = ", ".join(f"{t.kind.value} of motor #{t.motor} ({len(t.entries)})" for t in plan.new)
     off_s = _off_s(url, sum(len(line) + 1 for line in plan.lines))
-    ours = {axis.motor, axis.bench.controller.cam_motor_number}
-    others = [f"#{m}" for m in plan.old.motors if m not in ours]
+    targets = [t.target if isinstance(t, CompTable) else t.motor for t in plan.old]
+    others = [f"#{m}" for m in dict.fromkeys(targets) if m != axis.motor]
     was = "act now" if plan.enabled_old else "are off now"
     return [
         f"  tables afterwards (entries): {names or 'none'}; tables {was}",
@@ -214,7 +215,16 @@ def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:
         f"{cam.table.quantisation_um:.3f} um",
         f"  motion: PROG {CAM_PROGRAM}, {cam.motion.duration_s:.2f} s; run this program, "
         f"{_elsewhere(compensation)}",
+        *_axes_lines(axis),
     ]
+
+
+def _axes_lines(axis: Axis) -> list[str]:
+    """Axis definitions that those of a cam put aside, as a person may have programs for them."""
+    present = read_axes(axis.link)
+    gone = plain_axes(present) - plain_axes(axis_settings(axis.bench, present).axes or ())
+    told = ", ".join(f"&{system}#{motor}->{text}" for system, motor, text in sorted(gone))
+    return [f"  motion: takes the place of the axis definitions {told}"] if gone else []
 
 
 def _program_lines(axis: Axis, compensation: Compensation) -> list[str]:

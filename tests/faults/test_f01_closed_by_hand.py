@@ -17,7 +17,7 @@ from tests.unit.machine_controller.card_bench import AXIS_LINES, CardBench, make
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]
 MOVES = ("ABS", "LINEAR", "TA20", "TM40", *(f"X{100 * k}" for k in range(1, 400)), "X0")
-SEALED = sealed_motion(PROGRAM, MOVES)
+SEALED = sealed_motion(PROGRAM, MOVES, motor=1)
 MISSING_LABEL = 6  # run-time error, Y:$2014
 
 

@@ -25,6 +25,8 @@ _P_OF_BLOCK: Final = re.compile(r"\bP(7[01]\d\d)\b(?:\.\.(7[01]\d\d)\b)?")
 _MOTOR_I: Final = re.compile(r"\bI1(\d\d)\b")
 # Alone or as a gather source, whose first digits say what is gathered (I5001-I5048).
 _MOTOR_REGISTER: Final = re.compile(r"\$(?:([48C]00)([01][0-9A-F]{2})|([01]?[0-9A-F]{2}))\b")
+_SEAL_OF_MOTOR: Final = 1000  # added to the motor; lines of a motion have no labels
+_SEALED: Final = re.compile(r"^GOT10(0[1-9]|[12]\d|3[0-2])$")
 _NUMBER: Final = re.compile(r"(?<![A-Z$\d.])(\d*\.?\d+|\d+\.)(?![\d.])")
 _SPELLINGS: Final = (
     ("LINEAR", "LIN"),
@@ -107,21 +109,31 @@ class Program:
         return ["CLOSE", f"OPEN {self.name}", "CLEAR", *self.lines, "CLOSE", "CLOSE"]
 
 
-def sealed_motion(number: int, lines: Sequence[str]) -> Program:
-    """Motion program that moves nothing before its last line is there.
+def sealed_motion(number: int, lines: Sequence[str], *, motor: int) -> Program:
+    """Motion program of a motor that moves nothing before its last line is there.
 
     The first statement jumps to the last, which jumps back to the body. Cut short and closed by
     hand the program stops at its start with run-time error 6, missing label (Turbo PMAC Software
-    Reference Manual, code in Y:$2014 of coordinate system 1).
+    Reference Manual, code in Y:$2014 of coordinate system 1). The label of the last statement tells
+    the motor: axes of one card share the numbers of their programs.
     """
-    body, seal = 1, 2
+    body, seal = 1, _SEAL_OF_MOTOR + motor
     text = (f"GOTO{seal}", f"N{body}", *lines, "RETURN", f"N{seal}", f"GOTO{body}")
     return Program(ProgramKind.PROG, number, text)
 
 
-def is_sealed_motion(lines: Sequence[str]) -> bool:
-    """Whether a motion program is one of ``sealed_motion``, by how it begins."""
-    return canonical(lines)[:2] == ("GOT2", "N1")
+def motor_of_motion(lines: Sequence[str]) -> int | None:
+    """Motor of a program of ``sealed_motion``, by how it begins; None for any other program.
+
+    It is 0 where the seal is of an earlier version, which did not name the motor.
+    """
+    jump, *behind = canonical(lines)[:2] or ("",)
+    if behind != ["N1"]:
+        return None
+    if jump == "GOT2":
+        return 0
+    found = _SEALED.match(jump)
+    return int(found[1]) if found else None
 
 
 @dataclass(frozen=True)
