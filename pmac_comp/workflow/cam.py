@@ -48,7 +48,6 @@ from pmac_comp.workflow.axis import Axis, Progress
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion
-from pmac_comp.workflow.owners import cam_of_another
 from pmac_comp.workflow.pvt import PvtProgram, pvt_program
 from pmac_comp.workflow.rendering import (
     CAM_RUN_UP_CYCLES,
@@ -201,12 +200,7 @@ def cam_settings(bench: Bench, program: Program, present: AxisDefinitions) -> Se
 
 
 def time_motor_off(axis: Axis) -> Settings:
-    """What switches a motor off that counts time as a cam has set it; empty where there is none.
-
-    Nor where it counts for the cam of another axis.
-    """
-    if cam_of_another(axis) is not None:
-        return Settings()
+    """What switches a motor off that counts time as a cam has set it; empty where there is none."""
     number = axis.bench.controller.cam_motor_number
     wanted = time_motor_variables(axis.bench)
     active = read_one(axis.link, f"I{number}00")

@@ -3,6 +3,7 @@
 What lives here: whether PLC 1 and its M-variable are free or ours, and putting the guard there.
 """
 
+import re
 from dataclasses import replace
 from typing import Final
 
@@ -28,9 +29,11 @@ _LOCKED: Final = (
 )
 
 
-FOREIGN_GUARD: Final = (
-    "PLC 1 holds another program, so the guard was not installed: tables that another client "
-    "enables during an upload are found at its next step only"
+_P_VARIABLE: Final = re.compile(r"\bP(\d+)")
+_TELLING: Final = 2  # statements of a program that tell whether it is ours
+_NOT_GUARDED: Final = (
+    "so the guard was not installed: tables that another client enables during an upload are found "
+    "at its next step only"
 )
 
 
@@ -44,6 +47,34 @@ def is_foreign(found: Settings, place: tuple[ProgramKind, int], ours: Program) -
     """Whether a program stands there that does not begin as ours of any version does."""
     stands = programs.canonical(found.programs[place])
     return bool(stands) and stands[0] != ours.tokens[0]
+
+
+def block_elsewhere(
+    found: Settings, place: tuple[ProgramKind, int], ours: Program, block: LawBlock
+) -> int | None:
+    """First P-variable of another block for which a program of ours stands there, if one does.
+
+    It begins as ours for ``block`` does, of any version, with all P-variables moved alike.
+    """
+    stands = programs.canonical(found.programs[place])[:_TELLING]
+    told, own = (_P_VARIABLE.search("\n".join(lines)) for lines in (stands, ours.tokens))
+    if told is None or own is None:
+        return None
+    move = int(told[1]) - int(own[1])
+    moved = tuple(
+        _P_VARIABLE.sub(lambda m: f"P{int(m[1]) + move}", line) for line in ours.tokens[:_TELLING]
+    )
+    return block.first + move if move and stands == moved else None
+
+
+def foreign_guard(found: Settings, block: LawBlock) -> str:
+    """Why the guard does not go onto a card where PLC 1 stands as ``found``; empty if it may."""
+    guard = guard_program(block)
+    if not is_foreign(found, GUARD, guard):
+        return ""
+    other = block_elsewhere(found, GUARD, guard, block)
+    whose = "another program" if other is None else f"the guard of the p_block from P{other}"
+    return f"PLC 1 holds {whose}, {_NOT_GUARDED}"
 
 
 def install_guard(link: Link, context: Context) -> tuple[str, ...]:
@@ -90,8 +121,8 @@ def guard_settings(link: Link, context: Context) -> tuple[str, Settings]:
     stands = programs.canonical(found.programs[GUARD])
     if stands == guard.tokens and 1 in found.running:
         return "", Settings()
-    if is_foreign(found, GUARD, guard):
-        return FOREIGN_GUARD, Settings()
+    if foreign := foreign_guard(found, context.block):
+        return foreign, Settings()
     defined = found.definitions[GUARD_DEFINITION].upper().replace(" ", "")
     if defined not in {"*", asked.definitions[GUARD_DEFINITION]}:
         return (

@@ -10,7 +10,7 @@ from typing import Final
 from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.guard_install import is_foreign
+from pmac_comp.machine.controller.guard_install import block_elsewhere, is_foreign
 from pmac_comp.machine.controller.law_bank import (
     BLOCK_SIZE,
     MASTER_WORD_ADDRESS,
@@ -166,14 +166,7 @@ def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal
     """What belongs to somebody else where the law would go: a machine's logic must not vanish."""
     out: list[SafetyRefusal] = []
     law = law_program(context.block, motor)
-    if is_foreign(found, LAW, law):
-        out.append(
-            SafetyRefusal(
-                "PLC 0 holds a program that is not ours; the law would replace it.",
-                code="PC-LAW-037",
-                hint="Move it to another PLC, or use --route servo, table or program.",
-            )
-        )
+    out += _program_refusals(context, motor, found, law)
     out += _output_refusals(motor, found, law)
     # Definitions that an earlier law of any motor left behind are ours.
     ours = [definitions(number) for number in range(1, MOTORS + 1)]
@@ -201,6 +194,32 @@ def _owners(context: Context, motor: int, found: Settings) -> list[SafetyRefusal
             )
         )
     return out
+
+
+def _program_refusals(
+    context: Context, motor: int, found: Settings, law: Program
+) -> list[SafetyRefusal]:
+    """Refusal where PLC 0 is taken: by the law of another bench file, or by the machine."""
+    other = block_elsewhere(found, LAW, law, context.block)
+    if other is not None:
+        return [
+            SafetyRefusal(
+                f"PLC 0 holds the law of another bench file, whose p_block begins at P{other}; "
+                f"that of motor #{motor} would replace it.",
+                code="PC-LAW-037",
+                hint="Take that law off first: `pmac-comp remove` with its bench file. For both at "
+                "once use --route servo, table, cam or program here.",
+            )
+        ]
+    if not is_foreign(found, LAW, law):
+        return []
+    return [
+        SafetyRefusal(
+            "PLC 0 holds a program that is not ours; the law would replace it.",
+            code="PC-LAW-037",
+            hint="Move it to another PLC, or use --route servo, table or program.",
+        )
+    ]
 
 
 def _output_refusals(motor: int, found: Settings, law: Program) -> list[SafetyRefusal]:

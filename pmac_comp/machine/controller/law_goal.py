@@ -12,9 +12,9 @@ from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import (
     CLOCK,
-    FOREIGN_GUARD,
     GUARD,
     GUARD_DEFINITION,
+    foreign_guard,
     guard_program,
     is_foreign,
 )
@@ -121,10 +121,10 @@ def law_missing(
     follows = all(same_value(float(parse_integer(found.variables[k])), float(parse_integer(v)))
                   for k, v in wanted_following.items())  # fmt: skip
     guarded = programs.canonical(found.programs[GUARD]) == guard.tokens and 1 in found.running
-    foreign_guard = is_foreign(found, GUARD, guard)
+    foreign = foreign_guard(found, block)
     wanted = {
         LAW: None if whole and 0 in found.running else law.lines,
-        GUARD: None if guarded or foreign_guard else guard.lines,
+        GUARD: None if guarded or foreign else guard.lines,
     }
     programs_missing = {key: lines for key, lines in wanted.items() if lines is not None}
     scales = _stale_scales(link, context, motor, Index.STEP_PLC)
@@ -142,8 +142,8 @@ def law_missing(
         "" if follows else f"motor #{motor} follows X:${MASTER_WORD_ADDRESS:X} in offset mode",
         "" if paced else f"PLC 0 runs every {every_cycles} servo cycles (I8 = {every_cycles - 1})",
         _RESCALED if whole and scales else "",
-        FOREIGN_GUARD if foreign_guard else "",
-        "" if guarded or foreign_guard else "the guard (PLC 1) was written and listed back",
+        foreign,
+        "" if guarded or foreign else "the guard (PLC 1) was written and listed back",
     )
     return goal, tuple(note for note in notes if note)
 

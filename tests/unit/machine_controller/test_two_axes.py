@@ -8,7 +8,9 @@ import pytest
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
 from pmac_comp.machine.controller import (
     grouping,
+    guard_install,
     journals,
+    law_checks,
     law_install,
     law_state,
     law_upload,
@@ -296,3 +298,18 @@ def test_a_journal_names_no_backup_outside_its_folder(tmp_path: Path) -> None:
         journal.write(entry.step, {**entry.data, **away})
     assert temporary.take_off(bench.link, first)
     assert not temporary.standing(first)
+
+
+def test_law_and_guard_of_another_axis_are_called_so(tmp_path: Path) -> None:
+    """They were a program that is not ours, to be moved to another PLC: that would break them."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    law_install.install_law(bench.link, first, 2)
+    (told,) = law_checks.owner_refusals(bench.link, second, 1)
+    assert told.code == "PC-LAW-037"
+    assert "law of another bench file, whose p_block begins at P7000" in told.message
+    assert "`pmac-comp remove` with its bench file" in told.hint
+    assert guard_install.install_guard(bench.link, second)[0].startswith(
+        "PLC 1 holds the guard of the p_block from P7000, so"
+    )
+    assert law_checks.owner_refusals(bench.link, first, 1) == []
