@@ -57,6 +57,7 @@ def doctor(
         Path | None,
         typer.Option("--backup", help="Backup that the controller must have come up with"),
     ] = None,
+    journal: JournalOption = DEFAULT_JOURNAL,
     compile_kernels: Annotated[
         bool, typer.Option("--compile", help="Compile the numerical kernels now")
     ] = False,
@@ -70,7 +71,12 @@ def doctor(
 
     progress = ProgressLines()
     findings = examine(
-        url, bench, backup=backup, compile_kernels=compile_kernels, progress=progress
+        url,
+        bench,
+        backup=backup,
+        journal=journal,
+        compile_kernels=compile_kernels,
+        progress=progress,
     )
     progress.close()
 

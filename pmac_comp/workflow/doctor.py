@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pmac_comp import __version__
 from pmac_comp.base.errors import FlashSuspect, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.resources import data_folder
+from pmac_comp.files.resources import DEFAULT_JOURNAL, data_folder
 from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
 
 if TYPE_CHECKING:
@@ -33,13 +33,14 @@ def examine(
     bench: str,
     *,
     backup: Path | None = None,
+    journal: Path = DEFAULT_JOURNAL,
     compile_kernels: bool = False,
     progress: Progress | None = None,
 ) -> list[Finding]:
     """All findings on this machine and, with a URL, on the controller.
 
     With a backup the controller's configuration is held against it: a card that lost its flash
-    comes up with other values.
+    comes up with other values. The journal tells which tables this folder meant.
     """
     loaded = load_bench(bench)
     findings = list(_installation())
@@ -48,7 +49,7 @@ def examine(
         findings += list(_compiled(loaded, progress))
         findings += [Finding("note", "bench file", line) for line in loop_remarks(loaded)]
     if url:
-        findings += list(_controller(url, loaded, backup))
+        findings += list(_controller(url, loaded, backup, journal))
     return findings
 
 
@@ -93,7 +94,7 @@ def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
     yield Finding("ok", "kernels", f"compiled or loaded in {time.monotonic() - start:.1f} s")
 
 
-def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding]:
+def _controller(url: str, bench: Bench, backup: Path | None, journal: Path) -> Iterator[Finding]:
     from pmac_comp.workflow.session import open_axis
 
     with open_axis(url, bench) as axis:
@@ -101,11 +102,12 @@ def _controller(url: str, bench: Bench, backup: Path | None) -> Iterator[Finding
         yield _flash(axis, backup)
         yield from _variables(axis, bench)
         yield from _law(axis, bench)
+        yield from _conversion(axis, bench)
         yield from _processor(axis, bench)
         yield from _motors(axis)
         yield from _override(axis)
         yield from _reference(axis, bench)
-        yield from _compensation(axis)
+        yield from _compensation(axis, journal)
         yield from _claim(axis)
 
 
@@ -165,6 +167,14 @@ def _law(axis: "Axis", bench: Bench) -> Iterator[Finding]:
         yield Finding("bad", "law and units", f"{refusal.message} {refusal.advice}")
 
 
+def _conversion(axis: "Axis", bench: Bench) -> Iterator[Finding]:
+    """Whether the card reads the encoder as the bench file says; a capture is refused else."""
+    from pmac_comp.workflow.as_described import conversion_refusals
+
+    for refusal in conversion_refusals(axis.link, bench):
+        yield Finding("bad", "encoder conversion", f"{refusal.message} {refusal.advice}")
+
+
 def _processor(axis: "Axis", bench: Bench) -> Iterator[Finding]:
     """How busy the card is, and whether its clock is the one that a law's cost is counted with."""
     from pmac_comp.machine.controller.processor_load import read_load
@@ -215,15 +225,16 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
         yield Finding("note", "zero and limits", remark)
 
 
-def _compensation(axis: "Axis") -> Iterator[Finding]:
+def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
     from pmac_comp.machine.controller.law_checks import owner_refusals
-    from pmac_comp.machine.controller.table_status import table_status
     from pmac_comp.workflow.deploy import context_to_look
+    from pmac_comp.workflow.inspect import judged_tables
 
-    for taken in owner_refusals(axis.link, context_to_look(axis), axis.motor):
+    context = context_to_look(axis, journal)
+    for taken in owner_refusals(axis.link, context, axis.motor):
         yield Finding("note", "route law", f"{taken.message} {taken.advice}")
     try:
-        state = table_status(axis.link, context_to_look(axis))
+        state = judged_tables(axis.link, context)
     except PmacCompError as error:
         yield Finding("bad", "compensation", error.message)
         return

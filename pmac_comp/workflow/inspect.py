@@ -68,11 +68,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_to_look(axis, journal or DEFAULT_JOURNAL)
         since = waiting.number_since_ours(axis.link, context)
-        judge = table_status if since else status_by_journal
-        state = judge(axis.link, context)
-        if state.decision.action is Action.DISABLE:
-            other = announced_elsewhere(axis.link, context, state.tables)
-            state = replace(state, decision=other or state.decision)
+        state = judged_tables(axis.link, context)
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)
@@ -125,6 +121,16 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         "compensation": compensation,
         "processor": {"summary": load_text(load)} | ({} if load is None else load.as_dict()),
     }
+
+
+def judged_tables(link: Link, context: Context) -> TableStatus:
+    """Tables on a card, judged by what this folder and bench files of other axes know of them."""
+    since = waiting.number_since_ours(link, context)
+    state = (table_status if since else status_by_journal)(link, context)
+    if state.decision.action is not Action.DISABLE:
+        return state
+    other = announced_elsewhere(link, context, state.tables)
+    return replace(state, decision=other or state.decision)
 
 
 def _why(state: TableStatus, axis: Axis) -> str:
