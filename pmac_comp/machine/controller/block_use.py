@@ -8,6 +8,7 @@ from typing import Final
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller.law_bank import (
+    BLOCK_SIZE,
     SIGNATURE_PLC,
     SIGNATURE_SERVO,
     Index,
@@ -15,17 +16,21 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import MAGIC
+from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.open_servos import motors_in_open_servo
-from pmac_comp.machine.controller.variables import answers
+from pmac_comp.machine.controller.settings import MOTORS
+from pmac_comp.machine.controller.variables import answers, read_range
 from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
+_P_VARIABLES: Final = 8192
 
 
 def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
     """Refusal where the block holds values, and none of the marks that our changes leave.
+
+    Or where another one of ours reaches into it: what stands there is not left over.
 
     Marks are the signature of a law, the manifest of tables and the number of the last change.
     Left out is what may stand without them: the lease that a capture took, what motion programs use
@@ -47,7 +52,12 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
         for k, value in enumerate(values)
         if value != 0.0 and k not in left_out
     }
-    if marked or not used:
+    if marked:
+        return []
+    other = _overlapping(link, block)
+    if other is not None:
+        return [_overlap_refusal(block, other)]
+    if not used:
         return []
     told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
     more = f" and {len(used) - _SHOWN} more" if len(used) > _SHOWN else ""
@@ -61,3 +71,33 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
             f"left from something old, `pmac-comp terminal URL -c 'P{block.first}..{last}=0'`.",
         )
     ]
+
+
+def _overlapping(link: Link, block: LawBlock) -> int | None:
+    """First variable of a block of ours that begins elsewhere and reaches into this one.
+
+    It is known by a law, with its motor, or by a whole manifest of tables.
+    """
+    low = max(0, block.first - BLOCK_SIZE + 1)
+    high = min(_P_VARIABLES, block.first + 2 * BLOCK_SIZE)
+    values = read_range(link, "P", low, high - 1)
+    signatures, manifest = {SIGNATURE_PLC, SIGNATURE_SERVO}, int(Index.MANIFEST)
+    for k in range(min(high - low, 2 * BLOCK_SIZE - 1)):
+        motor = values[k + Index.MOTOR] if k + Index.MOTOR < len(values) else 0.0
+        has_law = values[k] in signatures and 1 <= motor <= MOTORS
+        has_tables = Manifest.told_by(values[k + manifest : k + manifest + MANIFEST_SIZE])
+        if (has_law or has_tables) and low + k != block.first:
+            return low + k
+    return None
+
+
+def _overlap_refusal(block: LawBlock, other: int) -> SafetyRefusal:
+    last = BLOCK_SIZE - 1
+    return SafetyRefusal(
+        f"The p_block P{block.first}..{block.first + last} overlaps P{other}..{other + last}, "
+        "which another bench file of this card uses or has used: each would write what the other "
+        "works with.",
+        code="PC-COM-010",
+        hint="Choose a block apart from it with [controller] p_block = [first, last], and compute "
+        "again.",
+    )

@@ -7,6 +7,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
 from pmac_comp.machine.controller import (
+    block_use,
     grouping,
     guard_install,
     journals,
@@ -313,3 +314,22 @@ def test_law_and_guard_of_another_axis_are_called_so(tmp_path: Path) -> None:
         "PLC 1 holds the guard of the p_block from P7000, so"
     )
     assert law_checks.owner_refusals(bench.link, first, 1) == []
+
+
+@pytest.mark.parametrize("first_p", [7100, 6900])
+@pytest.mark.parametrize("has_law", [False, True], ids=["tables", "law"])
+def test_a_block_that_overlaps_that_of_another_axis_is_not_to_be_zeroed(
+    tmp_path: Path, first_p: int, *, has_law: bool
+) -> None:
+    bench = CardBench(tmp_path)
+    if has_law:
+        law_install.install_law(bench.link, bench.context, 1)
+    else:
+        put_table(bench, axis_of(bench, "first", 7000), 1)
+    (told,) = block_use.block_refusals(bench.link, LawBlock(first_p))
+    assert "overlaps P7000..7199" in told.message
+    assert "=0" not in told.hint
+    assert block_use.block_refusals(bench.link, LawBlock(7200)) == []
+    bench.link.command("P7600=3")
+    (told,) = block_use.block_refusals(bench.link, LawBlock(7500))
+    assert "'P7500..7689=0'" in told.hint
