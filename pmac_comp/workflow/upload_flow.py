@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.base.errors import ControllerState, PmacCompError
+from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, parts, recovery, rollback, temporary, waiting
 from pmac_comp.machine.controller.context import Context
@@ -25,6 +25,8 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy
+from pmac_comp.workflow.motion_owners import MOTIONS, motion_refusals
+from pmac_comp.workflow.owners import time_motor_refusals
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.standing import Sets, bringing_back, place_refusals, stand_to_switch
@@ -218,6 +220,21 @@ def tables_coming_back(axis: Axis, context: Context) -> Sets:
     return bringing_back(axis.motor, lambda: [read_table_backup(path)[0] for path in backups])
 
 
+def _of_another_axis(axis: Axis, context: Context) -> list[SafetyRefusal]:
+    """Refusals to bring a compensated motion back, or what it replaced, over that of another axis.
+
+    Its table, axes and time motor would go; of programs alone it is known who has set them since.
+    """
+    _, parts = rollback.upload_to_take_back(context)
+    settings = [part.new_settings for part in parts if part.kind is ChangeKind.SETTINGS]
+    touched = {motion for motion in MOTIONS for new in settings if motion in new.programs}
+    is_cam = (ProgramKind.PROG, CAM_PROGRAM) in touched
+    return [
+        *(time_motor_refusals(axis) if is_cam else ()),
+        *(motion_refusals(axis) if touched else ()),
+    ]
+
+
 @contextmanager
 def _nothing_taken_back() -> Iterator[None]:
     """Errors before the first step of a rollback leave with NEW on them, unless they tell more."""
@@ -249,7 +266,8 @@ def rollback_upload(
         with untouched():
             sets = tables_coming_back(axis, context)  # none: the axis does not move for it
         with _nothing_taken_back():
-            rollback.refuse_rollback(axis.link, context, place_refusals(axis, sets))
+            taken = _of_another_axis(axis, context)
+            rollback.refuse_rollback(axis.link, context, [*taken, *place_refusals(axis, sets)])
             rest_time_motor(axis)
             stand_to_switch(axis, sets)
         result = rollback.rollback_last(axis.link, context)

@@ -10,7 +10,7 @@ from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.workflow import inspect
+from pmac_comp.workflow import inspect, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, time_motor_variables
 from pmac_comp.workflow.compensation_file import Compensation
@@ -111,3 +111,24 @@ def test_the_plan_tells_whose_tables_and_axes_it_touches(axis: Axis, tmp_path: P
     text = "\n".join(preview(axis, context_of(axis, tmp_path), cam_of(BUMP), URL).text)
     assert "that concerns #3 as well" in text
     assert "takes the place of the axis definitions &1#3->X" in text
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+def test_a_rollback_does_not_bring_a_motion_back_over_that_of_another_axis(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, route: str
+) -> None:
+    """It said that PROG 705 stood, and took table, axes and time motor of the other cam away."""
+    monkeypatch.setattr(upload_flow, "open_axis", lambda *_: nullcontext(axis))
+    put_on(axis, route, tmp_path)
+    remove_from(axis, context_of(axis, tmp_path), standing_on(axis))
+    axis.link.write_buffer([*OTHER_CAM, "&1#3->X", "&1#8->Y"])
+    motion_of_another(axis, CAM_PROGRAM)
+    before = standing(axis)
+    with pytest.raises(SafetyRefusal) as stopped:
+        upload_flow.rollback_upload(URL, "paper", tmp_path)
+    codes = {refusal.code for refusal in stopped.value.refusals or (stopped.value,)}
+    assert codes == {"PC-DEP-064"} | ({"PC-DEP-063"} if route == "cam" else set())
+    assert standing(axis) == before
+    axis.link.write_buffer(["I51=0", "#8DELETE COMP", "OPEN PROG 705 CLEAR", "CLOSE"])
+    axis.link.write_buffer(["UNDEFINE ALL"])
+    assert upload_flow.rollback_upload(URL, "paper", tmp_path)["verdict"] == "OLD"
