@@ -96,7 +96,10 @@ class PmacCompError(Exception):
         """What happened, what was left and the advice given, each on a line of its own."""
         text = f"{self.message} ({self.code})"
         if self.left is not None:
-            text += f"\nThe controller was left: {self.left.value}."
+            # Nothing was touched: tables of an earlier upload may be NEW, and stand.
+            as_found = ", as before this command" if self.context.get("untouched") else ""
+            is_old = self.left is ControllerState.OLD
+            text += f"\nThe controller was left: {self.left.value}{as_found if is_old else ''}."
         return f"{text}\n{advice}" if advice else text
 
     def __str__(self) -> str:

@@ -119,7 +119,7 @@ def require_own_block(context: Context, changes: Sequence[Journal]) -> None:
         code="PC-TXN-012",
         hint="Name the bench file of that upload with --bench; each axis is best given a folder of "
         "its own with --journal.",
-        context={"journal": str(other.path)},
+        context={"journal": str(other.path), "untouched": True},
         left=ControllerState.OLD,
     )
 

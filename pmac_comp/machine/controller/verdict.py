@@ -28,6 +28,7 @@ def untouched() -> Iterator[None]:
     except PmacCompError as error:
         if not is_told(error):
             mark_left(error, ControllerState.OLD, confirmed=True)
+            error.context["untouched"] = True
         raise
 
 

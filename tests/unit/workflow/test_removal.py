@@ -102,6 +102,8 @@ def test_a_removal_that_could_not_begin_left_everything_as_it_was(
     with pytest.raises(LinkLost) as told:
         remove_from(axis, context_of(axis, tmp_path), found)
     assert told.value.left is ControllerState.OLD
+    # What stands is NEW: OLD alone was read as the tables of before the upload.
+    assert "The controller was left: OLD, as before this command." in str(told.value)
     monkeypatch.undo()
     assert standing_on(axis) == found
 
