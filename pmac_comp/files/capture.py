@@ -48,7 +48,7 @@ class Capture:
     commanded_position_m, motor_position_m : ndarray, shape (n,)
         Trajectory r and motor position expressed at the table, m.
     desired_position_m : ndarray, shape (n,), or None
-        r + correction; None means compensation was off (equal to the commanded position).
+        r + correction; None means the commanded position, or unknown (see ``tells_desired``).
     table_position_m : ndarray, shape (n,), or None
         Scale reading in m; None on motor-encoder-only benches.
     torque_command_Nm : ndarray, shape (n,), or None
@@ -105,6 +105,11 @@ class Capture:
         if self.desired_position_m is None:
             return self.commanded_position_m
         return self.desired_position_m
+
+    @property
+    def tells_desired(self) -> bool:
+        """Whether the desired position is known: a compensation that was on added what is lost."""
+        return self.desired_position_m is not None or self.attributes.get("compensation") != "on"
 
     @property
     def largest_added_m(self) -> float:

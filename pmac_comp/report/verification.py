@@ -24,7 +24,7 @@ def headline(verification: Verification) -> list[tuple[str, str]]:
             ("control tracking error, measured rms", "e_c_before", "e_c_after", 1, None),
             ("total error at the table, measured rms", "total_before", "total_after", 1, total),
         ]
-        if verification.route in MOTION_ROUTES:
+        if _is_total_judged(verification):
             kinds = kinds[2:]
         for name, before, after, digits, left in kinds:
             values = [_mean([getattr(m, key).value for m in motions]) for key in (before, after)]
@@ -35,6 +35,11 @@ def headline(verification: Verification) -> list[tuple[str, str]]:
         accuracy = [side.figures().accuracy_m * UM_PER_M for _, side in verification.static.sides]
         out.append((f"{accuracy[0]:.1f} → {accuracy[1]:.1f} um", "accuracy A by ISO 230-2"))
     return out
+
+
+def _is_total_judged(verification: Verification) -> bool:
+    """Whether the total error is shown first: a known motion, or e_r is not known."""
+    return verification.route in MOTION_ROUTES or not verification.tells_mechanics
 
 
 def _true_headline(verification: Verification) -> list[tuple[str, str]]:
@@ -102,11 +107,11 @@ def _errors_section(verification: Verification) -> Section:
 
 
 def _summary(verification: Verification) -> tuple[str, str]:
-    """Bars of the error that is judged, per motion; of a known motion that is the total one."""
-    known = verification.route in MOTION_ROUTES
+    """Bars of the error that is judged, per motion."""
+    is_total = _is_total_judged(verification)
     what, before, after = (
         ("total", "total_before", "total_after")
-        if known
+        if is_total
         else ("mechanical", "e_before", "e_r_after")
     )
     bars = [
@@ -119,7 +124,7 @@ def _summary(verification: Verification) -> tuple[str, str]:
         for m in verification.motions
     ]
     # The floor is that of table against motor, whose steps a total error has not.
-    image = figures.summary_bars(bars, 0.0 if known else verification.floor_um, what)
+    image = figures.summary_bars(bars, 0.0 if is_total else verification.floor_um, what)
     promised = any(bar[3] is not None for bar in bars)
     return image, (
         f"{what.capitalize()} error per motion, measured."
@@ -165,16 +170,29 @@ def _main_tables(motions: tuple[MotionOutcome, ...]) -> list[Table]:
             (
                 m.name,
                 _spread(a),
-                _spread(b),
-                _share(b.value / max(a.value, 1e-12) if ratio is None else getattr(m, ratio)),
+                *_after_cells(a, b, None if ratio is None else getattr(m, ratio)),
                 f"{a.peak:.1f}",
-                f"{b.peak:.2f}",
+                f"{b.peak:.2f}" if b.is_known else None,
             )
             for m, a, b in sides
         ]
         columns = ("um", "rms before", "rms after", "after / before", "peak before", "peak after")
         tables.append(Table(columns, rows, caption))
     return tables
+
+
+def _after_cells(
+    before: Spread, after: Spread, ratio: Ratio | None
+) -> tuple[str | None, str | None]:
+    """Rms with compensation and what is left of that without; None where they are not known."""
+    if not after.is_known:
+        return None, None
+    left = after.value / max(before.value, 1e-12) if ratio is None else ratio
+    return _spread(after), _share(left)
+
+
+def _rms(spread: Spread) -> str | None:
+    return f"{spread.value:.2f}" if spread.is_known else None
 
 
 def _spread(spread: Spread) -> str:
@@ -227,7 +245,7 @@ def _promise_tables(motions: tuple[MotionOutcome, ...], floor_um: float) -> list
                     f"{promise[f'{after}_um']:.2f}",
                     None if j is None else f"{j.lower_um:.2f} – {j.upper_um:.2f}",
                     None if j is None else f"{j.most_um:.2f}",
-                    f"{getattr(motion, after).value:.2f}",
+                    _rms(getattr(motion, after)),
                     None if j is None else "kept" if j.is_kept else "MISSED",
                 )
             )
@@ -256,6 +274,9 @@ def _motion_section(verification: Verification, motion: MotionOutcome) -> Sectio
     if first >= min(len(verification.before), len(verification.after)):
         return Section(motion.name, text=["The captures are not at hand."], open=False)
     a, b = verification.before[first], verification.after[first]
+    if not motion.e_r_after.is_known:
+        said = "What the compensation added is not known, so its errors cannot be told apart."
+        return Section(motion.name, text=[said], open=False)
     n = min(a.n, b.n)
     lead, table, age_s = verification.lead, verification.table_correction, verification.scale_age_s
     before = error_signals(a.slice(0, n), lead, None, age_s)

@@ -40,6 +40,7 @@ class ErrorSignals:
     """Errors of one run in m, mean taken out; shape (n,) each.
 
     ``mechanical`` is e without and e_r with compensation, ``control`` e_c, ``total`` their sum.
+    NaN where the desired position is not known.
     """
 
     time_s: FloatArray
@@ -86,19 +87,27 @@ def error_signals(
     if table_correction is not None:
         mechanical = mechanical - table_correction(r)
     use = capture.mask
-    signals = [mechanical, capture.motor_position_m - desired, table - r]
+    control = capture.motor_position_m - desired
+    if not capture.tells_desired:
+        mechanical, control = np.full((2, r.size), np.nan)
+    signals = [mechanical, control, table - r]
     centred = [values - float(np.mean(values[use])) for values in signals]
     return ErrorSignals(capture.time_s, *centred)
 
 
 @dataclass(frozen=True)
 class Spread:
-    """An rms value with its 95 % interval, um."""
+    """An rms value with its 95 % interval, um; NaN where it cannot be told."""
 
     value: float
     lower95: float
     upper95: float
     peak: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the runs tell it."""
+        return math.isfinite(self.value)
 
     @classmethod
     def of(cls, runs: Sequence[FloatArray], period_s: float) -> "Spread":
@@ -224,8 +233,8 @@ class MotionOutcome:
         found: list[JudgedPromise] = []
         for name in PROMISED:
             upper = promise.get(f"{name}_upper_um")
-            if upper is not None:
-                measured: Spread = getattr(self, name)
+            measured: Spread = getattr(self, name)
+            if upper is not None and measured.is_known:
                 lower = promise.get(f"{name}_lower_um", 0.0)
                 most = math.hypot(upper, floor_um)
                 label = name.removesuffix("_after")

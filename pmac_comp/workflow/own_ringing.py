@@ -89,6 +89,8 @@ def own_ringing_remarks(
     """That most of e_r is the loop's own ringing, on motions where it is more than a tenth of e."""
     told: list[str] = []
     for outcome, first, second in zip(outcomes, before, after, strict=True):
+        if not outcome.e_r_after.is_known:
+            continue
         found = own_ringing(first, second, period_s)
         if found.after_um**2 < _MOST_OF_IT * outcome.e_r_beyond_um(floor_um) ** 2:
             continue

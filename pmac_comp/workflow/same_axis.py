@@ -304,6 +304,34 @@ def check_two_sides(before: Sequence[Path], after: Sequence[Path]) -> None:
         )
 
 
+def check_side_marks(before: Mapping[str, Capture], after: Mapping[str, Capture]) -> None:
+    """Refuse runs whose header says that they belong to the other side.
+
+    Parameters
+    ----------
+    before, after : Mapping of str to Capture
+        Name to run, without and with compensation.
+
+    Raises
+    ------
+    ConfigError
+        With the runs.
+    """
+    sides = ((before, "on"), (after, "off"))
+    wrong = [
+        f"{name} says 'compensation = {other}'"
+        for runs, other in sides
+        for name, run in runs.items()
+        if run.attributes.get("compensation") == other
+    ]
+    if wrong:
+        raise ConfigError(
+            f"Runs stand on the wrong side: {', '.join(wrong)}.",
+            code="PC-VER-008",
+            hint="Give runs without it under --before and runs with it under --after.",
+        )
+
+
 def check_not_twice(fit: Mapping[str, str], judge: Mapping[str, str]) -> None:
     """Refuse a capture that would fit and judge at once.
 

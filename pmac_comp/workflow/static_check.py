@@ -226,6 +226,13 @@ def rests_of(capture: Capture) -> list[slice]:
 
 def _rests(capture: Capture) -> tuple[list[Rest], list[Rest]]:
     """Rests after upward and after downward moves."""
+    if not capture.tells_desired:
+        raise CaptureError(
+            "A positioning run with compensation has no column desired_position_mm: where the "
+            "motor should have stopped is not known.",
+            code="PC-ISO-004",
+            hint="Give the files that `verify` wrote, or leave the positioning runs out.",
+        )
     if capture.table_position_m is None:
         raise CaptureError(
             "The capture has no table position.",

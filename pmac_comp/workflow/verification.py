@@ -94,10 +94,11 @@ class Verification:
 
     def reached(self) -> list[str]:
         """What the route reached on all motions together, for people."""
-        if self.mechanical is None or self.total is None:
+        if self.total is None:
             return []
         name = f"route {self.route}" if self.route else "compensation"
-        both = "" if self.holds_lag else f"mechanical error {self.mechanical}, "
+        shown = self.mechanical is not None and not self.holds_lag
+        both = f"mechanical error {self.mechanical}, " if shown else ""
         return [
             f"{name} reached, all motions together, after over before (95 %): {both}total error "
             f"{self.total}"
@@ -112,10 +113,16 @@ class Verification:
         """
         return self.route in MOTION_ROUTES and self.aim is Aim.TOTAL
 
+    @property
+    def tells_mechanics(self) -> bool:
+        """Whether e_r is known on all motions: their runs say what the compensation added."""
+        return all(m.e_r_after.is_known for m in self.motions)
+
     def judged(self) -> list[str]:
         """What of the figures is the sensors' own, and whether the promise was kept, for people."""
         out: list[str] = []
-        if self.motions and self.floor_um > 0.0 and not self.holds_lag:
+        shows_e_r = self.tells_mechanics and not self.holds_lag
+        if self.motions and self.floor_um > 0.0 and shows_e_r:
             beyond = sorted(
                 {f"{m.e_r_beyond_um(self.floor_um):.2f}" for m in self.motions}, key=float
             )
@@ -125,7 +132,7 @@ class Verification:
                 f"and e_r; beyond them e_r is {span} um"
             )
         rounding = [m.rounding_um for m in self.motions if m.rounding_um > 0.0]
-        if rounding and not self.holds_lag:
+        if rounding and shows_e_r:
             out.append(
                 f"the encoder's steps also move the drive, as the loop feeds them back: by the "
                 f"model they make up to {max(rounding):.2f} um rms of e_r, which no law takes away"
@@ -157,6 +164,10 @@ class Verification:
             "`pmac-comp diagnose` on the runs before tells what it lacks"
         ]
 
+    def _shows_ratio(self, outcome: MotionOutcome) -> bool:
+        """Whether the ratio of the mechanical error of a motion is known and says something."""
+        return outcome.e_r_after.is_known and not self.holds_lag
+
     def lines(self) -> list[str]:
         """Table and remarks for people."""
         head = f"  {'motion':44s} {'e -> e_r um':>17s} {'e_c um':>17s} {'total um':>17s}  ratio"
@@ -165,7 +176,7 @@ class Verification:
             out.append(
                 f"  {m.name[:44]:44s} {_pair(m.e_before, m.e_r_after)} "
                 f"{_pair(m.e_c_before, m.e_c_after)} {_pair(m.total_before, m.total_after)}  "
-                + ("" if self.holds_lag else f"{m.mechanical.value:.2f} mech, ")
+                + (f"{m.mechanical.value:.2f} mech, " if self._shows_ratio(m) else "")
                 + f"{m.total.value:.2f} total"
             )
             if m.promise is not None:
@@ -190,7 +201,8 @@ class Verification:
 
 
 def _pair(before: Spread, after: Spread) -> str:
-    return f"{before.value:8.2f}>{after.value:8.3f}"
+    last = f"{after.value:8.3f}" if after.is_known else f"{'-':>8s}"
+    return f"{before.value:8.2f}>{last}"
 
 
 def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
@@ -208,6 +220,8 @@ def interval_texts(outcome: MotionOutcome, floor_um: float) -> list[str]:
 
 def _left_text(outcome: MotionOutcome, floor_um: float) -> str:
     """Share of e that stays, measured and by the model; empty where it is as little as meant."""
+    if not outcome.e_r_after.is_known:
+        return ""
     e_um, left_um = outcome.e_before.value, outcome.e_r_beyond_um(floor_um)
     if left_um <= max(_MEANT_FRAC * e_um, _MEANT_um, floor_um):
         return ""

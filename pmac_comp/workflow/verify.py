@@ -5,6 +5,7 @@ statistics (``outcome``), plots (``report``).
 """
 
 import json
+import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -53,7 +54,12 @@ from pmac_comp.workflow.repeated import Refinement, learned_remarks, refine_moti
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
-from pmac_comp.workflow.same_axis import captures_of, check_one_motion, check_two_sides
+from pmac_comp.workflow.same_axis import (
+    captures_of,
+    check_one_motion,
+    check_side_marks,
+    check_two_sides,
+)
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import check_law_sign
 from pmac_comp.workflow.simulated import Truth
@@ -93,10 +99,12 @@ def verify_files(
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
     for path, capture in zip([*before, *after], [*sides[0], *sides[1]], strict=True):
         require_positions(capture, loaded, path.name)
+    check_side_marks(*(_by_name(*side) for side in zip((before, after), sides, strict=True)))
+    sides[1] = [capture.with_attributes(compensation="on") for capture in sides[1]]
     compensation = None if law is None else read_compensation(law)
-    runs = {str(path): capture for path, capture in zip(after, sides[1], strict=True)}
+    runs = _by_name(after, sides[1])
     told = check_acted(runs, compensation, str(law), loaded)
-    remarks = (*told, *([_NO_FILE] if law is None else []))
+    remarks = (*told, *_unknown_remarks(runs), *([_NO_FILE] if law is None else []))
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     if not first and not second and (static is not None or ringing is not None):
@@ -115,7 +123,7 @@ def verify_files(
             lead=compensation.lead if compensation else None,
             table_correction=compensation.table_correction(loaded) if compensation else None,
             scale_age_s=_age_s(compensation),
-            promise=None if promiser is None else promiser.of_run(b[0]),
+            promise=_promise_of(promiser, b[0]),
         )
         for name, (a, b) in groups.items()
     ]
@@ -128,6 +136,30 @@ def verify_files(
         ringing=ringing,
         static=static,
         remarks=remarks,
+    )
+
+
+def _by_name(paths: Sequence[Path], captures: Sequence[Capture]) -> dict[str, Capture]:
+    return {str(path): capture for path, capture in zip(paths, captures, strict=True)}
+
+
+def _promise_of(promiser: Promiser | None, after: Capture) -> Mapping[str, float] | None:
+    """Promise for a stored run; one of a known motion goes by the command that was drawn."""
+    drawn = promiser is not None and promiser.compensation.route in MOTION_ROUTES
+    if promiser is None or (drawn and not after.tells_desired):
+        return None
+    return promiser.of_run(after)
+
+
+def _unknown_remarks(runs: Mapping[str, Capture]) -> tuple[str, ...]:
+    """That runs with compensation do not tell what it added."""
+    silent = [Path(name).name for name, run in runs.items() if not run.tells_desired]
+    if not silent:
+        return ()
+    return (
+        f"{len(silent)} of {len(runs)} runs with it have no column desired_position_mm "
+        f"({', '.join(silent[:3])}{', ...' if silent[3:] else ''}), so what the compensation added "
+        "is not known: of their motions e_r and e_c cannot be told, only the total error is judged",
     )
 
 
@@ -484,7 +516,8 @@ def summed_up(
         if not first or not second:
             return None
         sides = [[getattr(s, which) for run in runs for s in run] for runs in (first, second)]
-        return Ratio.of(sides[0], sides[1], bench.servo_period_s)
+        found = Ratio.of(sides[0], sides[1], bench.servo_period_s)
+        return found if math.isfinite(found.value) else None
 
     floor = sensor_floor_um(bench)
     own = own_ringing_remarks(outcomes, first, second, floor, bench.servo_period_s)

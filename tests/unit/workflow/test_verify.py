@@ -11,7 +11,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.report.verification import verification_sections
+from pmac_comp.report.verification import headline, verification_sections
 from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.outcome import Ratio, Spread, error_signals, outcome_of, sensor_floor_um
@@ -326,3 +326,57 @@ def test_a_scale_that_counts_the_other_way_is_no_error_of_the_axis(tmp_path: Pat
     write_capture(after, replace(good, table_position_m=-good.table_position_m))
     with pytest.raises(CaptureError, match="counts against the motor"):
         verify_files("paper", [before], [after])
+
+
+def without_desired(capture: Capture) -> Capture:
+    """A run as other programs write it: the column is optional."""
+    return replace(capture, desired_position_m=None)
+
+
+def test_runs_that_do_not_tell_what_was_added_are_judged_by_their_total_error(
+    tmp_path: Path,
+) -> None:
+    """The correction was taken as none: e_r of 0.3 um was told as 3.3 um, its promise as missed."""
+    before, after, told = (tmp_path / f"{name}.csv" for name in ("before", "after", "told"))
+    write_capture(before, without_desired(run(correction_um=0.0, e_um=3.0, control_um=10.0)))
+    acted = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
+    write_capture(after, without_desired(acted))
+    write_capture(told, acted)
+    found, whole = (verify_files("paper", [before], [path]) for path in (after, told))
+    (motion,) = found.motions
+    assert motion.e_before.value == pytest.approx(3.0, rel=0.01)
+    assert motion.total == whole.motions[0].total
+    assert not motion.e_r_after.is_known
+    assert found.mechanical is None
+    promised = {"e_r_after_um": 0.3, "e_r_after_upper_um": 0.4, "total_after_upper_um": 2.0}
+    assert [j.quantity for j in replace(motion, promise=promised).judged(0.0)] == ["total"]
+    text = "\n".join(found.lines())
+    assert "nan" not in text
+    assert " mech, " not in text
+    assert "after.csv), so what the compensation added is not known" in text
+    assert "desired_position_mm" not in "\n".join(whole.lines())
+
+
+def test_a_page_of_runs_that_do_not_tell_what_was_added_shows_no_figure_for_it() -> None:
+    before = run(correction_um=0.0, e_um=3.0, control_um=10.0)
+    after = without_desired(run(correction_um=-3.0, e_um=3.3, control_um=1.0))
+    after = after.with_attributes(compensation="on")
+    outcome = outcome_of("a", [before], [after])
+    found = summed_up([outcome], [([before], [after])], BENCH, None, simulated=False)
+    assert [name.split(" error")[0] for _, name in headline(found)] == ["total"]
+    sections = verification_sections(found)
+    cells = [cell for s in sections for t in s.tables for row in t.rows for cell in row]
+    assert cells.count(None) == 6  # rms, ratio and peak of e_r and of e_c
+    assert not any("nan" in str(cell) for cell in cells)
+
+
+def test_stored_runs_on_the_wrong_side_are_refused_by_their_header(tmp_path: Path) -> None:
+    off, on = tmp_path / "before.h5", tmp_path / "after.h5"
+    bare = run(correction_um=0.0, e_um=3.0, control_um=10.0)
+    write_capture(off, bare.with_attributes(compensation="off"))
+    better = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
+    write_capture(on, better.with_attributes(compensation="on"))
+    assert verify_files("paper", [off], [on]).motions
+    with pytest.raises(ConfigError, match=r"after\.h5 says 'compensation = on'.*before\.h5") as e:
+        verify_files("paper", [on], [off])
+    assert e.value.code == "PC-VER-008"
