@@ -21,7 +21,9 @@ from pmac_comp.files.model_file import ModelFile
 _OF_THE_AXIS = (
     "screw.pitch_mm",
     "encoder.counts_per_rev",
+    "encoder.motor_number",
     "scale.resolution_um",
+    "scale.motor_number",
     "drive.torque_per_dac_Nm",
 )
 PERIOD_TOLERANCE = 1e-3

@@ -50,6 +50,17 @@ def test_another_encoder_is_named_with_both_values():
     assert "pmac-comp convert a.h5" in str(caught.value.hint)
 
 
+@pytest.mark.parametrize(("table", "number"), [("encoder", 1), ("scale", 2)])
+def test_another_motor_of_like_hardware_is_another_axis(table, number):
+    """The lead error of axis 1 went into the compensation of axis 2, of the same make."""
+    head, tail = BENCH.text.split(f"[{table}]")
+    line = f"motor_number = {number}"
+    assert line in tail
+    text = f"{head}[{table}]{tail.replace(line, 'motor_number = 7', 1)}"
+    with pytest.raises(ConfigError, match=rf"{table}\.motor_number 7 in the capture, {number} in"):
+        check_same_axis(capture(text), BENCH, "a.h5")
+
+
 def test_other_gains_are_refused_where_the_loop_is_simulated():
     text = BENCH.text.replace("I130 = 139449", "I130 = 100000")
     check_same_axis(capture(text), BENCH, "a.h5")
