@@ -8,7 +8,7 @@ from typing import Any
 from pmac_comp.base.errors import ModelError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, told_by
-from pmac_comp.workflow.same_axis import captures_of
+from pmac_comp.workflow.same_axis import captures_of, check_no_copies
 
 Progress = Callable[[str, float], None]
 
@@ -32,6 +32,7 @@ def compare_files(
 
     loaded = load_bench(bench)
     given = captures_of(captures, loaded), captures_of(validate, loaded)
+    check_no_copies([str(p) for p in (*captures, *validate)], [*given[0], *given[1]])
     if loaded.scale is None:
         return _compare_rigid(given[0] + given[1], loaded, progress)
     found = compare_models(*given, loaded, progress=progress)

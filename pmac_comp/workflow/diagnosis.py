@@ -13,6 +13,7 @@ from pmac_comp.files.model_file import ModelFile, write_model, written_for
 from pmac_comp.workflow.identification import acted_in, load_model, user_effects
 from pmac_comp.workflow.same_axis import (
     check_channels,
+    check_no_copies,
     check_not_twice,
     check_same_loop,
     check_scales,
@@ -152,6 +153,8 @@ def diagnose_files(
     digests = {path: file_digest(path) for path in [*captures, *validate]}
     check_not_twice({str(p): digests[p] for p in captures}, {str(p): digests[p] for p in validate})
     read = {path: _named(read_capture(path), path) for path in digests}
+    given = [*captures, *validate]
+    check_no_copies([str(path) for path in given], [read[path] for path in given])
     for path, capture in read.items():
         check_scales(capture, loaded, path.name)
         check_same_loop(capture, loaded, path.name)

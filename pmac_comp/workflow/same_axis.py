@@ -31,6 +31,7 @@ _PERIOD = "controller.servo_period_us"
 _COARSEST = 200.0  # servo periods per sample: below 12 Hz nothing of a drive is seen
 _TRAVELS = 1.5  # a command may reach over a travel that is stated too tightly
 _FAR = 10.0  # times the farthest end: a zero that lies elsewhere, and no other unit
+_SAME_SAMPLES = 1e-9  # m or N m: below every resolution, above what the digits of a CSV lose
 _SAME_MOTION_FRAC = 0.05  # of the stroke: a run may begin some samples later than another
 
 
@@ -42,9 +43,10 @@ def captures_of(paths: Sequence[Path], bench: Bench) -> list[Capture]:
     CaptureError
         A file cannot be read.
     ConfigError
-        Another axis, or not sampled at the servo period or a multiple of it.
+        Another axis, not sampled at the servo period or a multiple of it, or one run twice.
     """
     found = [read_capture(path) for path in paths]
+    check_no_copies([str(path) for path in paths], found)
     for path, capture in zip(paths, found, strict=True):
         check_same_axis(capture, bench, path.name)
         check_scales(capture, bench, path.name)
@@ -304,6 +306,56 @@ def check_two_sides(before: Sequence[Path], after: Sequence[Path]) -> None:
             code="PC-WRK-006",
             hint="Give runs without it under --before and runs with it under --after.",
         )
+
+
+def check_no_copies(names: Sequence[str], captures: Sequence[Capture]) -> None:
+    """Refuse one run given twice, also as a copy or in another format: it is evidence once.
+
+    Parameters
+    ----------
+    names, captures : sequence of str, sequence of Capture
+        What is to be counted together.
+
+    Raises
+    ------
+    ConfigError
+        With the copies.
+    """
+    given = list(zip(names, captures, strict=True))
+    twice = [
+        f"{name} is {first}"
+        for i, (name, capture) in enumerate(given)
+        for first in [next((n for n, other in given[:i] if _is_copy(capture, other)), "")]
+        if first
+    ]
+    if twice:
+        raise ConfigError(
+            f"One run is given twice: {', '.join(twice)}.",
+            code="PC-WRK-008",
+            hint="Give each run once: a copy would count as a second measurement.",
+        )
+
+
+def _is_copy(one: Capture, other: Capture) -> bool:
+    """Whether two captures hold the same samples in every column that both have.
+
+    A run at rest is none: a quiet sensor reads the same twice.
+    """
+    if one is other:
+        return True
+    if one.n != other.n or not np.ptp(one.commanded_position_m):
+        return False
+    pairs = (
+        (one.commanded_position_m, other.commanded_position_m),
+        (one.motor_position_m, other.motor_position_m),
+        (one.table_position_m, other.table_position_m),
+        (one.torque_command_Nm, other.torque_command_Nm),
+    )
+    return all(
+        np.allclose(a, b, rtol=0.0, atol=_SAME_SAMPLES, equal_nan=True)
+        for a, b in pairs
+        if a is not None and b is not None
+    )
 
 
 def check_side_marks(before: Mapping[str, Capture], after: Mapping[str, Capture]) -> None:

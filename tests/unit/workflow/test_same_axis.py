@@ -13,6 +13,7 @@ from pmac_comp.files.model_file import ModelFile, written_for
 from pmac_comp.workflow.same_axis import (
     captures_of,
     check_channels,
+    check_no_copies,
     check_not_twice,
     check_one_motion,
     check_same_axis,
@@ -107,6 +108,27 @@ def test_a_capture_cannot_fit_and_judge():
     check_not_twice({"a.h5": "1"}, {"b.h5": "2"})
     with pytest.raises(CaptureError, match=r"copy\.h5 \(a\.h5\)"):
         check_not_twice({"a.h5": "1"}, {"copy.h5": "1"})
+
+
+@pytest.mark.parametrize("copy", ["a.h5", "copy.h5", "a.csv", "short.csv"])
+def test_a_run_counts_once_also_as_a_copy_or_in_another_format(tmp_path, copy):
+    """A pair given four times had an interval of half the width."""
+    noise = np.random.default_rng(1).normal(0.0, 1e-6, (2, 1000))
+    run = moving(0.02, 0.1)
+    first, second = (replace(run, motor_position_m=run.motor_position_m + n) for n in noise)
+    write_capture(tmp_path / "a.h5", replace(first, table_position_m=first.motor_position_m))
+    write_capture(tmp_path / "b.h5", second)
+    assert len(captures_of([tmp_path / "a.h5", tmp_path / "b.h5"], BENCH)) == 2
+    if copy != "a.h5":
+        write_capture(tmp_path / copy, first)
+    given = [tmp_path / name for name in ("a.h5", "b.h5", copy)]
+    with pytest.raises(ConfigError, match=rf"given twice: \S*{copy} is \S*a\.h5\.") as refused:
+        captures_of(given, BENCH)
+    assert refused.value.code == "PC-WRK-008"
+
+
+def test_runs_at_rest_are_no_copies_of_each_other():
+    check_no_copies(["a.h5", "b.h5"], [capture(), capture()])
 
 
 def test_a_model_of_another_axis_is_refused_with_both_names_and_values():

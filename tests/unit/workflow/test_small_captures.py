@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.errors import ConfigError, NotIdentifiable
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.physics import identify
 from pmac_comp.workflow import diagnosis, identification
 
@@ -63,7 +63,7 @@ def test_runs_with_a_compensation_on_are_named(
     assert statements[-1] == "one thing"
 
 
-def test_a_diagnosis_names_every_run_with_a_compensation_on(
+def test_a_diagnosis_names_every_run_with_a_compensation_on_and_takes_none_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     @dataclass(frozen=True)
@@ -83,3 +83,7 @@ def test_a_diagnosis_names_every_run_with_a_compensation_on(
     found = diagnosis.diagnose_files(paths[:2], paths[2:], "paper")
     assert "2 of 3 captures were made with a compensation on: b.h5, c.h5." in found.remark
     assert diagnosis.diagnose_files(paths[:1], (), "paper").remark == ""
+    write_capture(tmp_path / "a.csv", read_capture(paths[0]))
+    for fit, judge in (([*paths[:1], tmp_path / "a.csv"], ()), (paths[:1], [tmp_path / "a.csv"])):
+        with pytest.raises(ConfigError, match=r"a\.csv is \S*a\.h5"):
+            diagnosis.diagnose_files(fit, judge, "paper")

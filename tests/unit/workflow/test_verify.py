@@ -192,7 +192,7 @@ def test_runs_of_an_interrupted_verification_are_kept_and_can_be_compared(tmp_pa
     kept = KeptRuns(tmp_path / "runs")
     bare = run(correction_um=0.0, e_um=3.0, control_um=10.0)
     better = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
-    alone = run(correction_um=0.0, e_um=3.0, control_um=10.0, motion="b")
+    alone = run(correction_um=0.0, e_um=3.0, control_um=11.0, motion="b")
     for capture, on in ((bare, "off"), (better, "on"), (alone, "off")):
         kept.keep(capture.with_attributes(compensation=on))
     assert kept.names == {"before": ["before_01.h5", "before_02.h5"], "after": ["after_01.h5"]}
@@ -216,7 +216,8 @@ def test_stored_runs_are_held_against_the_compensation_that_acted_only(tmp_path:
     write_capture(before, run(correction_um=0.0, e_um=3.0, control_um=10.0))
     with_it = run(correction_um=-3.0, e_um=3.3, control_um=1.0)
     write_capture(after, with_it.with_attributes(**acted.marks))
-    write_capture(mixed, with_it.with_attributes(**other.marks))
+    second = run(correction_um=-3.0, e_um=3.2, control_um=1.1)
+    write_capture(mixed, second.with_attributes(**other.marks))
 
     def compared(*runs: Path, law: str = "") -> tuple[str, ...]:
         named = tmp_path / f"{law}.json" if law else None
