@@ -87,7 +87,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command and leave with its exit code (0 done, 2..9 and 70 by error class)."""
     words = output.spell_out_json(list(sys.argv[1:] if arguments is None else arguments))
     words = output.spell_out_lists(words)
-    wants_json = output.JSON_STDOUT in words
     _end_in_order()
     try:
         try:
@@ -95,9 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         finally:
             sys.stdout.flush()
     except PmacCompError as error:
-        output.show_error(error, wants_json)
-        output.keep_error(error, words)
-        sys.exit(error.exit_code)
+        _fail(error, words)
     except KeyboardInterrupt as ended:
         _say_interrupted(words, ended)
         sys.exit(_INTERRUPTED)
@@ -106,26 +103,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _say_interrupted(words, left)
         if isinstance(left.__context__, BrokenPipeError):  # typer leaves with 1 then
             _end_unread(words)
-        if wants_json and left.code == ConfigError.exit_code:
-            _write_usage(left.__context__)
+        if left.code == ConfigError.exit_code:
+            _write_usage(left.__context__, words)
         raise
     except BrokenPipeError:
         _end_unread(words)
     except OSError as error:
-        refused = _as_refusal(error) if _is_of_the_user(error) else _as_bug(error)
-        output.show_error(refused, wants_json)
-        sys.exit(refused.exit_code)
+        _fail(_as_refusal(error) if _is_of_the_user(error) else _as_bug(error), words)
     except Exception as error:
-        output.show_error(_as_bug(error), wants_json)
-        sys.exit(InternalError.exit_code)
+        _fail(_as_bug(error), words)
 
 
-def _write_usage(error: BaseException | None) -> None:
+def _fail(error: PmacCompError, words: Sequence[str]) -> NoReturn:
+    """End with an error, for people and where ``--json`` asks for it."""
+    output.show_error(error, output.JSON_STDOUT in words)
+    output.keep_error(error, words)
+    sys.exit(error.exit_code)
+
+
+def _write_usage(error: BaseException | None, words: Sequence[str]) -> None:
     """What typer has said of wrong usage, as the document that ``--json`` asks for."""
     told = getattr(error, "format_message", None)
-    if told is not None:
-        refused = ConfigError(told(), code="PC-CLI-005", hint="`--help` tells the usage.")
+    if told is None:
+        return
+    refused = ConfigError(told(), code="PC-CLI-005", hint="`--help` tells the usage.")
+    if output.JSON_STDOUT in words:
         output.write_json("-", {"error": output.describe_error(refused)})
+    output.keep_error(refused, words)
 
 
 def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:

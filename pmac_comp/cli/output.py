@@ -321,13 +321,18 @@ _UNUSABLE = frozenset({"PC-CLI-001", "PC-CLI-002", "PC-CLI-014", "PC-CLI-015", "
 def keep_error(error: PmacCompError, words: Iterable[str]) -> None:
     """Error as JSON in the file of ``--json``: an earlier result there would be taken for this one.
 
-    Not where the error is that this file cannot be used, or is an input.
+    Not where the error is that this file cannot be used, or is an input. With wrong usage nobody
+    has looked at that yet.
     """
-    named = [word.removeprefix("--json=") for word in words if word.startswith("--json=")]
-    if not named or named[-1] == "-" or error.code in _UNUSABLE:
+    targets = [word.removeprefix("--json=") for word in words if word.startswith("--json=")]
+    others = [word.rpartition("=")[2] for word in words if not word.startswith("--json=")]
+    if not targets or targets[-1] == "-" or error.code in _UNUSABLE:
         return
     with suppress(PmacCompError, OSError):
-        write_json(named[-1], {"error": describe_error(error)})
+        target = Path(targets[-1])
+        if target.resolve() not in _paths(others):
+            _refuse_other_kind(target, "")
+            write_json(targets[-1], {"error": describe_error(error)})
 
 
 def describe_error(error: PmacCompError) -> dict[str, Any]:

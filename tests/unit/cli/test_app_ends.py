@@ -71,6 +71,54 @@ def test_a_failed_command_leaves_no_earlier_result_in_the_file_of_json(tmp_path:
     assert json.loads(kept.read_text())["error"]["code"] == "PC-DEP-002"
 
 
+@pytest.mark.parametrize(
+    "wrong", [["info"], ["status", "sim://", "--benhc", "x"], ["upload", "sim://"]]
+)
+def test_wrong_usage_leaves_no_earlier_result_in_the_file_of_json(
+    tmp_path: Path, wrong: list[str]
+) -> None:
+    kept = tmp_path / "result.json"
+    kept.write_text('{"kind": "status"}')
+    with pytest.raises(SystemExit) as left:
+        app.main([*wrong, "--json", str(kept)])
+    assert left.value.code == 2
+    assert json.loads(kept.read_text())["error"]["code"] == "PC-CLI-005"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"compensation_version": 1}', []),
+        ('{"model_version": 1}', []),
+        ('{"kind": "x"}', ["--effects={}"]),
+    ],
+)
+def test_wrong_usage_writes_over_no_file_that_others_build_on(
+    tmp_path: Path, text: str, words: list[str]
+) -> None:
+    kept = tmp_path / "kept.json"
+    kept.write_text(text)
+    given = [word.format(kept) for word in words]
+    with pytest.raises(SystemExit):
+        app.main(["identify", "--benhc", *given, "--json", str(kept)])
+    assert kept.read_text() == text
+
+
+def test_a_bug_is_told_in_the_file_of_json_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "result.json"
+    kept.write_text('{"kind": "status"}')
+
+    def run(**_: Any) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(app, "app", run)
+    with pytest.raises(SystemExit):
+        app.main(["status", f"--json={kept}"])
+    assert json.loads(kept.read_text())["error"]["code"] == "PC-BUG-001"
+
+
 @pytest.mark.parametrize("taken_by", ["nobody", "typer"])
 def test_an_interruption_tells_what_was_kept(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], taken_by: str
