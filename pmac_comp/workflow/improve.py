@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, ModelError, PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, holds_runs
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
@@ -167,13 +167,13 @@ def improve_on_controller(
     Raises
     ------
     ConfigError
-        The route is for one known motion, the bench has no scale, or the folder holds an earlier
-        improvement.
+        The route is for one known motion, the bench has no scale, or the folder holds runs or an
+        earlier improvement.
     """
     require_many_motions(route)
     loaded = load_bench(bench)
     require_scale(loaded, "an improvement")
-    require_new([*_run_paths(out, loaded), out / _RESULT], out)
+    require_new([*_runs_in(out), out / _RESULT], out)
     with open_axis(url, bench) as axis:
         axis.setup.store = out / JOURNAL  # before the lease is taken: it goes by the folder
         with measuring(axis, url), _told_what_is_left(out), motor_as_found(axis):
@@ -249,6 +249,12 @@ def _run_paths(out: Path, bench: Bench) -> list[Path]:
     """Files of the runs that the models are fitted to."""
     n = len(calibration_motions(bench)) + len(lead_motions(bench))
     return [out / f"calibration_{i + 1:02d}.h5" for i in range(n)]
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    """Runs of any command in a folder: those of an improvement are never mixed with others."""
+    found = (folder.glob(pattern) for pattern in ("*", "verification_*/*"))
+    return sorted(path for paths in found for path in paths if holds_runs(path))
 
 
 @contextmanager

@@ -6,9 +6,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ConfigError, LinkLost, NotIdentifiable
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow import improve
 from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_controller, is_better
 from pmac_comp.workflow.verification import Verification
@@ -233,3 +235,16 @@ def test_runs_that_the_diagnosis_asks_for_begin_with_the_compensation_off(
     assert result.diagnosis.removal == (
         f"pmac-comp remove tcp://card:1 --bench paper --journal {tmp_path / 'out' / 'journal'}"
     )
+
+
+@pytest.mark.parametrize(
+    "left", ["before_01.h5", "calibration_01.h5", "verification_first/static_after_02.h5"]
+)
+def test_a_folder_with_runs_of_any_command_is_refused(tmp_path: Path, left: str) -> None:
+    """A `verify` folder was accepted: its runs lay among those of the improvement."""
+    (tmp_path / left).parent.mkdir(exist_ok=True)
+    still = np.zeros(100)
+    write_capture(tmp_path / left, Capture(1e-3 * np.arange(100), still, still))
+    with pytest.raises(ConfigError, match=rf"holds {Path(left).name}") as refused:
+        improve_on_controller("sim://", "paper", tmp_path)
+    assert refused.value.code == "PC-CAL-004"
