@@ -8,7 +8,8 @@ import math
 from typing import TYPE_CHECKING
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
-from pmac_comp.files.bench import Bench, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
+from pmac_comp.files.bench import Bench, Drive, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
+from pmac_comp.machine.controller.law_bank import BLOCK_SIZE
 from pmac_comp.workflow.bench_view import resonance_Hz, tuned_motors
 
 if TYPE_CHECKING:
@@ -18,12 +19,17 @@ _RESONANCE_MARGIN = 0.25
 # Wide enough for every catalogue axis: what lies outside differs by a power of ten, as units do.
 _PITCH_mm = (0.5, 80.0)
 _COUNT_um = (1e-4, 50.0)
+_SCALE_um = (5e-4, 50.0)  # the finest scales of such axes are read to a nanometre
+_DELAY_us = (5.0, 20_000.0)
+_CLOCK_MHz = (10.0, 1000.0)
+_CORRECTION_um = (0.5, 2000.0)
+_ENABLE_STEP_um = (0.05, 500.0)
+_SPEED_mm_per_s = (1.0, 5000.0)
 _RESONANCE_Hz = (5.0, 3000.0)
 _GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
 _DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
 _FULL_DAC = 32768.0
 _PEAK_OF_SENSITIVITY = 2.5  # 1.3 to 2 is usual (Aastroem and Murray, Feedback Systems, 10.3)
-_NO_LIMIT_Nm = 999.0  # benches without torque data state a limit that is never met
 
 
 def remarks(bench: Bench) -> list[str]:
@@ -100,6 +106,8 @@ def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:
 def implausible(bench: Bench) -> list[str]:
     """Remarks on figures that lie far outside what ball-screw axes have, with the unit to check."""
     out = _sizes(bench)
+    out += _times_and_limits(bench)
+    out += _on_the_card(bench)
     out += _screw(bench)
     out += _output(bench)
     out += _acceleration(bench)
@@ -118,7 +126,7 @@ def _sizes(bench: Bench) -> list[str]:
     count_um = bench.motor_resolution_m * UM_PER_M
     if _outside(count_um, _COUNT_um):
         out.append(f"one encoder count is {count_um:.3g} um: check pitch_mm and counts_per_rev")
-    if scale_m is not None and _outside(scale_m * UM_PER_M, _COUNT_um):
+    if scale_m is not None and _outside(scale_m * UM_PER_M, _SCALE_um):
         out.append(f"resolution_um = {scale_m * UM_PER_M:g} is no linear scale's; one count in um")
     if screw.root_diameter_mm is not None and screw.root_diameter_mm > screw.diameter_mm:
         out.append(
@@ -130,6 +138,44 @@ def _sizes(bench: Bench) -> list[str]:
         out.append(
             f"mass, inertias and stiffnesses give a first resonance of {computed:.3g} Hz: check "
             "their units in [nominal]"
+        )
+    return out
+
+
+def _times_and_limits(bench: Bench) -> list[str]:
+    """Figures that are held against bounds alone, with the unit that is meant."""
+    safety, delay_us = bench.safety, bench.nominal.actuator_delay_us
+    stated = (
+        ("max_correction_um", safety.max_correction_um, _CORRECTION_um, "um"),
+        ("max_enable_step_um", safety.max_enable_step_um, _ENABLE_STEP_um, "um"),
+        ("max_speed_mm_per_s", safety.max_speed_mm_per_s, _SPEED_mm_per_s, "mm/s"),
+        ("actuator_delay_us", delay_us or None, _DELAY_us, "us"),
+        ("cpu_clock_MHz", bench.controller.cpu_clock_MHz, _CLOCK_MHz, "MHz"),
+    )
+    return [
+        f"{key} = {value:g} is outside what ball-screw axes have, {bounds[0]:g} to {bounds[1]:g} "
+        f"{unit}"
+        for key, value, bounds, unit in stated
+        if value is not None and _outside(value, bounds)
+    ]
+
+
+def _on_the_card(bench: Bench) -> list[str]:
+    """What a card would not close the loop or take a compensation with."""
+    law, motor = bench.controller, bench.encoder.motor_number
+    if law.kind != "pmac":
+        return []
+    out = []
+    if law.ivariables.get(f"I{motor}30") == 0.0:
+        out.append(f"I{motor}30 = 0: with no gain the loop of motor #{motor} holds nothing")
+    size = law.p_block[1] - law.p_block[0] + 1
+    if size < BLOCK_SIZE:
+        out.append(f"p_block has {size} P-variables, a law needs {BLOCK_SIZE}")
+    if law.cam_motor_number in bench.motor_numbers:
+        whose = "axis" if law.cam_motor_number == motor else "scale"
+        out.append(
+            f"cam_motor_number = {law.cam_motor_number} is the motor of the {whose}; the route cam "
+            "needs one that nothing uses"
         )
     return out
 
@@ -155,12 +201,13 @@ def _screw(bench: Bench) -> list[str]:
 def _output(bench: Bench) -> list[str]:
     drive = bench.drive
     full_Nm = drive.torque_per_dac_Nm * _FULL_DAC
-    known = bench.controller.kind == "pmac" and drive.torque_limit_Nm < _NO_LIMIT_Nm
+    no_limit_Nm = Drive.model_fields["torque_limit_Nm"].default
+    known = bench.controller.kind == "pmac" and drive.torque_limit_Nm != no_limit_Nm
     if not known or not _outside(full_Nm / drive.torque_limit_Nm, _DAC_SHARE):
         return []
     return [
         f"the full output of 32768 DAC units gives {full_Nm:.3g} N m, torque_limit_Nm is "
-        f"{drive.torque_limit_Nm:g}: check torque_per_dac_Nm (torque of one unit)"
+        f"{drive.torque_limit_Nm:g}: check both; torque_per_dac_Nm is the torque of one unit"
     ]
 
 

@@ -26,11 +26,29 @@ def test_existing_benches_are_plausible(name):
         ("screw_inertia_kgm2 = 2.557e-4", "screw_inertia_kgm2 = 2.557", "a steel screw of 25 mm"),
         ("screw_rigidity_N = 7.83e7", "screw_rigidity_N = 7.83e4", "a steel screw of 25 mm"),
         ("torque_per_dac_Nm = 5.8319e-4", "torque_per_dac_Nm = 19.11", "torque of one unit"),
+        ("torque_limit_Nm = 19.11", "torque_limit_Nm = 19110", "torque_limit_Nm is 19110"),
+        ("resolution_um = 0.125", "resolution_um = 0.000125", "no linear scale's"),
+        ("max_correction_um = 60.0", "max_correction_um = 60000", "60000 is outside"),
+        ("max_correction_um = 60.0", "max_correction_um = 0.06", "0.06 is outside"),
+        ("max_enable_step_um = 5.0", "max_enable_step_um = 5000", "0.05 to 500 um"),
+        ("max_speed_mm_per_s = 500.0", "max_speed_mm_per_s = 500000", "1 to 5000 mm/s"),
+        ("cpu_clock_MHz = 80.0", "cpu_clock_MHz = 80e6", "10 to 1000 MHz"),
+        ("actuator_delay_us = 442.0", "actuator_delay_us = 0.442", "5 to 20000 us"),
+        ("I130 = 139449", "I130 = 0", "no gain the loop of motor #1"),
+        ("p_block = [7000, 7199]", "p_block = [7000, 7100]", "has 101 P-variables"),
+        ("cam_motor_number = 8", "cam_motor_number = 1", "is the motor of the axis"),
+        ("cam_motor_number = 8", "cam_motor_number = 2", "is the motor of the scale"),
     ],
 )
 def test_a_value_in_another_unit_is_remarked_on(old, new, said):
     assert old in TEXT
     assert said in " ".join(remarks(parse_bench(TEXT.replace(old, new, 1))))
+
+
+def test_a_torque_limit_that_is_not_stated_is_held_against_nothing():
+    text = TEXT.replace("torque_limit_Nm = 19.11", "")
+    assert text != TEXT
+    assert implausible(parse_bench(text)) == []
 
 
 @pytest.mark.parametrize(
