@@ -366,7 +366,7 @@ def load_bench(path: Path | str) -> Bench:
     if not source.exists():
         raise ConfigError(f"There is no bench file {source}.", code="PC-CFG-002", hint=known)
     try:
-        text = source.read_text(encoding="utf-8")
+        text = source.read_text(encoding="utf-8-sig")  # some editors put a byte order mark first
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"The bench file {source} cannot be read: {why(error)}.",

@@ -6,6 +6,7 @@ them (``capture``, ``model_file``, ``bench`` and those of the upper layers).
 
 import json
 import re
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +29,7 @@ def kind_to_keep(path: Path) -> str:
         return ""
     if holds_runs(path):
         return "capture"
-    content = path.read_bytes().lstrip()
+    content = path.read_bytes().removeprefix(BOM_UTF8).lstrip()
     if content.startswith(b"{"):
         return _kind_of_json(content)
     # The page of a report may quote a bench file.

@@ -214,7 +214,9 @@ def identify_files(
         )
     except NotIdentifiable as error:
         longest_mm = max(float(np.ptp(c.commanded_position_m)) for c in read) * MM_PER_M
-        if longest_mm < _HARDLY_ANY_mm:
+        if longest_mm == 0.0:
+            error.add_note("Nothing moves: the command of every capture is at rest.")
+        elif longest_mm < _HARDLY_ANY_mm:
             error.add_note(
                 f"No capture commands more than {longest_mm:.3g} mm: are its positions in m? They "
                 "are in mm."

@@ -6,6 +6,7 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import bundled_benches, load_bench, parse_bench
+from pmac_comp.files.kinds import kind_to_keep
 from pmac_comp.files.resources import data_folder
 from pmac_comp.workflow.bench_remarks import remarks
 
@@ -15,6 +16,14 @@ def test_every_bundled_bench_loads(name):
     bench = load_bench(name)
     assert bench.servo_period_s > 0.0
     assert bench.travel.min_mm < bench.mid_travel_m * 1e3 < bench.travel.max_mm
+
+
+def test_a_byte_order_mark_is_no_statement(tmp_path):
+    file = tmp_path / "bench.toml"
+    file.write_text(load_bench("paper").text, encoding="utf-8-sig")
+    assert load_bench(str(file)) == load_bench("paper")
+    file.write_text("config_version = 1\n", encoding="utf-8-sig")
+    assert kind_to_keep(file) == "bench file"
 
 
 def test_the_servo_period_follows_from_the_clock_not_from_2262_Hz():

@@ -22,7 +22,7 @@ class _Found:
     statements: tuple[str, ...]
 
 
-@pytest.mark.parametrize(("span_m", "n_told"), [(20e-6, 1), (20e-3, 0)])
+@pytest.mark.parametrize(("span_m", "n_told"), [(20e-6, 1), (20e-3, 0), (0.0, 0)])
 def test_captures_that_hardly_move_are_asked_for_their_unit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, span_m: float, n_told: int
 ) -> None:
@@ -38,6 +38,7 @@ def test_captures_that_hardly_move_are_asked_for_their_unit(
         identification.identify_files([file], "paper")
     notes = getattr(refused.value, "__notes__", [])
     assert sum("are its positions in m?" in note for note in notes) == n_told
+    assert any("Nothing moves" in note for note in notes) is (span_m == 0.0)
 
 
 @pytest.mark.parametrize(
