@@ -56,7 +56,6 @@ from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.same_axis import (
     captures_of,
-    check_no_copies,
     check_one_motion,
     check_side_marks,
     check_two_sides,
@@ -98,9 +97,7 @@ def verify_files(
     loaded = load_bench(bench)
     check_two_sides(before, after)
     sides = [captures_of(before, loaded), captures_of(after, loaded)]
-    both = [*before, *after], [*sides[0], *sides[1]]
-    check_no_copies([str(path) for path in both[0]], both[1])
-    for path, capture in zip(*both, strict=True):
+    for path, capture in zip([*before, *after], [*sides[0], *sides[1]], strict=True):
         require_positions(capture, loaded, path.name)
     check_side_marks(*(_by_name(*side) for side in zip((before, after), sides, strict=True)))
     sides[1] = [capture.with_attributes(compensation="on") for capture in sides[1]]
