@@ -31,6 +31,7 @@ _PERIOD = "controller.servo_period_us"
 _COARSEST = 200.0  # servo periods per sample: below 12 Hz nothing of a drive is seen
 _TRAVELS = 1.5  # a command may reach over a travel that is stated too tightly
 _FAR = 10.0  # times the farthest end: a zero that lies elsewhere, and no other unit
+_START = "start_utc"
 _SAME_SAMPLES = 1e-9  # m or N m: below every resolution, above what the digits of a CSV lose
 _SAME_MOTION_FRAC = 0.05  # of the stroke: a run may begin some samples later than another
 
@@ -325,7 +326,9 @@ def check_no_copies(names: Sequence[str], captures: Sequence[Capture]) -> None:
     twice = [
         f"{name} is {first}"
         for i, (name, capture) in enumerate(given)
-        for first in [next((n for n, other in given[:i] if _is_copy(capture, other)), "")]
+        for first in [
+            next((n for n, other in given[:i] if n == name or _is_copy(capture, other)), "")
+        ]
         if first
     ]
     if twice:
@@ -339,10 +342,14 @@ def check_no_copies(names: Sequence[str], captures: Sequence[Capture]) -> None:
 def _is_copy(one: Capture, other: Capture) -> bool:
     """Whether two captures hold the same samples in every column that both have.
 
-    A run at rest is none: a quiet sensor reads the same twice.
+    A run at rest is none: a quiet sensor reads the same twice. Nor are two of which neither tells
+    when it began, or that began at different times: a simulated drive does the same again.
     """
     if one is other:
         return True
+    starts = {capture.attributes.get(_START) for capture in (one, other)}
+    if starts == {None} or len(starts - {None}) > 1:
+        return False
     if one.n != other.n or not np.ptp(one.commanded_position_m):
         return False
     pairs = (

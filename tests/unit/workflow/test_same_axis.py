@@ -115,7 +115,10 @@ def test_a_run_counts_once_also_as_a_copy_or_in_another_format(tmp_path, copy):
     """A pair given four times had an interval of half the width."""
     noise = np.random.default_rng(1).normal(0.0, 1e-6, (2, 1000))
     run = moving(0.02, 0.1)
-    first, second = (replace(run, motor_position_m=run.motor_position_m + n) for n in noise)
+    first, second = (
+        replace(run, motor_position_m=run.motor_position_m + n, attributes={"start_utc": start})
+        for n, start in zip(noise, ("2026-03-01T10:00:00Z", "2026-03-01T10:01:00Z"), strict=True)
+    )
     write_capture(tmp_path / "a.h5", replace(first, table_position_m=first.motor_position_m))
     write_capture(tmp_path / "b.h5", second)
     assert len(captures_of([tmp_path / "a.h5", tmp_path / "b.h5"], BENCH)) == 2
@@ -125,6 +128,17 @@ def test_a_run_counts_once_also_as_a_copy_or_in_another_format(tmp_path, copy):
     with pytest.raises(ConfigError, match=rf"given twice: \S*{copy} is \S*a\.h5\.") as refused:
         captures_of(given, BENCH)
     assert refused.value.code == "PC-WRK-008"
+
+
+def test_a_simulated_drive_that_does_the_same_again_is_no_copy():
+    run = moving(0.02, 0.1)
+    starts = ("2026-03-01T10:00:00Z", "2026-03-01T10:01:00Z")
+    again = [replace(run, attributes={"start_utc": start}) for start in starts]
+    check_no_copies(["a.h5", "b.h5"], again)
+    untold = [replace(run, commanded_position_m=run.commanded_position_m + 0.0) for _ in starts]
+    check_no_copies(["a.h5", "b.h5"], untold)
+    with pytest.raises(ConfigError, match="given twice"):
+        check_no_copies(["a.h5", "a.h5"], untold)
 
 
 def test_runs_at_rest_are_no_copies_of_each_other():
