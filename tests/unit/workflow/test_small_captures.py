@@ -79,7 +79,14 @@ def test_a_diagnosis_names_every_run_with_a_compensation_on_and_takes_none_twice
     for path, added_um in zip(paths, (0.0, 3.0, 4.0), strict=True):
         at = 1e-3 * np.sin(time_s) + (ord(path.stem) - ord("a")) * 1e-6
         added = at + added_um * 1e-6
-        run = Capture(time_s, at, at, table_position_m=at, desired_position_m=added)
+        run = Capture(
+            time_s,
+            at,
+            at,
+            table_position_m=at,
+            desired_position_m=added,
+            attributes={"start_utc": f"2026-03-01T10:0{ord(path.stem) - ord('a')}:00Z"},
+        )
         write_capture(path, run)
     found = diagnosis.diagnose_files(paths[:2], paths[2:], "paper")
     assert "2 of 3 captures were made with a compensation on: b.h5, c.h5." in found.remark
