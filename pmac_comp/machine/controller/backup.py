@@ -23,7 +23,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
 from pmac_comp.machine.controller.sealed_json import read_sealed_json, write_sealed_json
-from pmac_comp.machine.controller.settings import plc_runs, read_axes, read_body
+from pmac_comp.machine.controller.settings import Buffer, plc_runs, read_axes, read_body
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.table_status import FLASH_FAULTS
@@ -184,18 +184,23 @@ def _read_group(link: Link, letter: str, group: range) -> list[str]:
     return [line.strip() for line in lines]
 
 
-def _read_programs(link: Link) -> Iterator[Program]:
+def stored_buffers(link: Link) -> Iterator[Buffer]:
+    """PLCs, there or not, and motion programs by the card's own table of them."""
     words = [
         parse_integer(w)
         for line in link.query(f"RX${PROGRAM_TABLE:X},{N_PROGRAMS}")
         for w in line.split()
     ]
     numbers = sorted({w & 0xFFFF for w in words if w & 0xFFFF})
-    for kind, group in ((ProgramKind.PLC, range(32)), (ProgramKind.PROG, numbers)):
-        for number in group:
-            body = read_body(link, kind, number)
-            if body:
-                yield Program(kind, number, body)
+    yield from ((ProgramKind.PLC, number) for number in range(32))
+    yield from ((ProgramKind.PROG, number) for number in numbers)
+
+
+def _read_programs(link: Link) -> Iterator[Program]:
+    for kind, number in stored_buffers(link):
+        body = read_body(link, kind, number)
+        if body:
+            yield Program(kind, number, body)
 
 
 def write_backup(path: Path, backup: Backup) -> None:

@@ -4,18 +4,15 @@ What lives here: looking through the texts of programs. What may not: deciding w
 """
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Final
 
 from pmac_comp.base.errors import CommandRefused
 from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.backup import N_PROGRAMS, PROGRAM_TABLE
+from pmac_comp.machine.controller.backup import stored_buffers
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.programs import ProgramKind
 from pmac_comp.machine.controller.settings import Buffer
 
-_PLCS: Final = range(32)
 _NAMED: Final = re.compile(r"M(\d+)")
 
 
@@ -39,7 +36,7 @@ def definitions_in_use(
         All of them where a password hides a program: it may name any.
     """
     used: set[int] = set()
-    for kind, number in _buffers(link):
+    for kind, number in stored_buffers(link):
         if (kind, number) in without or used >= set(wanted):
             continue
         try:
@@ -50,10 +47,3 @@ def definitions_in_use(
             raise
         used |= {int(found) for found in _NAMED.findall(text.upper())}
     return frozenset(used & set(wanted))
-
-
-def _buffers(link: Link) -> Iterator[Buffer]:
-    yield from ((ProgramKind.PLC, number) for number in _PLCS)
-    words = [w for line in link.query(f"RX${PROGRAM_TABLE:X},{N_PROGRAMS}") for w in line.split()]
-    numbers = {parse_integer(word) & 0xFFFF for word in words} - {0}
-    yield from ((ProgramKind.PROG, number) for number in sorted(numbers))

@@ -21,7 +21,7 @@ from pmac_comp.machine.controller.lease import (
     release_lease,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.parts import first_missing, parts_of
+from pmac_comp.machine.controller.parts import first_missing, parts_in
 from pmac_comp.machine.controller.taking_back import take_group_back
 from pmac_comp.machine.controller.temporary import take_off
 from pmac_comp.machine.controller.transaction import RESET_AMID
@@ -101,7 +101,7 @@ def _whole_or_taken_back(link: Link, context: Context, group: Journal) -> Iterat
 
 
 def _done_before(context: Context, group: Journal) -> bool:
-    return any(p.journal.group == group.group and p.closing == DONE for p in parts_of(context))
+    return any(part.closing == DONE for part in parts_in(context, group.group))
 
 
 def _require_whole(link: Link, context: Context, group: int) -> None:
@@ -117,7 +117,7 @@ def _require_whole(link: Link, context: Context, group: int) -> None:
 
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
     try:
-        begun = any(p.journal.group == group.group for p in parts_of(context))
+        begun = bool(parts_in(context, group.group))
         reset = error.code == RESET_AMID or (begun and was_reset(read_change(link, context), group))
         notes = take_group_back(link, context, group, was_reset=reset)
     except PmacCompError as second:

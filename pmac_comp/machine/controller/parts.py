@@ -152,6 +152,11 @@ def parts_of(context: Context) -> list[Part]:
     return found
 
 
+def parts_in(context: Context, group: int) -> list[Part]:
+    """Those of one upload, oldest first."""
+    return [part for part in parts_of(context) if part.journal.group == group]
+
+
 def unsettled(context: Context) -> list[Part]:
     """Open changes, newest first, that no later change of the same items has replaced."""
     found: list[Part] = []
@@ -172,8 +177,8 @@ def uploads(context: Context) -> list[Journal]:
 
 def standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
     """Parts of an upload that were not taken back, the last one first."""
-    parts = [p for p in parts_of(context) if p.journal.group == group.group]
-    return tuple(p for p in reversed(parts) if p.closing != ROLLED_BACK)
+    parts = reversed(parts_in(context, group.group))
+    return tuple(part for part in parts if part.closing != ROLLED_BACK)
 
 
 def replaced_since(context: Context, part: Part) -> set[object]:
@@ -223,7 +228,7 @@ def first_missing(link: Link, context: Context, group: int) -> str:
     """
     touched: set[object] = set()
     standing: list[Part] = []
-    for part in reversed([p for p in parts_of(context) if p.journal.group == group]):
+    for part in reversed(parts_in(context, group)):
         # Some parts an upload can do without; such a one was taken back.
         if part.closing == DONE and not part.items & touched:
             standing.append(part)

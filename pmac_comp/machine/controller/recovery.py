@@ -27,6 +27,7 @@ from pmac_comp.machine.controller.parts import (
     Part,
     first_missing,
     how_it_stands,
+    parts_in,
     parts_of,
     refusals_to_take_back,
     replaced_since,
@@ -120,7 +121,7 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     # What a measurement borrowed is given back if nobody else has written it since.
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
-        begun = any(p.journal.group == group.group for p in parts_of(context))
+        begun = bool(parts_in(context, group.group))
         reset = group is torn[-1] and begun and was_reset(found, group)
         notes += take_group_back(link, context, group, was_reset=reset)
     if not torn or unsettled(context):
@@ -233,7 +234,7 @@ def _how_upload_stands(link: Link, context: Context, last: Part) -> UploadResult
     wrong = first_missing(link, context, group) if group else ""
     if not wrong:
         return result
-    parts = [p for p in parts_of(context) if p.journal.group == group and p.closing == DONE]
+    parts = [part for part in parts_in(context, group) if part.closing == DONE]
     state, words = what_stands(link, context, parts)
     if state is ControllerState.OLD:
         return replace(result, verdict=state, notes=(f"the last upload is gone: {words}",))

@@ -19,7 +19,7 @@ from pmac_comp.machine.controller.parts import (
     is_back,
     is_switched_off,
     missing,
-    parts_of,
+    parts_in,
     refuse_foreign,
     replaced_since,
     take_back,
@@ -57,7 +57,7 @@ def take_group_back(
         # From here on less than all of it may stand: `recover` has to know.
         open_again(context, group, _TAKING_BACK)
     set_going_again(link, alone, group)
-    parts = [p for p in reversed(parts_of(context)) if p.journal.group == group.group]
+    parts = parts_in(context, group.group)[::-1]
     for part in parts:
         if part.closing == ROLLED_BACK and (was_done or is_back(link, alone, part)):
             continue  # a reset in between may have brought it, or taken what stood before
