@@ -227,6 +227,7 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
     from pmac_comp.machine.controller.law_checks import owner_refusals
+    from pmac_comp.machine.controller.waiting import number_since_ours
     from pmac_comp.workflow.deploy import context_to_look
     from pmac_comp.workflow.inspect import judged_tables
 
@@ -234,7 +235,7 @@ def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
     for taken in owner_refusals(axis.link, context, axis.motor):
         yield Finding("note", "route law", f"{taken.message} {taken.advice}")
     try:
-        state = judged_tables(axis.link, context)
+        state = judged_tables(axis.link, context, number_since_ours(axis.link, context))
     except PmacCompError as error:
         yield Finding("bad", "compensation", error.message)
         return

@@ -68,7 +68,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_to_look(axis, journal or DEFAULT_JOURNAL)
         since = waiting.number_since_ours(axis.link, context)
-        state = judged_tables(axis.link, context)
+        state = judged_tables(axis.link, context, since)
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)
@@ -123,9 +123,11 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     }
 
 
-def judged_tables(link: Link, context: Context) -> TableStatus:
-    """Tables on a card, judged by what this folder and bench files of other axes know of them."""
-    since = waiting.number_since_ours(link, context)
+def judged_tables(link: Link, context: Context, since: int) -> TableStatus:
+    """Tables on a card, judged by what this folder and bench files of other axes know of them.
+
+    ``since`` is the number of a change that another folder or host made since ours, 0 for none.
+    """
     state = (table_status if since else status_by_journal)(link, context)
     if state.decision.action is not Action.DISABLE:
         return state

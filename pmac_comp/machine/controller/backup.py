@@ -27,9 +27,9 @@ from pmac_comp.machine.controller.settings import Buffer, plc_runs, read_axes, r
 from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.table_status import FLASH_FAULTS
+from pmac_comp.machine.controller.variables import VARIABLES
 from pmac_comp.machine.wire.numbers import read_number
 
-VARIABLES: Final = 8192
 STEP: Final = 64
 Q_WINDOW: Final = "&1Q"  # all of the pool; the windows of other systems begin within it
 PROGRAM_TABLE: Final = 0x3000  # X: number, Y: storage address, 224 entries (p. 509)

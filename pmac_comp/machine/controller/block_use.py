@@ -20,11 +20,10 @@ from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.open_servos import motors_in_open_servo
 from pmac_comp.machine.controller.settings import MOTORS
-from pmac_comp.machine.controller.variables import answers, read_range
+from pmac_comp.machine.controller.variables import VARIABLES, answers, read_range
 from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
-_P_VARIABLES: Final = 8192
 
 
 def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
@@ -79,7 +78,7 @@ def _overlapping(link: Link, block: LawBlock) -> int | None:
     It is known by a law, with its motor, or by a whole manifest of tables.
     """
     low = max(0, block.first - BLOCK_SIZE + 1)
-    high = min(_P_VARIABLES, block.first + 2 * BLOCK_SIZE)
+    high = min(VARIABLES, block.first + 2 * BLOCK_SIZE)
     values = read_range(link, "P", low, high - 1)
     signatures, manifest = {SIGNATURE_PLC, SIGNATURE_SERVO}, int(Index.MANIFEST)
     for k in range(min(high - low, 2 * BLOCK_SIZE - 1)):

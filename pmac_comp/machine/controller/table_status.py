@@ -23,9 +23,9 @@ from pmac_comp.machine.controller.table_set import (
     TableSet,
     read_tables,
 )
+from pmac_comp.machine.controller.variables import VARIABLES
 from pmac_comp.machine.wire.numbers import read_number
 
-_P_VARIABLES: Final = 8192
 _P_STEP: Final = 64
 FLASH_FAULTS: Final = (1 << 13) | (1 << 10)  # checksum and flash error in ???, first word
 HEAD_LINES: Final = 3 + MANIFEST_SIZE + 2 + 1
@@ -91,7 +91,7 @@ def announced_elsewhere(link: Link, context: Context, tables: TableSet) -> Decis
     taken back. Asked where they would else be foreign.
     """
     values: list[float] = []
-    for first in range(0, _P_VARIABLES, _P_STEP):
+    for first in range(0, VARIABLES, _P_STEP):
         lines = link.query(f"P{first}..{first + _P_STEP - 1}")
         values += [float(read_number(line)) for line in lines]
     own = context.block.p(Index.MANIFEST)

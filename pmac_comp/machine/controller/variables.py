@@ -13,6 +13,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import nine_digits, plain
 from pmac_comp.machine.wire.numbers import read_number
 
+VARIABLES: Final = 8192  # of each kind: I, P, Q, M
 LINE_LIMIT: Final = 200  # characters; a command line of more than about 255 is unsafe
 
 
