@@ -211,11 +211,18 @@ def time_motor_off(axis: Axis) -> Settings:
     return Settings({f"I{number}00": "0"}, axes=None if kept == present else kept)
 
 
-def _time_motor_refusals(
-    axis: Axis, wanted: dict[str, float], active: float
-) -> list[SafetyRefusal]:
-    """Refusal if the motor is in use for something else."""
+def in_use_refusals(axis: Axis) -> list[SafetyRefusal]:
+    """Refusal if the time motor is in use for something else.
+
+    Raises
+    ------
+    ConfigError
+        The time motor is the axis itself or its scale.
+    """
+    _require_free_number(axis)
     number = axis.bench.controller.cam_motor_number
+    wanted = time_motor_variables(axis.bench)
+    active = read_one(axis.link, f"I{number}00")
     if not active or _same(read_many(axis.link, list(wanted)), wanted):
         return []
     return [
@@ -323,12 +330,11 @@ def deploy_program(axis: Axis, cam: Cam, context: Context) -> UploadResult:
     SafetyRefusal
         The motor is in use for something else, or something moves; nothing was changed.
     """
-    _require_free_number(axis)
     number = axis.bench.controller.cam_motor_number
     with untouched():
         gather.stop(axis.link)
+        refusals = in_use_refusals(axis)
         active = read_one(axis.link, f"I{number}00")
-        refusals = _time_motor_refusals(axis, time_motor_variables(axis.bench), active)
         if active and not refusals:
             rest_time_motor(axis)
         goal = cam_settings(axis.bench, cam.program, read_axes(axis.link))

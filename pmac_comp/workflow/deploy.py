@@ -54,6 +54,7 @@ from pmac_comp.workflow.backlash import take_up_variables
 from pmac_comp.workflow.cam import (
     CAM_PROGRAM,
     deploy_program,
+    in_use_refusals,
     render_cam,
 )
 from pmac_comp.workflow.compensation_file import (
@@ -216,7 +217,7 @@ def route_refusals(axis: Axis, context: Context, compensation: Compensation) -> 
         refusals += law_checks.servo_refusals(link, context, axis.motor)
         refusals += _busy_servo_refusals(axis, context, compensation)
     if route == "cam":
-        refusals += time_motor_refusals(axis)
+        refusals += [*in_use_refusals(axis), *time_motor_refusals(axis)]
     if route in MOTION_ROUTES:
         refusals += motion_refusals(axis)
     if route in TORQUE_ROUTES:

@@ -242,6 +242,8 @@ def test_what_stood_before_a_cam_comes_back(
 
 def test_motor_in_use_is_refused(axis: Axis, tmp_path: Path) -> None:
     axis.link.command("I800=1")
+    plan = preview(axis, context_of(axis, tmp_path), cam_of(BUMP), "sim://")
+    assert [refusal.code for refusal in plan.refusals] == ["PC-DEP-052"]
     with pytest.raises(SafetyRefusal, match="in use"):
         deploy(axis, cam_of(BUMP), context_of(axis, tmp_path))
     assert len(read_tables(axis.link)) == 0
