@@ -181,33 +181,64 @@ def check_step(
     Both the disappearance of the old correction and the appearance of the new one are steps.
     Parameters are keyed by motor; motors that are killed follow without a jump.
     """
+    sets = {"off": _moving(old, closed_loop), "on": _moving(new, closed_loop)}
     refusals: list[SafetyRefusal] = []
-    for name, tables in (("off", old), ("on", new)):
-        step_ct: dict[int, float] = {}
-        for table in tables:
-            if isinstance(table, CompTable) and closed_loop.get(table.target, False):
-                value = float(table.correction_ct(position_ct[table.source]))
-                step_ct[table.target] = step_ct.get(table.target, 0.0) + value
-        for motor, value in step_ct.items():
-            if abs(value) > limits.max_step_ct:
-                refusals.append(_step_refusal(motor, name, value, limits, tables))
+    for name, tables in sets.items():
+        for motor in dict.fromkeys(table.target for table in tables):
+            value_ct = float(_sum_ct(tables, motor, position_ct, position_ct[motor]))
+            if abs(value_ct) > limits.max_step_ct:
+                where = quiet_place(sets.values(), motor, position_ct, limits)
+                refusals.append(_step_refusal(motor, name, value_ct, where, limits))
     return refusals
 
 
+def _moving(tables: Iterable[Table], closed_loop: Mapping[int, bool]) -> list[CompTable]:
+    """Tables that move a motor in closed loop."""
+    return [t for t in tables if isinstance(t, CompTable) and closed_loop.get(t.target, False)]
+
+
+def _sum_ct(
+    tables: Iterable[CompTable],
+    motor: int,
+    position_ct: Mapping[int, float],
+    at_ct: float | FloatArray,
+) -> FloatArray:
+    """What all tables together add to a motor, were it at ``at_ct`` and the others as they are."""
+    return sum(
+        (
+            t.correction_ct(at_ct if t.source == motor else position_ct[t.source])
+            for t in tables
+            if t.target == motor
+        ),
+        start=np.zeros(np.shape(at_ct)),
+    )
+
+
+def quiet_place(
+    sets: Iterable[Sequence[CompTable]],
+    motor: int,
+    position_ct: Mapping[int, float],
+    limits: Limits,
+) -> float | None:
+    """Position of a motor inside its travel at which no set of tables moves it; None for none."""
+    grid = np.linspace(limits.min_position_ct, limits.max_position_ct, 2001)
+    largest = np.max([np.abs(_sum_ct(s, motor, position_ct, grid)) for s in sets], axis=0)
+    best = int(np.argmin(largest))
+    return float(grid[best]) if largest[best] <= limits.max_step_ct else None
+
+
 def _step_refusal(
-    motor: int, name: str, value_ct: float, limits: Limits, tables: Iterable[Table]
+    motor: int, name: str, value_ct: float, where_ct: float | None, limits: Limits
 ) -> SafetyRefusal:
-    places = [quiet_place(t, limits) for t in tables if isinstance(t, CompTable)]
-    where = next((p for p in places if p is not None), None)
     hint = _kill_hint(motor)
-    if where is not None:
-        hint += f", or let it stand where it is small (`-c '#{motor}J={where:.0f}'`)"
+    if where_ct is not None:
+        hint += f", or let it stand where it is small (`-c '#{motor}J={where_ct:.0f}'`)"
     return MotorNotSafe(
         f"Switching compensation {name} would move motor #{motor} by "
         f"{limits.text_um(value_ct)} at once; the limit is {limits.text_um(limits.max_step_ct)}.",
         code="PC-SAF-004",
         hint=hint + ".",
-        context={"motor": motor, "step_ct": value_ct, "stand_at_ct": where},
+        context={"motor": motor, "step_ct": value_ct, "stand_at_ct": where_ct},
     )
 
 
@@ -268,14 +299,6 @@ def check_offsets(
         for motor, value in offset_ct.items()
         if closed_loop[motor] and abs(value) > limits.max_step_ct
     ]
-
-
-def quiet_place(table: CompTable, limits: Limits) -> float | None:
-    """Position inside the travel at which the table is smallest."""
-    grid = np.linspace(limits.min_position_ct, limits.max_position_ct, 2001)
-    values = np.abs(table.correction_ct(grid))
-    best = int(np.argmin(values))
-    return float(grid[best]) if values[best] <= limits.max_step_ct else None
 
 
 def _register_refusals(parameters: LawParameters) -> list[SafetyRefusal]:

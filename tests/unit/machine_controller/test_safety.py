@@ -59,3 +59,19 @@ def test_tables_that_correct_one_motor_share_its_limit() -> None:
     elsewhere = CompTable(3, (0, 8016, 0, 0), 2000, source=8, target=1)
     assert len(check_sums([up, elsewhere], [elsewhere], LIMITS)) == 1
     assert check_sums([up, more], [CompTable(4, (8, 0), 2000)], LIMITS) == []
+
+
+def test_one_place_is_named_where_neither_the_old_nor_the_new_tables_step() -> None:
+    """Old entries at 500..2000: 10 0 10 0 counts; new ones 10 10 0 0. Both are none at 2000."""
+    old, new = CompTable(1, (160, 0, 160, 0), 2000), CompTable(1, (160, 160, 0, 0), 2000)
+    refusals = check_step([old], [new], {1: 500.0}, {1: True}, LIMITS)
+    assert [refusal.context["stand_at_ct"] for refusal in refusals] == [0.0, 0.0]
+
+
+def test_a_place_is_one_of_the_motor_that_would_step() -> None:
+    """Of a table whose position is another motor's, no place of this motor takes anything away."""
+    own = CompTable(1, (160, 0, 160, 0), 2000)
+    other = CompTable(8, (0, 48, 48, 48), 2000, target=1)
+    (refusal,) = check_step([], [own, other], {1: 500.0, 8: 1000.0}, {1: True}, LIMITS)
+    assert refusal.context["step_ct"] == 13.0
+    assert refusal.context["stand_at_ct"] is None
