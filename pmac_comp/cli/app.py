@@ -17,7 +17,13 @@ import typer
 from typer.core import TyperCommand
 
 from pmac_comp import __version__
-from pmac_comp.base.errors import ConfigError, InternalError, PmacCompError, StorageFull
+from pmac_comp.base.errors import (
+    ChangeInterrupted,
+    ConfigError,
+    InternalError,
+    PmacCompError,
+    StorageFull,
+)
 from pmac_comp.base.reading import why
 from pmac_comp.cli import compensation, controller, drive, output, simulation, tools
 from pmac_comp.cli.progress import ProgressLines
@@ -135,12 +141,18 @@ def _write_usage(error: BaseException | None, words: Sequence[str]) -> None:
 def _say_interrupted(words: Sequence[str], ended: BaseException) -> None:
     """What an interruption left: what holds for the command, then what this one noted."""
     ProgressLines.stop()
-    output.say(_interrupted(words))
+    told = [_interrupted(words)]
     cause: BaseException | None = ended
     while cause is not None:
-        for note in getattr(cause, "__notes__", []):
-            output.say(f"  {note}")
+        told += [f"  {note}" for note in getattr(cause, "__notes__", [])]
         cause = cause.__cause__ or cause.__context__
+    for line in told:
+        output.say(line)
+    hint = "" if next(iter(words), "") in CHANGING else "Run it again: nothing was changed."
+    error = ChangeInterrupted("\n".join(told), code="PC-CLI-006", hint=hint)
+    if output.JSON_STDOUT in words:
+        output.write_json("-", {"error": output.describe_error(error)})
+    output.keep_error(error, words)
 
 
 def _end_unread(words: Sequence[str]) -> NoReturn:

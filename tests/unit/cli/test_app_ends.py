@@ -148,3 +148,26 @@ def test_typer_keeps_the_interruption_behind_its_exit(
         app.main(["report", str(tmp_path / "x.json")])
     assert left.value.code == 130
     assert "3 runs are kept" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["upload", "status"])
+def test_an_interruption_takes_the_place_of_an_earlier_result(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+) -> None:
+    """A script that reads the file would take the state of last week for this one's."""
+    kept = tmp_path / "result.json"
+    kept.write_text('{"kind": "status", "left": "NEW"}')
+
+    def run(**_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "app", run)
+    with pytest.raises(SystemExit) as left:
+        app.main([command, f"--json={kept}"])
+    error = json.loads(kept.read_text())["error"]
+    assert (left.value.code, error["exit_code"], error["left"]) == (130, 130, None)
+    assert ("recover" in error["message"] + error["hint"]) == (command == "upload")
+    assert error["message"] in capsys.readouterr().err
