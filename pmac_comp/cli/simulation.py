@@ -1,8 +1,10 @@
 """Commands around the simulated controller: ``demo`` and ``sim``."""
 
+import json
+import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -63,10 +65,20 @@ def demo(
     output.finish({**result.as_result(), "report": path}, json_target, show)
 
 
+def _tell_endpoints(endpoints: dict[str, Any], json_target: str) -> None:
+    """One line for programs that wait for it, in any case; in the file of ``--json`` as well."""
+    if json_target not in {"", "-"}:
+        output.write_json(json_target, endpoints)
+    output.echo(json.dumps(endpoints))
+    sys.stdout.flush()  # who started us may wait for it
+
+
 def sim(
     tcp: Annotated[
         int | None,
-        typer.Option("--tcp", min=0, max=65535, help="Packet port over TCP (0: any)"),
+        typer.Option(
+            "--tcp", min=0, max=65535, help="Packet port over TCP (0: any; no port named: 1025)"
+        ),
     ] = None,
     udp: Annotated[
         int | None,
@@ -106,7 +118,10 @@ def sim(
         bool, typer.Option("--faults", help="Let clients command faults (tests only)")
     ] = False,
 ) -> None:
-    """Serve a simulated Turbo PMAC; prints one JSON line with its endpoints when ready."""
+    """Serve a simulated Turbo PMAC; prints one JSON line with its endpoints when ready.
+
+    --json FILE keeps that line too.
+    """
     if supported:
         from pmac_comp.simulator.support import report, report_lines
 
@@ -131,4 +146,5 @@ def sim(
         starting=lambda: output.say(
             "starting; the first time on a machine its kernels are compiled, about a minute"
         ),
+        ready=lambda endpoints: _tell_endpoints(endpoints, json_target),
     )

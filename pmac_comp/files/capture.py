@@ -1,4 +1,4 @@
-"""Captures: one servo-rate run in SI in memory, in mm under the contract's names in files.
+"""Captures: one servo-rate run in SI in memory, in mm under the names of the header in files.
 
 What lives here: the ``Capture`` value, what its columns are called in files, reading and writing by
 suffix. What may not: the formats themselves (``capture_formats``), or anything that computes with
@@ -18,19 +18,19 @@ from pmac_comp.base.errors import CaptureError, SampleGap, StorageFull
 from pmac_comp.base.reading import why
 from pmac_comp.base.units import MM_PER_M, US_PER_S
 from pmac_comp.files import capture_formats as formats
-from pmac_comp.files.capture_formats import Attribute
+from pmac_comp.files.sidecar import Attribute
 
 SCHEMA_VERSION = 1
 _GAP_TOLERANCE = 0.5  # of a sample period: a larger departure from the grid is a gap
 
-# Column in files -> (field, unit in files, factor to SI). Order is that of the contract.
+# Column in files -> (field, unit in files, factor to SI), in the order of the header.
 _COLUMNS: dict[str, tuple[str, str, float]] = {
     "time_s": ("time_s", "s", 1.0),
     "commanded_position_mm": ("commanded_position_m", "mm", 1.0 / MM_PER_M),
-    "desired_position_mm": ("desired_position_m", "mm", 1.0 / MM_PER_M),
     "motor_position_mm": ("motor_position_m", "mm", 1.0 / MM_PER_M),
     "table_position_mm": ("table_position_m", "mm", 1.0 / MM_PER_M),
     "torque_command_Nm": ("torque_command_Nm", "N m", 1.0),
+    "desired_position_mm": ("desired_position_m", "mm", 1.0 / MM_PER_M),
 }
 _REQUIRED = ("time_s", "commanded_position_mm", "motor_position_mm")
 _VALID = "valid"

@@ -16,11 +16,11 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.atomic import atomic_write_text, sync_folder
 from pmac_comp.base.errors import CaptureError
+from pmac_comp.files.sidecar import Attribute, read_attributes, write_attributes
 
 MAX_SAMPLES = 200_000_000
 _LONGEST_LINE = 100_000  # of a heading; what the csv module takes ends a little above
 _OTHER_SEPARATORS = (";", "\t", " ")  # what spreadsheets of other countries write
-Attribute = str | float | int
 Columns = Mapping[str, FloatArray]
 
 
@@ -52,7 +52,7 @@ def headings(path: Path) -> tuple[set[str], dict[str, Attribute]]:
         head: list[str] = []
         while not head or head[-1].startswith("#"):
             head.append(stream.readline(_LONGEST_LINE).rstrip("\n"))
-    return set(_csv_names(head[-1:])), _csv_attributes(head[:-1])
+    return set(_csv_names(head[-1:])), _csv_attributes(head[:-1]) | read_attributes(path)
 
 
 def _hdf5_headings(path: Path) -> tuple[set[str], dict[str, Attribute]]:
@@ -116,10 +116,10 @@ def write_hdf5(
 
 
 def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
-    """Columns of a CSV file, and attributes of its first lines (``# key = value``)."""
+    """Columns of a CSV file; attributes of its first lines (``# key = value``) and beside it."""
     lines = _text_lines(path)
     n_told = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    attributes, lines = _csv_attributes(lines[:n_told]), lines[n_told:]
+    attributes, lines = _csv_attributes(lines[:n_told]) | read_attributes(path), lines[n_told:]
     names = _csv_names(lines[:1])
     if not names or len(set(names)) != len(names):
         raise CaptureError(
@@ -173,17 +173,15 @@ def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
 
 
 def write_csv(path: Path, columns: Columns, attributes: Mapping[str, Attribute]) -> None:
-    """Write columns under a header line, one-line attributes before it."""
+    """Write columns under a header line; attributes go into a file of their own beside it."""
     out = io.StringIO()
-    for key, value in attributes.items():
-        if "\n" not in str(value):  # multi-line attributes such as the bench text stay in HDF5
-            out.write(f"# {key} = {value}\n")
     out.write(",".join(columns) + "\n")
     table = np.column_stack(list(columns.values()))
     # 0.1 nm in mm and 0.1 ns in s: far below any resolution, so a round trip loses nothing.
     np.savetxt(
         out, table, delimiter=",", fmt=["%.10g" if n != "time_s" else "%.10f" for n in columns]
     )
+    write_attributes(path, out.getvalue(), attributes)
     atomic_write_text(path, out.getvalue())
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import sys
@@ -241,7 +240,7 @@ def serve(
     card: Card,
     options: ServeOptions,
     *,
-    ready: Callable[[str], None] = print,
+    ready: Callable[[dict[str, Any]], None],
 ) -> None:
     """Serve a card until interrupted or terminated.
 
@@ -252,7 +251,7 @@ def serve(
     options : ServeOptions
         What to serve.
     ready : callable
-        Receives one line of JSON with the endpoints once all of them listen.
+        Receives the endpoints once all of them listen.
 
     Raises
     ------
@@ -268,8 +267,7 @@ def serve(
                 loop.add_signal_handler(number, stop.set)
 
         def announce(endpoints: dict[str, str]) -> None:
-            told = {"ready": True, "speed": options.speed, "faults": card.faults, **endpoints}
-            ready(json.dumps(told))
+            ready({"ready": True, "speed": options.speed, "faults": card.faults, **endpoints})
 
         await SimulatorServer(card, options).run(announce, stop)
 

@@ -25,7 +25,7 @@ from pmac_comp.base.errors import (
 from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.files.capture_formats import Attribute
+from pmac_comp.files.sidecar import Attribute
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import gather, motors, programs
 from pmac_comp.machine.controller import registers as reg

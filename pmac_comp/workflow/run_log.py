@@ -18,7 +18,7 @@ from pmac_comp.base.clock import Clock
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.files.capture_formats import Attribute
+from pmac_comp.files.sidecar import Attribute
 from pmac_comp.machine.controller.capture_log import CaptureLog, RecoveredLog, recover
 from pmac_comp.machine.controller.gather_plan import COUNTER_NAME
 from pmac_comp.workflow.scales import Scales

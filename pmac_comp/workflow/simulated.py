@@ -166,10 +166,12 @@ def serve_forever(
     force: Path | None,
     faults: bool,
     starting: Callable[[], None],
+    ready: Callable[[dict[str, Any]], None],
 ) -> None:
-    """Serve a card until it is stopped; prints one JSON line with the endpoints when ready.
+    """Serve a card until it is stopped.
 
-    ``starting`` is called when all options were found good, before anything is compiled.
+    ``starting`` is called when all options were found good, before anything is compiled, ``ready``
+    with the endpoints once all of them listen.
     """
     from pmac_comp.simulator.server import ServeOptions, check_options, serve
 
@@ -184,7 +186,7 @@ def serve_forever(
     starting()
     warm_up(loaded, plant)
     card = make_card(loaded, plant=plant, servo=servo, dpram=dpram, flash=flash, faults=faults)
-    serve(card, options)
+    serve(card, options, ready=ready)
 
 
 def _check_files(bench: Bench, plant: str | None, servo: Path | None, flash: Path | None) -> None:

@@ -31,11 +31,24 @@ def started(*options: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, st
 
 
 def test_endpoints_serve_the_same_card(tmp_path: Path) -> None:
-    flash = tmp_path / "flash.bin"
-    options = ("--tcp", "0", "--udp", "0", "--ascii-port", "0", "--pty", "--flash", str(flash))
+    flash, kept = tmp_path / "flash.bin", tmp_path / "sim.json"
+    options = (
+        "--json",
+        str(kept),
+        "--tcp",
+        "0",
+        "--udp",
+        "0",
+        "--ascii-port",
+        "0",
+        "--pty",
+        "--flash",
+        str(flash),
+    )
     with started(*options, "--speed", "20", "--dpram", "small") as (process, told):
         assert told["ready"]
         assert not told["faults"]
+        assert json.loads(kept.read_text()) == told
         for number, kind in enumerate(("tcp", "udp", "ascii", "pty")):
             with Commander.open(told[kind]) as link:
                 link.command(f"P{number + 1}={number + 10}")

@@ -1,5 +1,7 @@
 """Captures: round trips, and every way in which a file can be bad."""
 
+import csv
+
 import h5py
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from pmac_comp.files.capture import (
     read_capture,
     write_capture,
 )
+from pmac_comp.files.sidecar import sidecar_of
 
 PERIOD_S = 3707733 / 8388608 / 1e3
 
@@ -37,6 +40,33 @@ def test_round_trip_loses_nothing_that_a_sensor_could_see(tmp_path, suffix):
     np.testing.assert_array_equal(back.extra["servo_cycle"], capture.extra["servo_cycle"])
     assert back.attributes["controller"] == "simulated"
     assert back.sample_period_s == pytest.approx(PERIOD_S, rel=1e-6)
+
+
+def test_csv_begins_with_the_header_and_holds_numbers_only(tmp_path):
+    write_capture(tmp_path / "run.csv", _capture().with_attributes(bench="[screw]\npitch_mm = 10"))
+    with (tmp_path / "run.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert ",".join(rows[0]).startswith(
+        "time_s,commanded_position_mm,motor_position_mm,table_position_mm,torque_command_Nm,"
+        "desired_position_mm"
+    )
+    assert [float(row["table_position_mm"]) for row in rows] == pytest.approx(
+        1e3 * _capture().table_position_m, abs=1e-7
+    )
+    assert read_capture(tmp_path / "run.csv").attributes["bench"] == "[screw]\npitch_mm = 10"
+
+
+@pytest.mark.parametrize("beside", ["of another content", "{", '{"attributes": {"a": [1]}}', None])
+def test_attributes_beside_a_csv_count_for_its_content_only(tmp_path, beside):
+    write_capture(tmp_path / "run.csv", _capture())
+    if beside == "of another content":
+        (tmp_path / "run.csv").write_text((tmp_path / "run.csv").read_text().replace("0.1", "0.2"))
+    elif beside is not None:
+        sidecar_of(tmp_path / "run.csv").write_text(beside)
+    else:
+        sidecar_of(tmp_path / "run.csv").unlink()
+    assert read_capture(tmp_path / "run.csv").attributes == {}
+    assert holds_runs(tmp_path / "run.csv")
 
 
 def test_hdf5_columns_carry_the_contract_names_and_units(tmp_path):
