@@ -79,23 +79,22 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
         claimed = claim_refusal(read_claim(axis.link), context)
         load = read_load(axis.link, axis.bench.servo_period_s)
-    still_open = "; ".join(waiting.left_open(context))
-    advice = "; ".join(filter(None, ("nothing", left_open_alike(context))))
-    if still_open:
-        advice = f"{still_open}: run `pmac-comp recover`"
+    told = []
+    if still_open := "; ".join(waiting.left_open(context)):
+        told.append(f"{still_open}: run `pmac-comp recover`")
     if elsewhere:
-        advice = "a change from another folder or host has not ended: `pmac-comp recover` there"
-    if flash:
-        advice = f"{flash[0].message} {flash[0].advice}"
-    if claimed is not None:
-        advice = f"{claimed.message[0].lower()}{claimed.message[1:]} {claimed.advice}"
+        told.append("a change from another folder or host has not ended: `pmac-comp recover` there")
+    refusals = [*flash, *([] if claimed is None else [claimed])]
+    told += [f"{r.message[0].lower()}{r.message[1:]} {r.advice}" for r in refusals]
+    # Of a card that answers alike, beside what is known of this one.
+    told = [*(told or ["nothing"]), *filter(None, [left_open_alike(context)])]
     compensation = {
         "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
                             state.tables) or "none",
         "tables_act": state.i51,
         "verdict": state.decision.state.value,
         "why": f"tables: {_why(state, axis)}; law: {law}",
-        "left_open": advice,
+        "left_open": "; ".join(told),
         "last_change": (recovery.last_change(context) or "none from this folder")
         + ("; another folder or host has changed the controller since" if since else ""),
         "guard": guard,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.machine.controller import law_state
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
@@ -38,6 +39,11 @@ def test_a_torn_upload_is_told_although_the_tables_are_old(
     journal.write("begin", {"kind": "group", "group": 7, "name": "law"})
     torn = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
     assert torn["left_open"] == "an upload (law) was interrupted: run `pmac-comp recover`"
+    refused = SafetyRefusal("The flash is damaged.", hint="Restore.")
+    monkeypatch.setattr(inspect, "flash_refusals", lambda _head: [refused])
+    both = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
+    assert both["left_open"] == f"{torn['left_open']}; the flash is damaged. Restore."
+    monkeypatch.setattr(inspect, "flash_refusals", lambda _head: [])
     journal.write("rolled back")
     after = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
     assert after["left_open"] == "nothing"
