@@ -202,7 +202,9 @@ class Card:
             self.plcs.servo_events()
         elif event.kind in _STOPPING_EVENTS:
             for system in self.systems.values():
-                if system.running and event.motor in system.axes:
+                # A fault may have killed motors of other systems, too (Ixx24).
+                hit = event.motor in system.axes or any(map(self.servo.is_killed, system.motors))
+                if system.running and hit:
                     self._stop_program(system)
 
     def _stop_program(self, system: CoordinateSystem) -> None:

@@ -35,7 +35,7 @@ _ERROR_LABEL, _ERROR_STACK, _ERROR_COUNTER = 6, 5, 3
 
 
 # Program and bytecode position.
-Place = tuple[Program, int]
+Place = tuple[Program, int]  # and the index of a statement
 
 
 @dataclass
@@ -85,6 +85,7 @@ class CoordinateSystem(AxisPositions):
         self.assignments: list[tuple[int, str, float]] = []
         self._at_start: dict[int, list[tuple[int, str, float]]] = {}
         self._calculating = False
+        self._statement = 0  # index of the one that is carried out
         self._executing: Place | None = None
         self._places: dict[int, Place] = {}
 
@@ -153,7 +154,7 @@ class CoordinateSystem(AxisPositions):
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
         self._quitted, self.fresh, self.returned = False, True, False
-        self._queued = []
+        self._queued, self._executing = [], None
         self.set_status()
         self.card.background_needed()
         self.calculate()
@@ -337,6 +338,7 @@ class CoordinateSystem(AxisPositions):
         used = max(int(frame.context.state[vm.S_STEPS]), 1)
         for index, arguments in frame.context.take_events():
             statement = frame.program.statements[index]
+            self._statement = index
             execute(self, statement, arguments)
             if statement.kind in _MOVES:
                 self._forget_jumps()
@@ -431,7 +433,7 @@ class CoordinateSystem(AxisPositions):
     def _remember(self, tag: int) -> None:
         self._queued.append(tag)
         frame = self.frames[-1]
-        self._places[tag] = (frame.program, int(frame.context.state[vm.S_PC]))
+        self._places[tag] = (frame.program, self._statement)
         if self.assignments:
             self._at_start[tag] = self.assignments
             self.assignments = []
@@ -459,17 +461,23 @@ class CoordinateSystem(AxisPositions):
         if not self.frames:
             raise CardError(3)
         frame = self.frames[-1]
-        return _offset_of((frame.program, int(frame.context.state[vm.S_PC])))
+        assembled = frame.program.assembled
+        if assembled is None:
+            raise CardError(3)
+        index = assembled.statement_at(int(frame.context.state[vm.S_PC]))
+        return frame.program.number, frame.program.offset_of(max(index, 0))
 
     @property
     def executing(self) -> tuple[int, int] | None:
-        """Program number and word offset behind the executing move, None if nothing runs."""
-        return _offset_of(self._executing) if self._executing is not None else None
+        """Program number and word offset of the executing move, None before the first and after."""
+        if self._executing is None or not self.running:
+            return None
+        program, index = self._executing
+        return program.number, program.offset_of(index)
 
     def counter_text(self, *, executing: bool = False) -> str:
         """Answer to PC or PE."""
-        place = self.executing if executing and self.executing and self.running else None
-        number, offset = place or self.counter()
+        number, offset = (executing and self.executing) or self.counter()
         return f"P{number}:{offset}"
 
     def move_time_ms(self) -> float:
@@ -486,11 +494,3 @@ class CoordinateSystem(AxisPositions):
     def set_status(self) -> None:
         """Status words of the program: whether it runs, and in which modes."""
         cs_status.write_program(self)
-
-
-def _offset_of(place: Place) -> tuple[int, int]:
-    program, position = place
-    if program.assembled is None:
-        raise CardError(3)
-    index = program.assembled.statement_at(position)
-    return program.number, program.offset_of(max(index, 0))

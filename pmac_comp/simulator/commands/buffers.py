@@ -126,7 +126,9 @@ def _list_from_counter(context: LineContext, *, executing: bool) -> None:
         count = context.scanner.integer()
     number, offset = (executing and context.system.executing) or context.system.counter()
     program = context.card.programs.find(MOTION, number)
-    lines = [(at, text) for at, text in program.lines(long=_long(context)) if at >= offset]
+    lines = program.lines(long=_long(context))
+    containing = max((at for at, _ in lines if at <= offset), default=0)
+    lines = [(at, text) for at, text in lines if at >= containing]
     chosen = lines if count is None else lines[:count]
     for k, (at, text) in enumerate(chosen):
         context.answer(f"P{number}:{at}:{text}" if k == 0 else f"{at}:{text}")

@@ -95,6 +95,28 @@ def moving(session: EthernetSession) -> Card:
     return card
 
 
+@pytest.mark.parametrize("ix24", ["$1", "$400001"])
+@pytest.mark.parametrize("moves", ["LINEAR INC TM200" + " X100" * 8, "INC PVT1000 X2:0 X-2:0 X2:0"])
+def test_a_fault_of_another_motor_that_kills_its_own_stops_a_program(
+    session: EthernetSession, ix24: str, moves: str
+) -> None:
+    """A program was left running for ever that no motor follows any more, and took no command."""
+    card, runs = session.card, ix24 == "$400001"  # only its own motor is killed
+    for line in ("&1#1->X", f"OPEN PROG 1 CLEAR {moves} CLOSE", f"I200=1 I224={ix24}", "#1J/#2J/"):
+        ask_packet(session, line.encode())
+    card.run_cycles(50)
+    ask_packet(session, b"&1B1R")
+    card.run_cycles(500)
+    assert card.systems[1].running
+    ask_packet(session, b'FAULT"AMPLIFIER 2"')
+    card.run_cycles(20)
+    assert (card.servo.is_killed(1), card.systems[1].running) == (not runs, runs)
+    if not runs:
+        assert ask_packet(session, b"#1J/") == b"\x06"
+        card.run_cycles(50)
+        assert ask_packet(session, b"R") == b"\x06"
+
+
 def test_lost_encoder_ends_in_a_fatal_following_error(session: EthernetSession) -> None:
     card = moving(session)
     before = card.servo.position(1)

@@ -383,3 +383,19 @@ def test_position_rename_and_pmatch(card: Card, ask: Ask) -> None:
     ask("#1K")
     assert ask("Z") == ""
     assert float(ask("#1P")) == pytest.approx(0, abs=2)
+
+
+def test_the_executing_move_is_named_by_its_own_line(card: Card, ask: Ask) -> None:
+    """SRM p. 346, 387: PE and LIST PE tell the line with the move that is executed now."""
+    prepare(ask, "LINEAR INC TA50 TS0 TM300", "X100 DWELL100", "N5 X200", "P77=1", "X300", "P78=1")
+    run(card, ask, 30)
+    lines = ["X100", "X200", "X300"]
+    for line, cycles in zip(lines, (1100, 800, 700), strict=True):
+        listed = ask("LIST PE")
+        assert listed.split(":")[-1].replace(" ", "") == line
+        assert ask("PE") == listed.rpartition(":")[0]
+        card.run_cycles(cycles)
+    card.run_cycles(2000)
+    assert ask("PE") == ask("PC")
+    assert ask("B1R") == ""
+    assert ask("PE") == ask("PC"), "nothing of the run before"
