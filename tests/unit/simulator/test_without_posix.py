@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,12 +41,12 @@ def test_it_serves_where_an_event_loop_takes_no_signals(
         raise NotImplementedError
 
     monkeypatch.setattr(asyncio.SelectorEventLoop, "add_signal_handler", refuses)
-    said: list[str] = []
+    said: list[dict[str, Any]] = []
 
-    def ready(line: str) -> None:
-        said.append(line)
+    def ready(endpoints: dict[str, Any]) -> None:
+        said.append(endpoints)
         raise KeyboardInterrupt  # as Ctrl-C ends it there
 
     with pytest.raises(KeyboardInterrupt):
         serve(card, ServeOptions(tcp=0), ready=ready)
-    assert '"ready": true' in said[0]
+    assert said[0]["ready"] is True
