@@ -1,17 +1,22 @@
 """What ``--help`` says agrees with what the commands take."""
 
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from pmac_comp.base.errors import PmacCompError
 from pmac_comp.cli.app import CHANGING, app
 from pmac_comp.cli.output import WRITTEN
+from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow.motions import KEYS
 
+PERIOD_S = 442e-6
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -81,9 +86,31 @@ def test_every_option_that_the_readme_names_exists() -> None:
     """`--law` was named for an option that is called `--compensation`."""
     groups = get_command(app).commands.values()  # type: ignore[attr-defined]
     known = {o for c in groups for p in getattr(c, "params", []) for o in p.opts}
-    beside = {"--all", "--exhaustive", "--share"}  # of tools/test and pytest
+    beside = {"--all", "--exhaustive", "--share", "--install-completion"}  # of tests and typer
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) - known - beside == set()
+
+
+def test_files_that_the_readme_names_exist() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:configs|firmware_plc|tools|pmac_comp)/[\w./*]+)", text)
+    named += [f"machine/{name}" for name in re.findall(r"`machine/([\w./]+)`", text)]
+    assert len(named) > 12
+    roots = (ROOT, ROOT / "pmac_comp")
+    assert [name for name in named if not any(list(root.glob(name)) for root in roots)] == []
+
+
+def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_bytes((ROOT / "configs/paper.toml").read_bytes())
+    time_s = PERIOD_S * np.arange(4)
+    Path("runs").mkdir()
+    write_capture(Path("runs/a.h5"), Capture(time_s, 0.0 * time_s, 0.0 * time_s))
+    script = Path("snippet.py")
+    script.write_text(block)
+    with pytest.raises(PmacCompError, match="capture"):  # it comes as far as four samples reach
+        runpy.run_path(str(script))
 
 
 def test_command_lines_to_paste_name_all_that_the_command_requires() -> None:
