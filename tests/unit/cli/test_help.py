@@ -93,7 +93,7 @@ def test_every_option_that_the_readme_names_exists() -> None:
 
 def test_files_that_the_readme_names_exist() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    named = re.findall(r"`((?:configs|firmware_plc|tools|pmac_comp)/[\w./*]+)", text)
+    named = re.findall(r"`((?:configs|firmware_plc|tools|pmac_comp)/[\w./*-]+)", text)
     named += [f"machine/{name}" for name in re.findall(r"`machine/([\w./]+)`", text)]
     assert len(named) > 12
     roots = (ROOT, ROOT / "pmac_comp")
