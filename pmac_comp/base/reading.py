@@ -22,6 +22,7 @@ _WORDS: Final = {
     errno.EFBIG: "it is too large",
     errno.EIO: "the disk reports a fault",
     errno.EEXIST: "there is something of that name already",
+    errno.EADDRINUSE: "another program listens there already",
 }
 
 

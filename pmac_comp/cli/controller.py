@@ -313,7 +313,9 @@ def capture(
         return
     if json_target != "-":
         show_plan()
-    confirmed(f"Run these {len(plan.motions)} motions on {url}?", yes=yes)
+    one = len(plan.motions) == 1
+    these = "this motion" if one else f"these {len(plan.motions)} motions"
+    confirmed(f"Run {these} on {url}?", yes=yes)
     progress = ProgressLines()
     result = capture_to_folder(
         url,

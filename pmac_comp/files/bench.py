@@ -399,7 +399,8 @@ def parse_bench(text: str, *, name: str = "bench file") -> Bench:
         raise ConfigError(
             f"{name} has {what}:\n" + "\n".join(f"  - {line}" for line in lines),
             code="PC-CFG-004",
-            hint="Correct the keys; `pmac-comp config show` prints all keys with their defaults.",
+            hint="Correct the keys; `pmac-comp config show paper` prints all keys, what they are "
+            "and their defaults.",
             context={"problems": lines},
         ) from error
 

@@ -123,7 +123,7 @@ class SimulatorServer:
                 await self._open(loop, stack)
             except OSError as error:
                 raise ConnectFailed(
-                    f"The simulated card cannot listen on {options.host}: {error}.",
+                    f"The simulated card cannot listen on {options.host}: {why(error)}.",
                     code="PC-SIM-003",
                     hint="Choose another port, or 0 for any free one.",
                 ) from error

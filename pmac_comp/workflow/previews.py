@@ -198,5 +198,5 @@ def what_was_uploaded(axis: Axis, journal: Path) -> dict[str, Any]:
         "motion": standing_lines(axis, tables_coming_back(axis, context)),
         "journal": str(group.path),
         "summary": f"the upload ({name}) in {group.path.name}: "
-        + (", ".join(kinds) or "none of its parts was begun"),
+        + (", ".join(dict.fromkeys(kinds)) or "none of its parts was begun"),
     }

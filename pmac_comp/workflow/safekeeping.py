@@ -103,11 +103,20 @@ def restore_from_file(
             with at_work(axis, url):
                 _load(axis, context, source.name, goal, others)
             held = _held_programs(axis, goal)
+        counts = {
+            "variables": len(goal.variables),
+            "definitions": len(goal.definitions),
+            "programs": len(goal.programs),
+        }
+        written = [f"{n} {name[:-1] if n == 1 else name}" for name, n in counts.items()]
         return {
-            "summary": f"{source.name}: {len(goal.variables)} variables, {len(goal.definitions)} "
-            f"definitions and {len(goal.programs)} programs written and read back"
+            **counts,
+            "commands": list(others),
+            "verdict": ControllerState.NEW.value,
+            "summary": f"{source.name}: {written[0]}, {written[1]} and {written[2]} written and "
+            "read back"
             + (f", {len(others)} commands sent that no rollback undoes" if others else "")
-            + held
+            + held,
         }
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:

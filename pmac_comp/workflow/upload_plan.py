@@ -163,11 +163,11 @@ def _table_lines(axis: Axis, plan: UploadPlan, url: str) -> list[str]:
     targets = [t.target if isinstance(t, CompTable) else t.motor for t in plan.old]
     others = [f"#{m}" for m in dict.fromkeys(targets) if m != axis.motor]
     was = "act now" if plan.enabled_old else "are off now"
+    meanwhile = "written and read back" if plan.lines else "looked at: none of them changes"
     return [
         f"  tables afterwards (entries): {names or 'none'}; tables {was}",
         f"  all tables of the controller are off (I51 = 0) for about {off_s:.1f} s while they are "
-        "written and read back"
-        + (f"; that concerns {', '.join(others)} as well" if others else ""),
+        f"{meanwhile}" + (f"; that concerns {', '.join(others)} as well" if others else ""),
         *(f"  {remark}" for remark in plan.remarks),
     ]
 
