@@ -30,7 +30,7 @@ def test_homing_comes_whole_and_goes_with_its_definitions(
     axis.link.command("I5=1")
     done = safekeeping.restore_from_file("sim://", "paper", source, journal=tmp_path)
     assert "I5 = 1 holds background PLCs" in done["summary"]
-    assert "4 definitions and 1 programs" in done["summary"]
+    assert "4 definitions and 1 program written" in done["summary"]
     assert axis.link.query(ASKED) == ["X:$B0,18", "Y:$C0,0", "Y:$C0,10", "X:$B0,10"]
     axis.kill()
     axis.link.write_buffer(["I5=2", "P7199=300", "I123=0", "ENABLE PLC 2"])
