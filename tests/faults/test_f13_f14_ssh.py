@@ -165,6 +165,35 @@ def test_logins_that_fail_say_what_to_do(gateway, tmp_path, monkeypatch):
         Commander.open(tunnel_url(front, 1, known))
 
 
+@pytest.mark.usefixtures("secret")
+def test_f13_lines_of_known_hosts_that_are_no_keys_are_passed_over(gateway, tmp_path, keys):
+    """One of another host, which nobody has asked for, ended as a bug of ours."""
+    front = gateway()
+    known = trusting(tmp_path, front.known_hosts_line)
+    good, other = known.read_bytes(), keys[1].get_base64()
+    junk = f"a.example ssh-ed25519 AAAB3NzaC1lZDI1NTE5\nb.example ssh-rsa {other}\n|1|x\n".encode()
+    known.write_bytes(b"\xff\xfe\n# remark\n" + junk + good + b"\0\n")
+    with pytest.raises(ConnectFailed, match="does not reach"):
+        Commander.open(tunnel_url(front, 1, known))
+    known.write_bytes(junk + b"@revoked " + good)
+    with pytest.raises(HostKeyRefused):
+        Commander.open(tunnel_url(front, 1, known))
+
+
+@pytest.mark.parametrize(("content", "told"), [("junk", "is no private key"), (None, "passphrase")])
+def test_a_key_file_that_cannot_be_used_is_named(gateway, tmp_path, content, told):
+    front, key = gateway(), tmp_path / "id"
+    known = trusting(tmp_path, front.known_hosts_line)
+    if content is None:
+        paramiko.RSAKey.generate(2048).write_private_key_file(str(key), password="other")
+    else:
+        key.write_text(content)
+    key.chmod(0o600)
+    bare = tunnel_url(front, 1, known).replace("&password_env=BENCH_SECRET", "")
+    with pytest.raises(ConfigError, match=told):
+        Commander.open(f"{bare}&identity={key}")
+
+
 STYLES = {
     "plain": ShellStyle(),
     "banner": ShellStyle(banner=b"\x1b[31mWelcome to ASCII art\x1b[0m\r\n" * 20),

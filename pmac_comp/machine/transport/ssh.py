@@ -113,7 +113,7 @@ def login(endpoint: Endpoint, deadline: Deadline) -> paramiko.SSHClient:
     client = paramiko.SSHClient()
     try:
         if known_hosts.exists():
-            client.load_host_keys(str(known_hosts))
+            _trust(client.get_host_keys(), known_hosts)
         client.set_missing_host_key_policy(_RefuseUnknown(endpoint, known_hosts))
         _connect(client, endpoint, deadline, known_hosts)
     except BaseException:
@@ -122,18 +122,35 @@ def login(endpoint: Endpoint, deadline: Deadline) -> paramiko.SSHClient:
     return client
 
 
+def _trust(keys: paramiko.HostKeys, known_hosts: Path) -> None:
+    """Take the host keys of a file; lines that are none are passed over, as OpenSSH does."""
+    for line in known_hosts.read_bytes().decode("utf-8", "replace").splitlines():
+        if not line.strip() or line.lstrip().startswith(("#", "@")):
+            continue  # @revoked and @cert-authority: keys that nobody trusts as they stand
+        try:
+            entry = paramiko.hostkeys.HostKeyEntry.from_line(line)
+        except (paramiko.SSHException, paramiko.hostkeys.InvalidHostKey, ValueError):
+            continue
+        if entry is None or entry.key is None:
+            continue
+        for name in entry.hostnames or ():
+            if entry.key.get_name() not in (keys.lookup(name) or {}):
+                keys.add(name, entry.key.get_name(), entry.key)
+
+
 def _connect(
     client: paramiko.SSHClient, endpoint: Endpoint, deadline: Deadline, known_hosts: Path
 ) -> None:
     options = endpoint.options
     left_s = _time_left_s(deadline)
+    password = _password(options.get("password_env"))
     try:
         client.connect(
             endpoint.host,
             endpoint.port,
             endpoint.user or None,
-            password=_password(options.get("password_env")),
-            key_filename=_identity(options.get("identity")),
+            password=password,
+            key_filename=_identity(options.get("identity"), password),
             # Agent and keys of the user's folder are offered only where the address asks for them.
             allow_agent=endpoint.option_flag("agent", default=False),
             look_for_keys=False,
@@ -193,7 +210,7 @@ def _password(variable: str | None) -> str | None:
         ) from error
 
 
-def _identity(file_name: str | None) -> str | None:
+def _identity(file_name: str | None, password: str | None) -> str | None:
     if file_name is None:
         return None
     path = Path(file_name).expanduser()
@@ -209,6 +226,23 @@ def _identity(file_name: str | None) -> str | None:
             code="PC-URL-004",
             hint=f"Protect it with: chmod 600 {path}",
         )
+    try:
+        phrase = None if password is None else password.encode()
+        paramiko.PKey.from_path(path, phrase)  # type: ignore[arg-type]  # it takes bytes only
+    except TypeError as error:  # as cryptography says that it is protected
+        raise ConfigError(
+            f"the key file {path} is protected by a passphrase",
+            code="PC-URL-006",
+            hint="Put it into ssh-agent and give ?agent=yes, or name with ?password_env= the "
+            "variable that holds the passphrase.",
+        ) from error
+    except (ValueError, OSError, paramiko.SSHException, paramiko.pkey.UnknownKeyType) as error:
+        raise ConfigError(
+            f"{path} is no private key, or its passphrase is another one",
+            code="PC-URL-007",
+            hint="?identity= names the private key (not the .pub beside it), in the form of "
+            "OpenSSH or PEM.",
+        ) from error
     return str(path)
 
 
