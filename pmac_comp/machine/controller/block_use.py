@@ -27,9 +27,9 @@ _SHOWN: Final = 5
 
 
 def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
-    """Refusal where the block holds values, and none of the marks that our changes leave.
+    """Refusal where another block of ours reaches into this one, which is not left over.
 
-    Or where another one of ours reaches into it: what stands there is not left over.
+    Or where the block holds values, and none of the marks that our changes leave.
 
     Marks are the signature of a law, the manifest of tables and the number of the last change.
     Left out is what may stand without them: the lease that a capture took, what motion programs use
@@ -51,12 +51,10 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
         for k, value in enumerate(values)
         if value != 0.0 and k not in left_out
     }
-    if marked:
-        return []
-    other = _overlapping(link, block)
+    other = _overlapping(link, block)  # of whatever marks this block has: both would be at work
     if other is not None:
         return [_overlap_refusal(block, other)]
-    if not used:
+    if marked or not used:
         return []
     told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
     more = f" and {len(used) - _SHOWN} more" if len(used) > _SHOWN else ""

@@ -23,7 +23,7 @@ from pmac_comp.machine.controller import (
 from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
 from pmac_comp.machine.controller.comp_table import CompTable, TableKind
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.machine.controller.lease import read_lease
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.machine.controller.table_status import table_status
@@ -326,9 +326,14 @@ def test_a_block_that_overlaps_that_of_another_axis_is_not_to_be_zeroed(
         law_install.install_law(bench.link, bench.context, 1)
     else:
         put_table(bench, axis_of(bench, "first", 7000), 1)
-    (told,) = block_use.block_refusals(bench.link, LawBlock(first_p))
-    assert "overlaps P7000..7199" in told.message
-    assert "=0" not in told.hint
+    change = LawBlock(first_p).p(Index.CHANGE)
+    for marked in (0, 7):  # by a change of ours before the other came: both would be at work
+        bench.link.command(f"P{change}={marked}")
+        (told,) = block_use.block_refusals(bench.link, LawBlock(first_p))
+        assert "overlaps P7000..7199" in told.message
+        assert "=0" not in told.hint
+    bench.link.command(f"P{change}=0")
+    assert block_use.block_refusals(bench.link, LawBlock(7000)) == []
     assert block_use.block_refusals(bench.link, LawBlock(7200)) == []
     bench.link.command("P7600=3")
     (told,) = block_use.block_refusals(bench.link, LawBlock(7500))
