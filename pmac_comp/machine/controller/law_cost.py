@@ -3,6 +3,7 @@
 from collections.abc import Collection, Container, Sequence
 from typing import Final
 
+from pmac_comp.base.errors import InternalError
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_goal import law_program
@@ -37,16 +38,18 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     """
     skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
     if set(lacks) >= _BY_TURN:
-        skipped.add("IF(P7188>0)")
+        skipped.add(_SHARED)
     if "gap" not in lacks:
         skipped.add(_WITHOUT_GAP)
     lines = law_program(LawBlock(), 1).lines
+    _require_tests(lines, _TESTS)
     passes = (_pass(lines, skipped | {_RESTS}), _pass(lines, skipped | {_BEGINS_TO_REST}))
     return max(sum(_operations(line) for line in one) for one in passes)
 
 
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<100)"
-_BY_TURN = {"friction_per_turn", "wobble", "cogging", "uneven"}  # they share a test
+_BY_TURN = {"friction_per_turn", "wobble", "cogging", "uneven"}  # they share a test:
+_SHARED = "IF(P7188>0)"
 _WITHOUT_GAP = "IF(P7186=0)"  # within that
 _SKIPPED = (
     "IF(M7003=1)",
@@ -61,6 +64,18 @@ _SKIPPED = (
     "IF(P7003!=P7002)",
     "IF(P7108>0)",
 )
+_TESTS = {*_SKIPPED, *_PARTS.values(), _SHARED, _WITHOUT_GAP, _RESTS, _BEGINS_TO_REST}
+
+
+def _require_tests(lines: Sequence[str], tests: Collection[str]) -> None:
+    """Raise InternalError where a program lacks a test by which statements are left out."""
+    missing = sorted(set(tests).difference(lines))
+    if missing:
+        raise InternalError(
+            f"The law's program has no {', '.join(missing)}: what it costs would be counted wrong.",
+            code="PC-BUG-002",
+            hint="The tests named in law_cost are those of the program in firmware_plc.",
+        )
 
 
 def _pass(lines: Sequence[str], skipped_tests: Container[str]) -> list[str]:
@@ -129,6 +144,7 @@ _SERVO_SKIPPED = (
     "IF(P7156>P(P7144+21))",
     "IF(P7156<0-P(P7144+21))",
 )
+_SERVO_TESTS = {*_SERVO_SKIPPED, *_SERVO_PARTS.values(), _SERVO_WITHOUT_GAP}
 
 
 def servo_operation_count(lacks: Collection[str] = ()) -> int:
@@ -143,6 +159,7 @@ def servo_operation_count(lacks: Collection[str] = ()) -> int:
     if "gap" not in lacks:
         skipped.add(_SERVO_WITHOUT_GAP)
     lines = _servo_lines()
+    _require_tests(lines, _SERVO_TESTS)
     first = lines.index(_SERVO_LAW)
     return sum(_operations(line) for line in _pass(lines[first : _servo_end(lines)], skipped))
 

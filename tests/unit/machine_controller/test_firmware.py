@@ -1,13 +1,14 @@
 """Every file of firmware_plc on the simulated card: downloaded, listed back, executed."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
+from pmac_comp.base.errors import InternalError, MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import data_folder, firmware_path
 from pmac_comp.machine.controller import (
@@ -550,6 +551,21 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
     counted = with_law.share_frac(law_cost.servo_cost_cycles(lacking), 1)
     assert with_law.servo_frac - without.servo_frac == pytest.approx(counted, rel=0.15)
     assert with_law.foreground_frac < 0.95  # with everything it fits
+
+
+@pytest.mark.parametrize(
+    ("tests", "count"),
+    [("_TESTS", law_cost.operation_count), ("_SERVO_TESTS", law_cost.servo_operation_count)],
+)
+def test_a_test_that_the_program_no_longer_has_is_no_cost_but_a_bug(
+    monkeypatch: pytest.MonkeyPatch, tests: str, count: Callable[[], int]
+) -> None:
+    assert count() > 0
+    gone = "IF(P7120!=P7099)"  # as where a guard of the firmware was changed and its text here not
+    monkeypatch.setattr(law_cost, tests, {*getattr(law_cost, tests), gone})
+    with pytest.raises(InternalError, match=r"IF\(P7120!=P7099\)") as told:
+        count()
+    assert told.value.code == "PC-BUG-002"
 
 
 def test_homing_without_a_trigger_gives_up_in_time(tmp_path: Path) -> None:
