@@ -154,7 +154,6 @@ _aside = njit(_nrt=False, forceinline=False)
 _DYNAMIC1 = (
     reg.S1_MOVE_TIMER | reg.S1_DWELL | reg.S1_DESIRED_VELOCITY_ZERO | reg.S1_ABORT_DECELERATION
 )
-_TIMER_END = -8388608
 # Bits of Ixx24 (p. 102-104).
 _ERROR_TO_MASTER, _HOLD_AT_LIMIT, _DESIRED_LIMIT = 1 << 13, 1 << 14, 1 << 15
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 Space = NDArray[np.int32]
 WORDS = 0x80000
-WORD_MASK = 0xFFFFFF
 LONG_MASK = 0xFFFFFFFFFFFF
 LARGEST_LONG = LONG_MASK >> 1  # of a 48-bit register
 DPRAM_START = 0x060000
@@ -29,12 +28,6 @@ def read_word_signed(space: Space, address: int) -> int:
     """Return the 24-bit word at `address` of one space as a signed integer."""
     word = np.int64(space[address])
     return int(word - 0x1000000 if word >= 0x800000 else word)
-
-
-@njit(cache=True)
-def write_word(space: Space, address: int, value: int) -> None:
-    """Store the low 24 bits of an integer."""
-    space[address] = np.int64(value) & 0xFFFFFF
 
 
 @njit(cache=True)
@@ -92,13 +85,6 @@ def encode_float48(value: float) -> tuple[int, int]:
         biased = np.int64(4095)
         mantissa = np.int64(34359738367) if value > 0 else np.int64(-34359738368)
     return int((mantissa >> 12) & 0xFFFFFF), int(((mantissa & 0xFFF) << 12) | biased)
-
-
-@njit(cache=True)
-def round_float48(value: float) -> float:
-    """Return `value` as it reads back after being stored in a 48-bit float register."""
-    high, low = encode_float48(value)
-    return float(decode_float48(high, low))
 
 
 @njit(cache=True)

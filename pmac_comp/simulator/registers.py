@@ -27,7 +27,6 @@ BACKGROUND_TIME: Final = 0x000022  # X: last, Y: longest background cycle, half 
 P_BASE: Final = 0x000024  # X
 WATCHDOG_COUNT: Final = 0x000025  # X: lowest since power-up, Y: present
 I10_REGISTER: Final = 0x000028  # X
-HOST_ADDRESS: Final = 0x00002A  # Y: motor-1 bits 0-4, C.S.-1 bits 5-9
 TASK_TIME: Final = 0x000037  # X: phase, Y: servo interrupt tasks, half CPU cycles
 HIGHEST_TABLE: Final = 0x000038
 PHASE_INTERVAL: Final = 0x07FF8C  # X:$FFFF8C, kept where the memory has it: half CPU cycles
@@ -35,7 +34,6 @@ PROGRAM_END: Final = 0x00003E  # Y
 DPRAM_END_REGISTER: Final = 0x00003F  # Y: last address + 1
 GATHER_MASKS: Final = 0x001094  # X: I5050 at $1094, I5051 at $1095
 GATHER_SOURCES: Final = 0x001096  # X: I5001..I5048
-OPEN_REGISTERS: Final = 0x0010F0  # X/Y $10F0-$10FF
 PROGRAM_TABLE: Final = 0x003000  # 224 entries, X number, Y storage address
 PLC_TABLE: Final = 0x003100  # X execution address, Y storage (bit 22 disabled, bit 23 open)
 GATHER_POINTERS: Final = 0x003120  # X start, Y storage pointer
@@ -51,7 +49,6 @@ P_VARIABLES: Final = 0x006000
 Q_VARIABLES: Final = 0x008000
 USER_BUFFER_START: Final = 0x00A000
 USER_BUFFER_END_STANDARD: Final = 0x010800  # one past the last long word
-USER_BUFFER_END_EXTENDED: Final = 0x040000
 DPRAM_GATHER_SIZE: Final = 0x06044F  # Y: size, X: storage pointer
 DPRAM_GATHER_DATA: Final = 0x060450
 
@@ -79,8 +76,6 @@ def cs_base(coordinate_system: int) -> int:
 
 
 # --- motor block, offsets from motor_base -------------------------------------------------------
-M_MOVE_TIME: Final = 0x00  # X: half milliseconds left at 100 %
-M_DESIRED_JERK: Final = 0x02
 M_DESIRED_ACCELERATION: Final = 0x04
 M_DESIRED_VELOCITY: Final = 0x06
 M_COMMANDED: Final = 0x08  # D, 1/(32*Ixx08) count
@@ -144,7 +139,6 @@ M_IXX85_IXX87: Final = 0x5F
 M_BACKLASH_SAVED: Final = 0x60  # D
 M_IXX86: Final = 0x61  # X; Y present backlash
 M_IXX41: Final = 0x62  # X
-M_IXX42_IXX43: Final = 0x65
 M_VELOCITY_FILTERED: Final = 0x6F  # D
 M_VELOCITY_HISTORY: Final = 0x70  # D +$70..+$7F
 
@@ -152,36 +146,24 @@ M_VELOCITY_HISTORY: Final = 0x70  # D +$70..+$7F
 R_IXX10_IXX95: Final = 0x00  # X Ixx10, Y Ixx95
 R_IXX40: Final = 0x01  # X: 0..0.999999 with 23 fractional bits
 R_IXX62_IXX90: Final = 0x02
-R_IXX91_IXX99: Final = 0x03
-R_IXX98_IXX01: Final = 0x04
-R_IXX18: Final = 0x05  # L
-R_SERVO: Final = 0x20  # +$20..+$3F belong to the servo task
 
 # --- status word 1 (X:base+$30) -----------------------------------------------------------------
 S1_ACTIVATED: Final = 1 << 23  # Ixx00
 S1_NEGATIVE_LIMIT: Final = 1 << 22
 S1_POSITIVE_LIMIT: Final = 1 << 21
-S1_EXTENDED_SERVO: Final = 1 << 20
 S1_AMPLIFIER_ENABLED: Final = 1 << 19
 S1_OPEN_LOOP: Final = 1 << 18
 S1_MOVE_TIMER: Final = 1 << 17
 S1_INTEGRATION_MODE: Final = 1 << 16  # Ixx34
 S1_DWELL: Final = 1 << 15
-S1_DATA_BLOCK_ERROR: Final = 1 << 14
 S1_DESIRED_VELOCITY_ZERO: Final = 1 << 13
 S1_ABORT_DECELERATION: Final = 1 << 12
-S1_BLOCK_REQUEST: Final = 1 << 11
 S1_HOME_SEARCH: Final = 1 << 10
-S1_USER_PHASE: Final = 1 << 9  # Ixx59 bit 1
 S1_USER_SERVO: Final = 1 << 8  # Ixx59 bit 0
-S1_ALTERNATE_SOURCE: Final = 1 << 7
-S1_PHASED: Final = 1 << 6  # Ixx01 bit 0
 S1_FOLLOWING_OFFSET: Final = 1 << 5  # Ixx06 bit 1
 S1_FOLLOWING: Final = 1 << 4  # Ixx06 bit 0
 S1_TRIGGER_ON_ERROR: Final = 1 << 3  # Ixx97 bit 1
 S1_SOFTWARE_CAPTURE: Final = 1 << 2  # Ixx97 bit 0
-S1_INTEGRATOR_VELOCITY: Final = 1 << 1  # Ixx96 bit 1
-S1_ALTERNATE_OUTPUT: Final = 1 << 0  # Ixx96 bit 0
 
 # --- status word 2 (Y:base+$40) -----------------------------------------------------------------
 S2_CS_SHIFT: Final = 20
@@ -192,8 +174,6 @@ S2_FOREGROUND_IN_POSITION: Final = 1 << 13
 S2_DESIRED_LIMIT_STOP: Final = 1 << 12
 S2_LIMIT_STOP: Final = 1 << 11
 S2_HOME_COMPLETE: Final = 1 << 10
-S2_PHASE_SEARCH: Final = 1 << 9
-S2_PHASE_ERROR: Final = 1 << 8
 S2_TRIGGER_MOVE: Final = 1 << 7
 S2_INTEGRATED_ERROR: Final = 1 << 6
 S2_I2T: Final = 1 << 5
@@ -223,29 +203,19 @@ C_INTERNAL: Final = 0x50  # +$50..+$BF: Isx without a known home
 CS1_RUNNING: Final = 1 << 0
 CS1_SINGLE_STEP: Final = 1 << 1
 CS1_CONTINUOUS: Final = 1 << 2
-CS1_TIMED: Final = 1 << 3
-CS1_CONTINUOUS_REQUEST: Final = 1 << 4
 CS1_RADIUS_INCREMENTAL: Final = 1 << 5
 CS1_FIRST_INCREMENTAL_AXIS: Final = 1 << 6  # axis A; two bits further for the next letter
 CS1_FIRST_FEED_AXIS: Final = 1 << 7
 CS2_MODE0: Final = 1 << 0
 CS2_MODE1: Final = 1 << 1
 CS2_MODE4: Final = 1 << 4
-CS2_PREJOG: Final = 1 << 8
-CS2_DWELL: Final = 1 << 12
-CS2_DELAYED: Final = 1 << 15
 CS2_ROTARY_REQUEST: Final = 1 << 16
-CS2_IN_POSITION: Final = 1 << 17
-CS2_WARNING_ERROR: Final = 1 << 18
-CS2_FATAL_ERROR: Final = 1 << 19
-CS2_AMPLIFIER_FAULT: Final = 1 << 20
 CS2_RUNTIME_ERROR: Final = 1 << 22
 CS3_RESUME_ERROR: Final = 1 << 2
 
 # --- global status ------------------------------------------------------------------------------
 G1_GATHERING: Final = 1 << 19
 G1_GATHER_TRIGGER: Final = 1 << 17
-G1_LEADSCREW_ON: Final = 1 << 14  # I51
 G1_CHECKSUM: Final = 1 << 13
 G1_FLASH_ERROR: Final = 1 << 10
 G1_CONFIGURATION: Final = 1 << 7
@@ -259,15 +229,6 @@ G2_FIXED_BUFFER_FULL: Final = 1 << 11
 # --- servo IC channels --------------------------------------------------------------------------
 SERVO_IC_BASES: Final = (0x078000, 0x078100)
 CHANNEL_STEP: Final = 0x08
-CH_STATUS: Final = 0  # X
-CH_PHASE_POSITION: Final = 1  # X 24-bit counter
-CH_SERVO_POSITION: Final = 2  # X bit 0 direction, bits 1-23 counts
-CH_CAPTURE: Final = 3  # X captured position
-CH_CONTROL: Final = 5  # X bit 14 amplifier enable
-CH_TIMER: Final = 0  # Y time between counts; Y+1 since last count
-CH_OUTPUT_A: Final = 2  # Y bits 8-23
-CH_OUTPUT_B: Final = 3
-CH_OUTPUT_C: Final = 4
 
 
 def channel_base(channel: int) -> int:

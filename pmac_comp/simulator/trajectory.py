@@ -39,7 +39,6 @@ DWELL = 4  # status word 1 bit 15
 ABORTING = 8  # status word 1 bit 12
 HOMING = 16  # status word 1 bit 10
 JOGGING = 32  # a jog, as opposed to a programmed move
-TRIGGERED = 64  # a move that a trigger may end
 
 
 @dataclass(frozen=True)

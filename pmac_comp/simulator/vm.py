@@ -31,7 +31,6 @@ from pmac_comp.simulator.memory import (
     read_dpram32,
     read_float48,
     read_long,
-    round_float48,
     write_dpram32,
     write_float48,
     write_long,
@@ -760,8 +759,3 @@ def run(
     state[S_EVENTS] = used
     state[S_STEPS] = steps
     return status
-
-
-def round_stored(value: float) -> float:
-    """Value as it reads back from a P or Q variable."""
-    return float(round_float48(value))

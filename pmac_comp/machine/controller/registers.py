@@ -32,7 +32,6 @@ OUTPUT: Final = 0x3F  # X, 24 bits, DAC * 256
 
 X_WORD: Final = 0x400000
 LONG: Final = 0x800000
-FLOAT: Final = 0xC00000
 
 
 def motor_base(motor: int) -> int:
