@@ -459,11 +459,10 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     if law.ripple_Nm != 0.0:
         out[f"cogging {law.ripple_order:.0f} times a turn, amplitude Nm"] = law.ripple_Nm
     if law.turn_friction_Nm != 0.0:
-        # Below zero the order is one of cogging: such a torque pushes whichever way it turns.
-        what = "cogging" if law.turn_order < 0.0 else "friction that changes"
+        what = "cogging" if law.is_second_cogging else "friction that changes"
         times = f"{abs(law.turn_order):.0f} times a turn"
         out[f"{what} {times}, amplitude Nm"] = law.turn_friction_Nm
-    if law.torque_wobble_Nm_s3_per_m3 != 0.0:
+    if law.is_wobble:
         fastest_m_per_s = law.valid_speed_m_per_s
         out[f"against the lead's wobble {law.turn_order:.0f} times a turn, at full speed Nm"] = (
             law.torque_wobble_Nm_s3_per_m3 * fastest_m_per_s**3

@@ -67,7 +67,7 @@ def _lacks(law: CompensationLaw) -> list[str]:
     """Parts that a law does not have, by their names in the count of operations."""
     has = {
         "friction_per_turn": law.turn_friction_Nm != 0.0,
-        "wobble": law.torque_wobble_Nm_s3_per_m3 != 0.0,
+        "wobble": law.is_wobble,
         "cogging": law.ripple_Nm != 0.0,
         "place": law.torque_place_Nm_per_m != 0.0,
         "gap": law.gap_half_m > 0.0,

@@ -108,7 +108,7 @@ def _of_turn(
 ) -> dict[str, float]:
     """Friction by the turn, or the wave against the lead's wobble: that has TR below zero."""
     phase_deg = math.degrees(law.turn_phase_rad)
-    if law.torque_wobble_Nm_s3_per_m3 == 0.0:
+    if not law.is_wobble:
         return {"TR": law.turn_friction_Nm / torque_per_dac_Nm, "PR": phase_deg}
     per_speed_cubed = law.torque_wobble_Nm_s3_per_m3 / (ct_per_m * period_s) ** 3
     return {"TR": -per_speed_cubed / torque_per_dac_Nm, "PR": phase_deg + 180.0}

@@ -372,6 +372,16 @@ class LawParameters:
                 code="PC-LAW-007",
             )
 
+    @property
+    def is_second_cogging(self) -> bool:
+        """Whether TR is no friction: it pushes whichever way the screw turns."""
+        return self.NR <= 0.0
+
+    @property
+    def is_wobble(self) -> bool:
+        """Whether TR, below zero, lets the motor follow the wobble of the lead."""
+        return self.TR < 0.0
+
     def values(self, *, sealed: bool = True) -> tuple[float, ...]:
         """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * BANK_VALUES
@@ -484,8 +494,8 @@ def evaluate(
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
     level = p.TC + p.TX * slow + p.TE * np.abs(a)
-    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (t if p.NR > 0.0 else 1.0)
-    if p.TR < 0.0:
+    wave = p.TR * np.sin(np.radians(p.NR * angle + p.PR)) * (1.0 if p.is_second_cogging else t)
+    if p.is_wobble:
         place = r - max(0, 1 - latency_cycles) * v
         wave = p.TR * np.sin(np.radians(p.NR * place + p.PR + _WOBBLE_LEAD_deg * t)) * v**3
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))

@@ -124,6 +124,25 @@ _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
 _STILL_m = 0.5e-9
 _Speed = TypeVar("_Speed", float, FloatArray)
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
+_POSITIVE = (
+    "breakaway_m",
+    "torque_breakaway_m",
+    "turn_m",
+    "stribeck_speed_m_per_s",
+    "jerk_limit_m_per_s3",
+)
+_NOT_NEGATIVE = (
+    "rest_fade_per_s",
+    "rest_unwind_per_s",
+    "stribeck_m",
+    "torque_stribeck_Nm",
+    "bed_share",
+    "bed_damping_per_s",
+    "bed_stiffness_per_s2",
+    "turn_friction_Nm",
+    "torque_wobble_Nm_s3_per_m3",
+)
+_COMPUTE_AGAIN = "Compute the compensation again from a model."
 
 
 @dataclass(frozen=True)
@@ -251,27 +270,32 @@ class CompensationLaw:
 
     def __post_init__(self) -> None:
         finite_array("law coefficients", [getattr(self, name) for name in coefficient_names()])
-        small = [
-            name
-            for name in ("breakaway_m", "torque_breakaway_m", "turn_m", "stribeck_speed_m_per_s")
-            if getattr(self, name) <= 0.0
-        ]
+        self._check_period()
+        self._check_gap()
+        self._check_places()
+        self._check_waves()
+        self._check_signs()
+
+    def _check_period(self) -> None:
         if not 1 <= self.every_cycles <= _MOST_CYCLES:
             raise ModelError(
                 f"A law cannot run every {self.every_cycles} servo cycles.",
                 code="PC-DYN-021",
                 hint=f"Choose 1 to {_MOST_CYCLES}.",
             )
-        if self.jerk_limit_m_per_s3 <= 0.0:
-            small.append("jerk_limit_m_per_s3")
+
+    def _check_gap(self) -> None:
         flank = min(self.coulomb_m, self.gap_width_m)
         if min(self.gap_half_m, self.gap_lag_s) < 0.0 or (self.gap_half_m > 0.0 and flank <= 0.0):
             raise ModelError(
                 "A law takes up a gap only with a positive friction term, which tells the flank, "
                 "and a width over which it does.",
                 code="PC-DYN-022",
-                hint="Compute the compensation again from a model.",
+                hint=_COMPUTE_AGAIN,
             )
+
+    def _check_places(self) -> None:
+        """Terms that a controller has one place for exclude each other."""
         uneven = self.viscous_uneven_s != 0.0 or self.torque_uneven_Nm_s_per_m != 0.0
         ripples = self.turn_share != 0.0 and self.bed_share > 0.0
         if self.gap_half_m > 0.0 and (uneven or ripples):
@@ -279,26 +303,27 @@ class CompensationLaw:
                 "A law takes up a gap, or has viscous friction that differs by direction; beside a "
                 "gap it has a bed that swings or torque that ripples in proportion, not both.",
                 code="PC-DYN-024",
-                hint="Compute the compensation again from a model.",
+                hint=_COMPUTE_AGAIN,
             )
+
+    def _check_waves(self) -> None:
         waves = (self.turn_share, self.turn_friction_Nm, self.torque_wobble_Nm_s3_per_m3)
         if sum(wave != 0.0 for wave in waves) > 1:
             raise ModelError(
                 "A law has one wave of order turn_order: turn_share, turn_friction_Nm or "
                 "torque_wobble_Nm_s3_per_m3.",
                 code="PC-DYN-025",
-                hint="Compute the compensation again from a model.",
+                hint=_COMPUTE_AGAIN,
             )
-        bed = ("bed_share", "bed_damping_per_s", "bed_stiffness_per_s2")
-        stribeck = ("stribeck_m", "torque_stribeck_Nm")
-        waves_on = ("turn_friction_Nm", "torque_wobble_Nm_s3_per_m3")
-        not_negative = ("rest_fade_per_s", "rest_unwind_per_s", *stribeck, *bed, *waves_on)
-        small += [name for name in not_negative if getattr(self, name) < 0.0]
+
+    def _check_signs(self) -> None:
+        small = [name for name in _POSITIVE if getattr(self, name) <= 0.0]
+        small += [name for name in _NOT_NEGATIVE if getattr(self, name) < 0.0]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
                 code="PC-DYN-020",
-                hint="Compute the compensation again from a model.",
+                hint=_COMPUTE_AGAIN,
             )
 
     def as_mapping(self) -> dict[str, Any]:
@@ -328,6 +353,16 @@ class CompensationLaw:
     def has_stribeck(self) -> bool:
         """Whether friction is higher near standstill."""
         return max(self.stribeck_m, self.torque_stribeck_Nm) > 0.0
+
+    @property
+    def is_second_cogging(self) -> bool:
+        """Whether the wave TR is no friction: it pushes whichever way the screw turns."""
+        return self.turn_order < 0.0
+
+    @property
+    def is_wobble(self) -> bool:
+        """Whether the wave of the turn lets the motor follow the wobble of the lead."""
+        return self.torque_wobble_Nm_s3_per_m3 != 0.0
 
     def without_turn(self) -> "CompensationLaw":
         """The same law without torque by the turn."""
@@ -414,11 +449,11 @@ def evaluate_law(
         second cycle holds its values for two.
     """
     position = finite_array("position_m", position_m)
-    values = np.array([float(getattr(law, name)) for name in coefficient_names()])
+    groups = [np.array([float(getattr(law, name)) for name in group]) for group in _EVALUATED]
     every = law.every_cycles
     output = np.zeros(0) if output_Nm is None else finite_array("output_Nm", output_Nm)
     correction, torque = _evaluate(
-        values,
+        *groups,
         position[::every],
         output[::every],
         every * period_s,
@@ -575,9 +610,71 @@ def _jerks(wanted: float, limit: float) -> tuple[float, float]:
     return followed, followed if abs(wanted) <= _STEP * limit else 0.0
 
 
+# The groups of coefficients that ``_evaluate`` takes, each in the order in which it unpacks them.
+_ELASTIC = (
+    "inertia_s2",
+    "viscous_s",
+    "viscous_uneven_s",
+    "coulomb_m",
+    "stribeck_m",
+    "compliance_slope_per_m",
+    "jerk_s3",
+    "breakaway_m",
+)
+_TORQUE = (
+    "torque_inertia_Nm_s2_per_m",
+    "torque_jerk_Nm_s3_per_m",
+    "torque_impulse_Nm_s3_per_m",
+    "torque_viscous_Nm_s_per_m",
+    "torque_coulomb_Nm",
+    "torque_load_Nm_s2_per_m",
+    "torque_constant_Nm",
+    "torque_place_Nm_per_m",
+    "torque_breakaway_m",
+    "torque_stribeck_Nm",
+    "torque_uneven_Nm_s_per_m",
+)
+_BOTH = (
+    "lookahead_s",
+    "origin_m",
+    "stribeck_speed_m_per_s",
+    "rest_fade_per_s",
+    "rest_unwind_per_s",
+)
+_TURN = (  # as ``_by_turn`` has them
+    "turn_m",
+    "turn_friction_Nm",
+    "turn_order",
+    "turn_phase_rad",
+    "ripple_Nm",
+    "ripple_order",
+    "ripple_phase_rad",
+)
+_RIPPLE = (
+    "turn_share",
+    "torque_loop_Nm_s2_per_m",
+    "torque_loop_Nm_s_per_m",
+    "torque_wobble_Nm_s3_per_m3",
+)
+_GAP = ("gap_half_m", "gap_width_m", "gap_lag_s", "gap_torque_Nm", "gap_load_m")
+_BED = (  # the first three as ``_swung`` has them
+    "bed_share",
+    "bed_damping_per_s",
+    "bed_stiffness_per_s2",
+    "torque_bed_Nm_s2_per_m",
+)
+_EVALUATED = (_ELASTIC, _TORQUE, _BOTH, _TURN, _RIPPLE, _GAP, _BED)
+
+
 @njit(cache=True, nogil=True)
 def _evaluate(
-    p: FloatArray,
+    elastic: FloatArray,
+    torques: FloatArray,
+    both: FloatArray,
+    turn: FloatArray,
+    rippling: FloatArray,
+    gap: FloatArray,
+    bed_swings: FloatArray,
     r: FloatArray,
     output: FloatArray,
     period: float,
@@ -585,19 +682,19 @@ def _evaluate(
     every: float,
     late: float,
 ) -> tuple[FloatArray, FloatArray]:
-    inertia, viscous, coulomb, slope, jerk, breakaway, lookahead = p[:7]
-    torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = p[7:13]
-    torque_constant, torque_place, torque_breakaway, rest_fade, rest_unwind = p[13:18]
-    gap_half, gap_width, gap_lag, gap_torque, gap_load, stribeck, torque_stribeck, fading = p[25:33]
-    bed_share, torque_bed = p[33], p[36]
-    viscous_uneven, torque_uneven, turn_share, loop_a, loop_v, tw, origin = p[37:44]
-    n, seen = r.size, output.size == r.size
-    correction, torque = np.empty(n), np.empty(n)
+    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway = elastic
+    torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
+    torque_constant, torque_place, torque_breakaway, torque_stribeck, torque_uneven = torques[6:]
+    lookahead, origin, fading, rest_fade, rest_unwind = both
+    turn_share, loop_a, loop_v, tw = rippling
+    bed_share, _, _, torque_bed = bed_swings
+    gap_half, gap_width, gap_lag, gap_torque, gap_load = gap
+    seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
     v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     most, breaks = coulomb + stribeck, torque_coulomb + torque_stribeck
     most = most / inertia if inertia > 0.0 else math.inf
-    for k in range(n):
+    for k in range(r.size):
         v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
         j2, j1 = j1, j
         j, answered = _jerks(((v - v1) / period - a) / period, limit)
@@ -615,7 +712,7 @@ def _evaluate(
             wound *= WOUND_FADE
         s = _followed(s, step / breakaway)
         t = _followed(t, step / torque_breakaway)
-        wave, cogging, more = _by_turn(p[18:25], turn_share, r[k] + lookahead * v)
+        wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
         sent += torque_viscous * v
         slow = _slow_share(step / period / fading)
@@ -623,7 +720,7 @@ def _evaluate(
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound
         way = abs(v) * period / breakaway
         if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(p[33:36], a, bed_speed, bed, period)
+            swing, bed_speed, bed = _swung(bed_swings, a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
         e = inertia * (a + felt) + viscous * v + viscous_uneven * abs(v)
@@ -635,7 +732,5 @@ def _evaluate(
             correction[k] += gap_half * (h - held)
             crossing = gap_torque * behind
         sent += (sent - wound + loop_a * a + loop_v * v) * more + cogging + crossing
-        torque[k] = (
-            sent + torque_uneven * abs(v) + _following(p[18:25], tw * v**3, r[k] - late * v, t)
-        )
+        torque[k] = sent + torque_uneven * abs(v) + _following(turn, tw * v**3, r[k] - late * v, t)
     return correction, torque

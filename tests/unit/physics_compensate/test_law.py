@@ -9,6 +9,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
+from pmac_comp.physics.compensate import law
 from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law, friction_levels
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.workflow.rendering import law_parameters
@@ -57,6 +58,18 @@ LOOSE = CompensationLaw(
     inertia_s2=2e-6, coulomb_m=1e-6, breakaway_m=1e-6, gap_half_m=2e-6, gap_width_m=0.2e-6
 )
 SINE = sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=2.0, cycles=3.0, centre_m=0.1)
+
+
+def test_every_coefficient_is_evaluated_once_or_a_limit() -> None:
+    evaluated = [name for group in law._EVALUATED for name in group]
+    assert len(evaluated) == len(set(evaluated))
+    assert set(law.coefficient_names()) - set(evaluated) == {
+        "amplitude_limit_m",
+        "torque_limit_Nm",
+        "valid_speed_m_per_s",
+        "valid_acceleration_m_per_s2",
+        "jerk_limit_m_per_s3",
+    }
 
 
 def test_correction_is_minus_the_quasi_static_error_where_friction_is_settled() -> None:
