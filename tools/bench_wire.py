@@ -25,7 +25,7 @@ CHUNKS = 12
 ROUNDS = 3
 CLIENTS = 16
 POLL = "i65???&1??%#1?PVF#2?PVF"
-POLL_PERIOD_S = 0.1
+POLL_PERIOD_s = 0.1
 # A table of points as a pre-compensated motion has it.
 PROGRAM = [
     "OPEN PROG 99 CLEAR",
@@ -153,7 +153,7 @@ def many_clients(port: int, seconds: float = 5.0) -> tuple[float, float, float]:
             took_s = time.perf_counter() - start_s
             worst[number] = max(worst[number], took_s)
             polls[number] += 1
-            time.sleep(max(0.0, POLL_PERIOD_S - took_s))
+            time.sleep(max(0.0, POLL_PERIOD_s - took_s))
 
     with Commander.open(url, timeout_s=10.0) as watch:
         period_s = float(watch.query("I10")[0]) / 8388608e3

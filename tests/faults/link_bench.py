@@ -9,7 +9,7 @@ from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultyTransport
 from tests.contract.scripted_card import LinePort, PacketPort, ScriptedCard
 
-TIMEOUT_S = 3.0
+TIMEOUT_s = 3.0
 PORTS = {Framing.PACKETS: PacketPort, Framing.LINES: LinePort}
 
 
@@ -33,7 +33,7 @@ class LinkBench:
         pair = PairTransport(PORTS[framing](self.card), self.clock, framing=framing)
         self.tap = FaultyTransport(pair, at_opening)
         self.commander = Commander(
-            self.tap, clock=self.clock, timeout_s=TIMEOUT_S, checksum=checksum
+            self.tap, clock=self.clock, timeout_s=TIMEOUT_s, checksum=checksum
         )
         self.break_link(faults)
 

@@ -11,7 +11,7 @@ from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.machine.wire.dialog import format_reply, format_unsolicited
 from pmac_comp.machine.wire.replies import ReplyReader
 from tests.contract.scripted_card import ScriptedCard
-from tests.faults.link_bench import TIMEOUT_S, LinkBench
+from tests.faults.link_bench import LinkBench, TIMEOUT_s
 
 pytestmark = pytest.mark.faults
 FRAMINGS = [Framing.PACKETS, Framing.LINES]
@@ -81,7 +81,7 @@ def test_f04_silence_after_every_prefix_ends_at_the_deadline(framing, name):
         start_s = bench.clock.now_s()
         with pytest.raises(ReplyTimeout):
             call(bench.commander)
-        assert bench.clock.now_s() - start_s == pytest.approx(TIMEOUT_S, abs=0.05)
+        assert bench.clock.now_s() - start_s == pytest.approx(TIMEOUT_s, abs=0.05)
         # The link is not simply used again: as long as no mark is seen, nothing is answered.
         for _ in range(2):
             with pytest.raises(LinkError):
@@ -89,7 +89,7 @@ def test_f04_silence_after_every_prefix_ends_at_the_deadline(framing, name):
 
 
 @pytest.mark.parametrize("framing", FRAMINGS)
-@pytest.mark.parametrize("late_s", [0.4 * TIMEOUT_S, 0.7 * TIMEOUT_S, 1.5 * TIMEOUT_S, 50.0])
+@pytest.mark.parametrize("late_s", [0.4 * TIMEOUT_s, 0.7 * TIMEOUT_s, 1.5 * TIMEOUT_s, 50.0])
 def test_f05_a_late_answer_never_answers_another_question(framing, late_s, exhaustive):
     n_questions = 20
     total = answer_size(framing, lambda c: [c.query(f"P{k}") for k in range(n_questions)])
@@ -129,7 +129,7 @@ def test_f06_a_conversation_opens_though_something_stands_before_the_first_answe
 def test_f05_writes_are_sent_once_whatever_comes_back(framing):
     size = answer_size(framing, lambda c: c.command("P500=1"))
     for at in range(size):
-        for late_s in (0.4 * TIMEOUT_S, 1.5 * TIMEOUT_S, 100.0):
+        for late_s in (0.4 * TIMEOUT_s, 1.5 * TIMEOUT_s, 100.0):
             bench = LinkBench(framing)
             bench.break_link([Fault(FaultKind.DELAY, Way.RECEIVE, at=at, argument=late_s)])
             with suppress(PmacCompError):
@@ -196,7 +196,7 @@ def test_f08_a_slow_peer_meets_the_total_deadline(framing):
     start_s = bench.clock.now_s()
     with pytest.raises(ReplyTimeout):
         bench.commander.query("P0..20")
-    assert bench.clock.now_s() - start_s == pytest.approx(TIMEOUT_S, abs=0.05)
+    assert bench.clock.now_s() - start_s == pytest.approx(TIMEOUT_s, abs=0.05)
 
 
 @pytest.mark.parametrize("framing", FRAMINGS)

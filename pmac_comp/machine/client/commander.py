@@ -45,10 +45,10 @@ from pmac_comp.machine.wire.replies import MAX_ANSWER, Reply
 
 _T = TypeVar("_T")
 
-DEFAULT_TIMEOUT_S = 3.0
-SSH_CONNECT_S = 15.0
+DEFAULT_TIMEOUT_s = 3.0
+SSH_CONNECT_s = 15.0
 """Least time for a login: keys are agreed on and checked before the first byte."""
-LISTING_S = 600.0
+LISTING_s = 600.0
 """Longest time of a listing: a megabyte takes five minutes at 38400 baud."""
 _LISTING = re.compile("LIST", re.IGNORECASE)
 _FIRST_TRY = 0.5
@@ -103,7 +103,7 @@ class Commander:
         transport: Transport,
         *,
         clock: Clock | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        timeout_s: float = DEFAULT_TIMEOUT_s,
         checksum: bool = False,
         max_answer: int = MAX_ANSWER,
     ) -> None:
@@ -123,7 +123,7 @@ class Commander:
         url: str,
         *,
         clock: Clock | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        timeout_s: float = DEFAULT_TIMEOUT_s,
         checksum: bool | None = None,
     ) -> "Commander":
         """Conversation with the controller at an address.
@@ -142,7 +142,7 @@ class Commander:
         endpoint = parse_url(url)
         used_clock = clock or SystemClock()
         sums = endpoint.option_flag("checksum", default=endpoint.scheme == "serial")
-        connect_s = max(timeout_s, SSH_CONNECT_S) if endpoint.scheme == "ssh" else timeout_s
+        connect_s = max(timeout_s, SSH_CONNECT_s) if endpoint.scheme == "ssh" else timeout_s
         transport = open_transport(endpoint, Deadline.after(used_clock, connect_s))
         commander = cls(
             transport,
@@ -200,7 +200,7 @@ class Commander:
                 return self.query(text, timeout_s=timeout_s)
         if timeout_s is None and _LISTING.search(text):
             with self._lock, self._link.longest_pause(self.timeout_s):
-                return self._query(text, LISTING_S)
+                return self._query(text, LISTING_s)
         return self._query(text, timeout_s)
 
     def _query(self, text: str, timeout_s: float | None) -> list[str]:

@@ -2,7 +2,7 @@
 
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import RemoteProtocolError
-from pmac_comp.machine.client.link import SETTLE_S, BaseLink
+from pmac_comp.machine.client.link import BaseLink, SETTLE_s
 from pmac_comp.machine.wire import dialog
 from pmac_comp.machine.wire.replies import Reply, ReplyReader
 
@@ -52,7 +52,7 @@ class LineLink(BaseLink):
             text += self._receive(deadline)
         line, _, rest = bytes(text).partition(b"\r")
         if self.i4 & 1:
-            self._check_sum(line + b"\r", rest or self._receive_within(SETTLE_S, deadline))
+            self._check_sum(line + b"\r", rest or self._receive_within(SETTLE_s, deadline))
         self.unsettled = False
         return line.strip(b"\n")
 

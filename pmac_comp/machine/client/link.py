@@ -22,7 +22,7 @@ from pmac_comp.machine.transport.base import Transport
 from pmac_comp.machine.wire import dialog
 from pmac_comp.machine.wire.replies import Reply, ReplyReader
 
-SETTLE_S = 0.06
+SETTLE_s = 0.06
 """How long nothing may come before a line counts as quiet."""
 _MARK_LENGTH = 16
 _MARK_TRIES = 3
@@ -234,7 +234,7 @@ class BaseLink:
 
     def _take_until_quiet(self, deadline: Deadline) -> bytes:
         taken = bytearray()
-        while data := self._receive_within(SETTLE_S, deadline):
+        while data := self._receive_within(SETTLE_s, deadline):
             taken += data
             if len(taken) > self._limit:
                 raise RemoteProtocolError(f"the answer exceeds {self._limit} bytes")

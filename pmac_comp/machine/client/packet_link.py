@@ -1,14 +1,14 @@
 """Commands and answers over the Ethernet packet port."""
 
 from pmac_comp.base.clock import Deadline
-from pmac_comp.machine.client.link import SETTLE_S, BaseLink
+from pmac_comp.machine.client.link import BaseLink, SETTLE_s
 from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.replies import Reply, ReplyReader, plain_lines
 
-QUIET_S = 0.25
+QUIET_s = 0.25
 """A pause inside an answer after which the port is asked for more."""
-_FLUSH_S = 0.5
-_BUSY_POLL_S = 0.02
+_FLUSH_s = 0.5
+_BUSY_POLL_s = 0.02
 _TEXT = bytes([0x0D, *range(0x20, 0x7F)])
 
 
@@ -59,7 +59,7 @@ class PacketLink(BaseLink):
                 heard_s = self._clock.now_s()
             self._require_within_pause(heard_s)
             if busy:
-                self._clock.sleep_s(_BUSY_POLL_S)
+                self._clock.sleep_s(_BUSY_POLL_s)
             if data:
                 waiting = False
             if busy or part == ethernet.MAX_REPLY:
@@ -70,7 +70,7 @@ class PacketLink(BaseLink):
                 # the latter, the answer to this request is one too many.
                 asked_early = waiting = True
                 self._ask_more(deadline)
-            data = self._receive_within(QUIET_S, deadline) if part else self._receive(deadline)
+            data = self._receive_within(QUIET_s, deadline) if part else self._receive(deadline)
             part += len(data)
         self.unsettled = asked_early
 
@@ -89,7 +89,7 @@ class PacketLink(BaseLink):
         while b"\r" not in text and len(text) < ethernet.MAX_REPLY:
             text += self._receive(deadline)
         # An ACK may follow the line or not: what comes late is found as a stray.
-        text += self._receive_within(SETTLE_S / 3, deadline) if text[-1:] == b"\r" else b""
+        text += self._receive_within(SETTLE_s / 3, deadline) if text[-1:] == b"\r" else b""
         self.unsettled = False
         return bytes(text).partition(b"\r")[0]
 
@@ -113,7 +113,7 @@ class PacketLink(BaseLink):
     def _silence(self, deadline: Deadline) -> None:
         self._send(ethernet.encode(ethernet_requests.flush()), deadline)
         # Should no answer come, what follows still finds its mark: FLUSH only makes way for it.
-        if self._receive_within(_FLUSH_S, deadline):
+        if self._receive_within(_FLUSH_s, deadline):
             self._take_until_quiet(deadline)
 
     def _ask(self, command: bytes, deadline: Deadline) -> None:

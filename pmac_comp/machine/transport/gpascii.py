@@ -18,7 +18,7 @@ from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.machine.wire.dialog import visible
 
 _ACK = b"\x06"
-_QUIET_S = 0.1
+_QUIET_s = 0.1
 _MAX_ANSWER = 1_000_000
 
 
@@ -123,7 +123,7 @@ class GpasciiTerminal:
         return bytes(seen)
 
     def _take_until_quiet(self, deadline: Deadline) -> None:
-        until_s = min(self._clock.now_s() + _QUIET_S, deadline.at_s)
+        until_s = min(self._clock.now_s() + _QUIET_s, deadline.at_s)
         try:
             while True:
                 self._transport.receive(Deadline(self._clock, until_s))

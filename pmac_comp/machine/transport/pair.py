@@ -6,8 +6,8 @@ from pmac_comp.base.clock import Clock, Deadline
 from pmac_comp.base.errors import LinkLost, ReplyTimeout
 from pmac_comp.machine.transport.base import Framing
 
-_FIRST_STEP_S = 1e-3
-_LONGEST_STEP_S = 0.02
+_FIRST_STEP_s = 1e-3
+_LONGEST_STEP_s = 0.02
 
 
 class PairTransport:
@@ -62,12 +62,12 @@ class PairTransport:
     def receive(self, deadline: Deadline) -> bytes:
         """What the peer answered; waiting lets time pass."""
         self._require_open()
-        step_s = _FIRST_STEP_S
+        step_s = _FIRST_STEP_s
         while not self._arrived:
             if deadline.expired():
                 raise ReplyTimeout(f"{self._name} did not answer in time")
             self._clock.sleep_s(min(step_s, deadline.remaining_s()))
-            step_s = min(2.0 * step_s, _LONGEST_STEP_S)
+            step_s = min(2.0 * step_s, _LONGEST_STEP_s)
             self._arrived += self._peer(b"")
         return self.drain()
 

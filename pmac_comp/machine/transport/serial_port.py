@@ -7,7 +7,7 @@ from pmac_comp.base.errors import ConfigError, ConnectFailed, LinkLost, ReplyTim
 from pmac_comp.machine.transport.base import Framing
 
 DEFAULT_BAUD = 38400
-_POLL_S = 0.02
+_POLL_s = 0.02
 _PARITIES = {"N": serial.PARITY_NONE, "E": serial.PARITY_EVEN, "O": serial.PARITY_ODD}
 
 
@@ -45,7 +45,7 @@ class SerialTransport:
                 baudrate=baud,
                 parity=_PARITIES[parity],
                 rtscts=rtscts,
-                timeout=_POLL_S,
+                timeout=_POLL_s,
                 write_timeout=5.0,
                 exclusive=True,
             )

@@ -19,8 +19,8 @@ from pmac_comp.machine.transport.tcp import SocketTransport
 from pmac_comp.machine.transport.url import Endpoint
 
 DEFAULT_KNOWN_HOSTS = "~/.ssh/known_hosts"
-_SHORTEST_WAIT_S = 1e-3
-_KEEPALIVE_S = 30  # a gateway's firewall forgets connections on which nothing moves
+_SHORTEST_WAIT_s = 1e-3
+_KEEPALIVE_s = 30  # a gateway's firewall forgets connections on which nothing moves
 
 
 def fingerprint(key: paramiko.PKey) -> str:
@@ -83,7 +83,7 @@ def open_tunnel(endpoint: Endpoint, deadline: Deadline) -> TunnelTransport:
     try:
         if transport is None:
             raise paramiko.SSHException("the login has ended")  # noqa: TRY301
-        transport.set_keepalive(_KEEPALIVE_S)
+        transport.set_keepalive(_KEEPALIVE_s)
         channel = transport.open_channel(
             "direct-tcpip", target, ("127.0.0.1", 0), timeout=_time_left_s(deadline)
         )
@@ -247,4 +247,4 @@ def _identity(file_name: str | None, password: str | None) -> str | None:
 
 
 def _time_left_s(deadline: Deadline) -> float:
-    return max(_SHORTEST_WAIT_S, deadline.remaining_s())
+    return max(_SHORTEST_WAIT_s, deadline.remaining_s())

@@ -12,7 +12,7 @@ from pmac_comp.base.units import MS_PER_S
 from pmac_comp.machine.transport.base import Framing
 
 RECEIVE_SIZE = 16384
-_SHORTEST_WAIT_S = 1e-3
+_SHORTEST_WAIT_s = 1e-3
 _AT_ONCE = Deadline(VirtualClock(), 0.0)
 
 
@@ -69,7 +69,7 @@ class SocketTransport:
         """Send all bytes before the deadline."""
         self._require_open()
         try:
-            self._link.settimeout(max(_SHORTEST_WAIT_S, deadline.remaining_s()))
+            self._link.settimeout(max(_SHORTEST_WAIT_s, deadline.remaining_s()))
             self._link.sendall(data)
         except TimeoutError as error:
             raise ReplyTimeout(f"{self._name} does not take what is sent") from error
@@ -80,7 +80,7 @@ class SocketTransport:
         """At least one byte before the deadline."""
         self._require_open()
         try:
-            self._link.settimeout(max(_SHORTEST_WAIT_S, deadline.remaining_s()))
+            self._link.settimeout(max(_SHORTEST_WAIT_s, deadline.remaining_s()))
             data = self._link.recv(RECEIVE_SIZE)
         except TimeoutError as error:
             raise ReplyTimeout(f"{self._name} did not answer in time") from error
@@ -196,7 +196,7 @@ def open_tcp(
     """
     name = f"tcp://{host}:{port}"
     try:
-        link = socket.create_connection((host, port), max(_SHORTEST_WAIT_S, deadline.remaining_s()))
+        link = socket.create_connection((host, port), max(_SHORTEST_WAIT_s, deadline.remaining_s()))
     except socket.gaierror as error:
         raise ConnectFailed(
             f"the name '{host}' is not known: {error.strerror}",

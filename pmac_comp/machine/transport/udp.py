@@ -7,7 +7,7 @@ from pmac_comp.base.errors import ConnectFailed, LinkLost, ReplyTimeout
 from pmac_comp.machine.transport.base import Framing
 
 _DATAGRAM = 65536
-_SHORTEST_WAIT_S = 1e-3
+_SHORTEST_WAIT_s = 1e-3
 
 
 class UdpTransport:
@@ -57,7 +57,7 @@ class UdpTransport:
         """Send one datagram."""
         self._require_open()
         try:
-            self._socket.settimeout(max(_SHORTEST_WAIT_S, deadline.remaining_s()))
+            self._socket.settimeout(max(_SHORTEST_WAIT_s, deadline.remaining_s()))
             self._socket.send(data)
         except TimeoutError as error:
             raise ReplyTimeout(f"{self._name} does not take what is sent") from error
@@ -70,7 +70,7 @@ class UdpTransport:
         data = b""
         while not data:
             try:
-                self._socket.settimeout(max(_SHORTEST_WAIT_S, deadline.remaining_s()))
+                self._socket.settimeout(max(_SHORTEST_WAIT_s, deadline.remaining_s()))
                 data = self._socket.recv(_DATAGRAM)
             except TimeoutError as error:
                 raise ReplyTimeout(f"{self._name} did not answer in time") from error

@@ -16,11 +16,11 @@ from pmac_comp.files.capture import (
 )
 from pmac_comp.files.sidecar import sidecar_of
 
-PERIOD_S = 3707733 / 8388608 / 1e3
+PERIOD_s = 3707733 / 8388608 / 1e3
 
 
 def _capture(n: int = 200) -> Capture:
-    time_s = PERIOD_S * np.arange(n)
+    time_s = PERIOD_s * np.arange(n)
     r = 0.01 * np.sin(20.0 * time_s)
     return Capture(
         time_s=time_s, commanded_position_m=r, motor_position_m=r + 1e-6,
@@ -39,7 +39,7 @@ def test_round_trip_loses_nothing_that_a_sensor_could_see(tmp_path, suffix):
         np.testing.assert_allclose(getattr(back, name), getattr(capture, name), atol=1e-10)
     np.testing.assert_array_equal(back.extra["servo_cycle"], capture.extra["servo_cycle"])
     assert back.attributes["controller"] == "simulated"
-    assert back.sample_period_s == pytest.approx(PERIOD_S, rel=1e-6)
+    assert back.sample_period_s == pytest.approx(PERIOD_s, rel=1e-6)
 
 
 def test_csv_begins_with_the_header_and_holds_numbers_only(tmp_path):
