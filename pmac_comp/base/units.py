@@ -4,8 +4,10 @@ import math
 
 UM_PER_M = 1e6
 MM_PER_M = 1e3
+UM_PER_MM = 1e3
 US_PER_S = 1e6
 MS_PER_S = 1e3
+CLOCK_CT_PER_MS = 8388608.0  # I10 counts 2^-23 ms (Software Reference Manual p. 42)
 S_PER_MIN = 60.0
 RAD_PER_REV = 2.0 * math.pi
 

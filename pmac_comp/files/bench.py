@@ -15,7 +15,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.reading import why
-from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S, lead_m_per_rad
+from pmac_comp.base.units import (
+    CLOCK_CT_PER_MS,
+    MM_PER_M,
+    MS_PER_S,
+    UM_PER_M,
+    US_PER_S,
+    lead_m_per_rad,
+)
 from pmac_comp.files.resources import data_folder
 from pmac_comp.files.validation import problems
 
@@ -28,7 +35,6 @@ Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
 SHEAR_OVER_YOUNG = 79.4 / 206.0
 STEEL_YOUNG_Pa = 206.0e9
 STEEL_DENSITY_kg_per_m3 = 7850.0
-_CLOCK_CT_PER_MS = 8388608.0  # I10 counts 2^-23 ms (Software Reference Manual p. 42)
 
 
 class _Table(BaseModel):
@@ -253,7 +259,7 @@ class Bench(_Table):
         """Servo period in s; I10 (2^-23 ms units) wins over the rounded ``servo_period_us``."""
         i10 = self.controller.i10
         if i10 is not None:
-            return i10 / _CLOCK_CT_PER_MS / 1e3
+            return i10 / CLOCK_CT_PER_MS / MS_PER_S
         return (self.controller.servo_period_us or math.nan) / US_PER_S  # one of both is given
 
     @property

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import told_by
 from pmac_comp.report.page import Page, Section, Table, write_page
@@ -49,7 +50,7 @@ def write_run_report(result: RunResult, path: Path) -> Path:
         facts={
             "pmac-comp": __version__,
             "bench digest": result.bench.digest,
-            "servo period us": result.bench.servo_period_s * 1e6,
+            "servo period us": result.bench.servo_period_s * US_PER_S,
         },
     )
     return write_page(page, path)

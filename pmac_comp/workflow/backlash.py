@@ -16,7 +16,7 @@ import numpy as np
 
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import BacklashTable
+from pmac_comp.machine.controller.comp_table import CT16_PER_CT, BacklashTable
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.rendering import RenderedTable, entries_over_travel
 from pmac_comp.workflow.routes import TORQUE_ROUTES
@@ -27,7 +27,6 @@ _LEAST_um = 0.25  # rms of the difference of both directions; less is not worth 
 _LEAST_BESIDE_TORQUE_um = 0.5
 _NOISES = 3.0
 _HYSTERESIS_um = 1.0  # a reversal of the command less than this does not turn the backlash
-_SIXTEENTHS = 16.0
 _TAKE_UP_s = 9e-3  # two background cycles of a card with little else to do
 
 
@@ -54,18 +53,17 @@ def backlash_table(lead: LeadMap, bench: Bench) -> RenderedTable[BacklashTable]:
     table = BacklashTable(
         bench.encoder.motor_number, tuple(int(e) for e in entries), span_ct, wrap=True
     )
-    rounding_ct = float(np.max(np.abs(entries - exact))) / _SIXTEENTHS
+    rounding_ct = float(np.max(np.abs(entries - exact))) / CT16_PER_CT
     return RenderedTable(table, rounding_ct * bench.motor_resolution_m * UM_PER_M)
 
 
 def take_up_variables(table: BacklashTable, bench: Bench) -> dict[str, float]:
     """Ixx85-87: taken up within two background cycles, but never faster than the enable step."""
     motor = bench.encoder.motor_number
-    per_um = _SIXTEENTHS / (bench.motor_resolution_m * UM_PER_M)
-    largest = max(abs(entry) for entry in table.entries)
+    per_um = CT16_PER_CT / (bench.motor_resolution_m * UM_PER_M)
     fastest = math.floor(bench.safety.max_enable_step_um * per_um)
     return {
-        f"I{motor}85": float(max(1, min(math.ceil(largest / 2), fastest))),
+        f"I{motor}85": float(max(1, min(math.ceil(table.largest_entry / 2), fastest))),
         f"I{motor}86": 0.0,
         f"I{motor}87": float(math.ceil(_HYSTERESIS_um * per_um)),
     }

@@ -7,7 +7,7 @@ is in another unit. What may not: whether keys and values are allowed (``files.b
 import math
 from typing import TYPE_CHECKING
 
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, Drive, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
 from pmac_comp.machine.controller.law_bank import BLOCK_SIZE
 from pmac_comp.workflow.bench_view import resonance_Hz, tuned_motors
@@ -42,16 +42,19 @@ def remarks(bench: Bench) -> list[str]:
             f"{stated:.0f} Hz"
         )
     rounded_us = bench.controller.servo_period_us
-    if rounded_us is not None and abs(bench.servo_period_s * 1e6 / rounded_us - 1.0) > 1e-3:
+    if rounded_us is not None and abs(bench.servo_period_s * US_PER_S / rounded_us - 1.0) > 1e-3:
         out.append(
-            f"I10 gives a servo period of {bench.servo_period_s * 1e6:.3f} us, servo_period_us "
-            f"says {rounded_us:g} us; I10 is used"
+            f"I10 gives a servo period of {bench.servo_period_s * US_PER_S:.3f} us, "
+            f"servo_period_us says {rounded_us:g} us; I10 is used"
         )
-    ends = [bench.screw_position_m(mm / 1e3) for mm in (bench.travel.min_mm, bench.travel.max_mm)]
-    if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / 1e3:
+    ends = [
+        bench.screw_position_m(mm / MM_PER_M) for mm in (bench.travel.min_mm, bench.travel.max_mm)
+    ]
+    if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / MM_PER_M:
         out.append(
-            f"the travel puts the nut at {min(ends) * 1e3:.0f} to {max(ends) * 1e3:.0f} mm of a "
-            f"{bench.screw.length_mm:g} mm screw; check bearing_to_table_zero_mm"
+            f"the travel puts the nut at {min(ends) * MM_PER_M:.0f} to "
+            f"{max(ends) * MM_PER_M:.0f} mm of a {bench.screw.length_mm:g} mm screw; "
+            "check bearing_to_table_zero_mm"
         )
     tuned = tuned_motors(bench)
     if tuned and bench.encoder.motor_number not in tuned:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ConfigError, ReplyTimeout, SafetyRefusal, VerifyMismatch
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller import gather, motors, programs
@@ -125,13 +125,13 @@ def _program_lines(pvt: PvtProgram, shape: CamShape, period_s: float) -> tuple[s
     """
     speed = _number(shape.ct_per_cycle / period_s, 3)
     ramp_ct = shape.ct_per_cycle * CAM_RUN_UP_CYCLES // 2
-    run_up = f"PVT{_number(CAM_RUN_UP_CYCLES * period_s * 1e3, 6)}"
+    run_up = f"PVT{_number(CAM_RUN_UP_CYCLES * period_s * MS_PER_S, 6)}"
     start = f"X{_number(pvt.start_ct, 4)}:0"
     lines = ["DWELL100", "ABS(X)", "INC(Y)", run_up, f"{start}Y{ramp_ct}:{speed}"]
     cycles, end = 0, start
     for line in pvt.lines:
         if line.startswith("PVT"):
-            cycles = round(float(line[3:]) / (period_s * 1e3))
+            cycles = round(float(line[3:]) / (period_s * MS_PER_S))
             lines.append(line)
         elif line.startswith("X"):
             end = line
@@ -139,7 +139,7 @@ def _program_lines(pvt: PvtProgram, shape: CamShape, period_s: float) -> tuple[s
     if shape.rest_cycles:
         rest_ct = shape.rest_cycles * shape.ct_per_cycle
         lines += [
-            f"PVT{_number(shape.rest_cycles * period_s * 1e3, 6)}",
+            f"PVT{_number(shape.rest_cycles * period_s * MS_PER_S, 6)}",
             f"{end}Y{rest_ct}:{speed}",
         ]
     return (*lines, run_up, f"{end}Y{ramp_ct}:0", "DWELL50")
@@ -174,7 +174,7 @@ def _same(found: dict[str, float], wanted: dict[str, float]) -> bool:
 
 
 def _rate_ct_per_ms(bench: Bench) -> float:
-    return bench.safety.max_speed_mm_per_s / MM_PER_M / bench.motor_resolution_m / 1e3
+    return bench.safety.max_speed_mm_per_s / MM_PER_M / bench.motor_resolution_m / MS_PER_S
 
 
 def _back_ct_per_ms(bench: Bench) -> float:
@@ -295,7 +295,7 @@ def run_time_to(axis: Axis, target_ct: int) -> None:
     number = axis.bench.controller.cam_motor_number
     way_ms = abs(_time_ct(axis) - target_ct) / _back_ct_per_ms(axis.bench)
     motors.jog_to(axis.link, number, float(target_ct))
-    deadline = Deadline.after(axis.link.clock, way_ms / 1e3 + _RUN_SLACK_s)
+    deadline = Deadline.after(axis.link.clock, way_ms / MS_PER_S + _RUN_SLACK_s)
     while abs(_time_ct(axis) - target_ct) > _AT_ZERO_ct:
         if deadline.expired():
             raise ReplyTimeout(

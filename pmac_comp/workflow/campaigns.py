@@ -22,7 +22,7 @@ def calibration_motions(bench: Bench) -> list[Motion]:
     Fits the travel, the safety limits and the rated speed of the bench (ballscrew facts 2.9,
     excitation rules).
     """
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     middle, span = 0.5 * (low + high), high - low
     period = bench.servo_period_s
     speed = bench.usable_speed_m_per_s
@@ -92,7 +92,7 @@ def require_scale(bench: Bench, what: str) -> None:
 
 def lead_motions(bench: Bench) -> list[Motion]:
     """One slow run over the travel and back."""
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     margin = 1e-4  # a cyclic lead that ends before the travel does is an error of its full size
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
@@ -110,7 +110,7 @@ def verification_motions(
 ) -> list[Motion]:
     """Motions drawn by a seed: sinusoids within the rated speed and jerk-limited trapezoids."""
     rng = np.random.default_rng(seed)
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     span, speed = high - low, bench.usable_speed_m_per_s
     allowed = bench.safety.max_acceleration_m_per_s2
     acceleration = min(allowed, 10.0)
@@ -123,7 +123,9 @@ def verification_motions(
         amplitude = float(rng.uniform(0.7, 1.0)) * most
         amplitude = min(amplitude, allowed / (_RAMP_ACCELERATION * omega**2))
         centre = float(rng.uniform(low + 1.2 * amplitude, high - 1.2 * amplitude))
-        name = f"sine {amplitude * 1e3:.1f} mm {frequency:.2f} Hz at {centre * 1e3:.0f} mm"
+        name = (
+            f"sine {amplitude * MM_PER_M:.1f} mm {frequency:.2f} Hz at {centre * MM_PER_M:.0f} mm"
+        )
         cycles = max(3.0, min(6.0, math.ceil(1.5 * frequency)))
         shape = tr.sinusoid(
             period_s=period,
@@ -138,7 +140,7 @@ def verification_motions(
         v = float(rng.uniform(0.3, 0.95)) * speed
         a = float(rng.uniform(0.3, 1.0)) * min(5.0, acceleration)
         start = float(rng.uniform(low, high - distance))
-        name = f"move {distance * 1e3:.0f} mm {v * 1e3:.0f} mm/s {a:.1f} m/s2"
+        name = f"move {distance * MM_PER_M:.0f} mm {v * MM_PER_M:.0f} mm/s {a:.1f} m/s2"
         shape = tr.trapezoid(
             period_s=period,
             distance_m=distance,

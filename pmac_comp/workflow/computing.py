@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.errors import ConfigError
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller.comp_table import CT16_PER_CT
 from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
@@ -293,8 +294,8 @@ def _lead_most_um(bench: Bench, lead: LeadMap) -> float:
 
     A cam goes by time and the table by place, so that what both have at most adds up.
     """
-    entries = np.asarray(lead_table(lead, bench).table.entries)
-    return float(np.max(np.abs(entries))) / 16.0 * bench.motor_resolution_m * UM_PER_M
+    largest_ct = lead_table(lead, bench).table.largest_correction_ct
+    return largest_ct * bench.motor_resolution_m * UM_PER_M
 
 
 def aim_of(text: str) -> Aim:
@@ -455,7 +456,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     out["friction grips over um"] = law.torque_breakaway_m * UM_PER_M
     out["friction torque fades at rest 1/s"] = law.rest_fade_per_s
     out["friction offset fades at rest 1/s"] = law.rest_unwind_per_s
-    out["look-ahead ms"] = law.lookahead_s * 1e3
+    out["look-ahead ms"] = law.lookahead_s * MS_PER_S
     if law.ripple_Nm != 0.0:
         out[f"cogging {law.ripple_order:.0f} times a turn, amplitude Nm"] = law.ripple_Nm
     if law.turn_friction_Nm != 0.0:
@@ -483,7 +484,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
     if law.gap_half_m > 0.0:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
-        out["taken up with a lag of ms"] = law.gap_lag_s * 1e3
+        out["taken up with a lag of ms"] = law.gap_lag_s * MS_PER_S
     if law.has_stribeck:
         out["friction at rest beyond that um (each side)"] = law.stribeck_m * UM_PER_M
         out["friction torque at rest beyond that Nm"] = law.torque_stribeck_Nm
@@ -530,7 +531,9 @@ def _describe_static(bench: Bench, compensation: Compensation) -> dict[str, Any]
     out["table entries"] = len(rendered.table.entries)
     out["table rounding um"] = rendered.quantisation_um
     if back is not None:
-        entries_um = np.asarray(back.table.entries) / 16.0 * bench.motor_resolution_m * UM_PER_M
+        entries_um = (
+            np.asarray(back.table.entries) / CT16_PER_CT * bench.motor_resolution_m * UM_PER_M
+        )
         out["backlash um (from, to)"] = f"{entries_um.min():.2f}, {entries_um.max():.2f}"
         out["backlash table rounding um"] = back.quantisation_um
     return out

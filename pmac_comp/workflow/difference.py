@@ -15,7 +15,13 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller import law_state
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
+from pmac_comp.machine.controller.comp_table import (
+    CT16_PER_CT,
+    BacklashTable,
+    CompTable,
+    Table,
+    TableKind,
+)
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.machine.controller.table_set import read_tables
@@ -32,7 +38,6 @@ from pmac_comp.workflow.tables import tables_of
 
 _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
-_SIXTEENTHS = 16.0
 # Coefficients of a law that many drives do without.
 _SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH", "VU", "TU", "RS"})
 _ELASTIC = frozenset({"A0", "V0", "S0", "GW", "VU"})  # they change along the travel with the screw
@@ -146,7 +151,7 @@ def _of_axis(axis: Axis, tables: list[Table]) -> list[Table]:
 
 def _table_rows(axis: Axis, old: list[Table], new: list[Table]) -> list[Row]:
     rows: list[Row] = []
-    to_um = axis.scales.motor_m_per_ct * UM_PER_M / _SIXTEENTHS
+    to_um = axis.scales.motor_m_per_ct * UM_PER_M / CT16_PER_CT
     for kind, name in ((TableKind.COMP, "lead table"), (TableKind.BLCOMP, "backlash table")):
         pair = [next((t for t in _of_axis(axis, s) if t.kind is kind), None) for s in (old, new)]
         if pair == [None, None]:

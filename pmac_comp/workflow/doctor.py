@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import FlashSuspect, PmacCompError
+from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL, data_folder
 from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
@@ -122,8 +123,8 @@ def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
     yield Finding(
         "ok" if abs(off) < _CLOCK_TOLERANCE else "bad",
         "servo period",
-        f"{found.servo_period_s * 1e6:.3f} us by I10, bench file "
-        f"{bench.servo_period_s * 1e6:.3f} us",
+        f"{found.servo_period_s * US_PER_S:.3f} us by I10, bench file "
+        f"{bench.servo_period_s * US_PER_S:.3f} us",
     )
     wanted = bench.controller.dpram
     yield Finding(

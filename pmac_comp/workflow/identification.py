@@ -10,7 +10,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError, NotIdentifiable
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import (
     PREDICTED,
@@ -372,11 +372,11 @@ class _ServoGrid:
         n = math.ceil(self._time[-1] / period_s - 1e-6) + 1
         if self._given > _COARSEST * period_s:
             raise ConfigError(
-                f"The command has a step of {self._given * 1e3:.3g} ms, the servo period is "
-                f"{period_s * 1e6:.2f} us: what happens in between is not in it.",
+                f"The command has a step of {self._given * MS_PER_S:.3g} ms, the servo period is "
+                f"{period_s * US_PER_S:.2f} us: what happens in between is not in it.",
                 code="PC-IDF-002",
                 hint="Sample the command at the servo period, or at least every "
-                f"{_COARSEST * period_s * 1e3:.1f} ms; time_s is in seconds.",
+                f"{_COARSEST * period_s * MS_PER_S:.1f} ms; time_s is in seconds.",
             )
         self._fine = self._time if self.same else period_s * np.arange(max(n, 2))
 
@@ -403,6 +403,7 @@ class _ServoGrid:
         if self.same:
             return ""
         return (
-            f"the command's step of {self._given * 1e6:.2f} us was brought onto the servo period, "
-            f"{self._period * 1e6:.2f} us; between servo cycles the prediction is interpolated"
+            f"the command's step of {self._given * US_PER_S:.2f} us was brought onto the servo "
+            f"period, {self._period * US_PER_S:.2f} us; between servo cycles the prediction is "
+            "interpolated"
         )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.base.units import US_PER_S
+from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law_cost import law_cost_cycles, servo_cost_cycles
 from pmac_comp.machine.controller.link import Link
@@ -175,7 +175,7 @@ def load_text(load: ProcessorLoad | None) -> str:
     return (
         f"the processor is busy {100 * load.foreground_frac:.0f} % of the time by the card's own "
         f"task times ({_tasks_text(load)}, real-time interrupt {100 * load.rti_frac:.0f} %); a "
-        f"background cycle takes {1e3 * load.background_s:.1f} ms"
+        f"background cycle takes {MS_PER_S * load.background_s:.1f} ms"
     )
 
 

@@ -64,16 +64,16 @@ def check_motion(motion: Motion, bench: Bench) -> None:
     if beyond > 1e-9:
         refusals.append(
             MotorNotSafe(
-                f"{motion.name} runs from {t.position_m.min() * 1e3:.1f} to "
-                f"{t.position_m.max() * 1e3:.1f} mm, {beyond * 1e3:.3g} mm beyond the travel of "
-                f"{low * 1e3:g} to {high * 1e3:g} mm.",
+                f"{motion.name} runs from {t.position_m.min() * MM_PER_M:.1f} to "
+                f"{t.position_m.max() * MM_PER_M:.1f} mm, {beyond * MM_PER_M:.3g} mm beyond the "
+                f"travel of {low * MM_PER_M:g} to {high * MM_PER_M:g} mm.",
                 code="PC-MOV-001",
                 hint="Choose another centre or a shorter motion; the travel is [travel] of the "
                 "bench file.",
             )
         )
     for value, limit, what, unit in (
-        (speed * 1e3, bench.safety.max_speed_mm_per_s, "speed", "mm/s"),
+        (speed * MM_PER_M, bench.safety.max_speed_mm_per_s, "speed", "mm/s"),
         (acceleration, bench.safety.max_acceleration_m_per_s2, "acceleration", "m/s2"),
     ):
         if value > limit * (1.0 + 1e-6):

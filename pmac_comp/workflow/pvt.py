@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, stretches
+from pmac_comp.base.units import MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.scales import Scales
@@ -82,7 +83,7 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     for before, node in pairwise(nodes):
         cycles = node.cycle - before.cycle
         if abs(cycles - last) > _SAME_CYCLES:
-            lines.append(f"PVT{cycles * period * 1e3:.6f}")
+            lines.append(f"PVT{cycles * period * MS_PER_S:.6f}")
             last = cycles
         place = _listed(node.place, 4)
         rounding = max(rounding, abs(float(place) - node.place))

@@ -11,14 +11,13 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import CompTable, Table
+from pmac_comp.machine.controller.comp_table import CT16_PER_CT, CompTable, Table
 from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.physics.compensate.exact import faded
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.scales import Scales
 
-_ENTRY_PER_CT = 16.0  # table entries are in 1/16 count (Software Reference Manual p. 303)
 _MOST_ENTRIES = 4000
 _SPARE_ENTRIES = 8
 _LEAST_AT_ZERO = 0.02  # of the compliance at the law's origin
@@ -197,7 +196,7 @@ def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> Rende
         span_ct=span_ct,
         by_desired=by_desired,
     )
-    rounding = float(np.max(np.abs(entries - exact))) / _ENTRY_PER_CT
+    rounding = float(np.max(np.abs(entries - exact))) / CT16_PER_CT
     return RenderedTable(table, rounding * scales.motor_m_per_ct * UM_PER_M)
 
 
@@ -212,20 +211,20 @@ def entries_over_travel(
         The travel needs more entries than fit.
     """
     scales = Scales.of(bench)
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     reach = max(abs(low), abs(high)) + 2.0 * spacing_m
     # The zero of the motor is knot 0; both signs get the same number of knots.
     half = math.ceil(reach / spacing_m)
     if 2 * half > _MOST_ENTRIES:
         raise ConfigError(
-            f"The travel needs {2 * half} entries of {spacing_m * 1e3:g} mm.",
+            f"The travel needs {2 * half} entries of {spacing_m * MM_PER_M:g} mm.",
             code="PC-LEAD-010",
             hint="Use a larger spacing.",
         )
     spacing_ct = round(scales.counts(spacing_m))
     knots = np.arange(1, 2 * half + 1)
     signed = np.where(knots <= half, knots, knots - 2 * half)
-    exact = value_m(signed * spacing_m) / scales.motor_m_per_ct * _ENTRY_PER_CT
+    exact = value_m(signed * spacing_m) / scales.motor_m_per_ct * CT16_PER_CT
     return _seam(exact, half, spacing_ct, bench, scales), 2 * half * spacing_ct
 
 
@@ -233,7 +232,7 @@ def _seam(
     exact: np.ndarray, half: int, spacing_ct: int, bench: Bench, scales: Scales
 ) -> np.ndarray:
     """Entries beyond the travel blended so that the two ends of the table meet."""
-    reach_ct = max(abs(bench.travel.min_mm), abs(bench.travel.max_mm)) / 1e3
+    reach_ct = max(abs(bench.travel.min_mm), abs(bench.travel.max_mm)) / MM_PER_M
     used = math.ceil(scales.counts(reach_ct) / spacing_ct)
     out = exact.copy()
     if half - used < 1:
@@ -310,7 +309,7 @@ def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable[CompTable
     step = shape.spacing_cycles
     cycle = np.arange(1, shape.total_cycles // step + 1) * step - CAM_RUN_UP_CYCLES // 2
     at = np.interp(cycle, np.arange(n), faded(correction_m), left=0.0, right=0.0)
-    exact = at / scales.motor_m_per_ct * _ENTRY_PER_CT
+    exact = at / scales.motor_m_per_ct * CT16_PER_CT
     entries = np.round(exact).astype(np.int64)
     table = CompTable(
         motor=bench.controller.cam_motor_number,
@@ -319,5 +318,5 @@ def cam_table(correction_m: FloatArray, bench: Bench) -> RenderedTable[CompTable
         target=bench.encoder.motor_number,
         by_desired=True,
     )
-    rounding = float(np.max(np.abs(entries - exact))) / _ENTRY_PER_CT
+    rounding = float(np.max(np.abs(entries - exact))) / CT16_PER_CT
     return RenderedTable(table, rounding * scales.motor_m_per_ct * UM_PER_M)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.errors import CaptureError, ConfigError
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile
@@ -94,8 +94,8 @@ def _check_lengths(low_mm: float, high_mm: float, bench: Bench, name: str) -> No
 def _check_period(ratio: float, capture: Capture, bench: Bench, name: str) -> None:
     if ratio < 1.0 - PERIOD_TOLERANCE or abs(ratio / round(ratio) - 1.0) > PERIOD_TOLERANCE:
         raise ConfigError(
-            f"{name} is sampled every {capture.sample_period_s * 1e6:.2f} us, the servo period of "
-            f"the bench is {bench.servo_period_s * 1e6:.2f} us.",
+            f"{name} is sampled every {capture.sample_period_s * US_PER_S:.2f} us, the servo "
+            f"period of the bench is {bench.servo_period_s * US_PER_S:.2f} us.",
             code="PC-IDF-001",
             hint="Use the bench file of this axis, or capture at the servo rate.",
         )

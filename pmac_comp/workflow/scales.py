@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, IntArray
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M, UM_PER_MM
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.safety import Limits
 
@@ -73,7 +73,7 @@ class Scales:
         safety = bench.safety
         return Limits(
             max_correction_ct=safety.max_correction_um / um_per_ct,
-            max_slope=safety.max_slope_um_per_mm / 1e3,
+            max_slope=safety.max_slope_um_per_mm / UM_PER_MM,
             max_step_ct=safety.max_enable_step_um / um_per_ct,
             min_position_ct=self.counts(bench.travel.min_mm / MM_PER_M),
             max_position_ct=self.counts(bench.travel.max_mm / MM_PER_M),

@@ -11,7 +11,7 @@ from contextlib import suppress
 import numpy as np
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
-from pmac_comp.base.units import UM_PER_M
+from pmac_comp.base.units import UM_PER_M, UM_PER_MM
 from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
@@ -100,10 +100,11 @@ def check_table_sign(
         return [_LOOP_IS_OPEN.format("tables", "the axis is used")]
     place_ct, expected_ct = _strongest(axis, table, backlash)
     to_um = axis.scales.motor_m_per_ct * UM_PER_M
+    place_mm = place_ct * to_um / UM_PER_MM
     if abs(expected_ct) * to_um < _LEAST_um:
         return [f"the tables correct less than {_LEAST_um:g} um: their sign was not measured"]
     context.progress(
-        f"measuring the sign of the tables: the axis moves to {place_ct * to_um / 1e3:.1f} mm",
+        f"measuring the sign of the tables: the axis moves to {place_mm:.1f} mm",
         *UNKNOWN,
     )
     axis.move_to(place_ct)
@@ -112,7 +113,7 @@ def check_table_sign(
     if found_ct * np.sign(expected_ct) < -_CLEAR_FRAC * abs(expected_ct):
         axis.link.command("I51=0")
         raise SafetyRefusal(
-            f"At {place_ct * to_um / 1e3:.1f} mm the table means {expected_ct * to_um:+.1f} um, "
+            f"At {place_mm:.1f} mm the table means {expected_ct * to_um:+.1f} um, "
             f"the motor stands {found_ct * to_um:+.1f} um beside its command: the sign of the "
             "tables is reversed.",
             code="PC-DEP-041",
@@ -122,7 +123,7 @@ def check_table_sign(
         )
     axis.move_to(back_to_ct)
     said = (
-        f"at {place_ct * to_um / 1e3:.1f} mm: {expected_ct * to_um:+.1f} um meant, "
+        f"at {place_mm:.1f} mm: {expected_ct * to_um:+.1f} um meant, "
         f"{found_ct * to_um:+.1f} um found"
     )
     if found_ct * np.sign(expected_ct) < _CLEAR_FRAC * abs(expected_ct):

@@ -205,7 +205,7 @@ def _motion_lines(axis: Axis, tables: Sequence[Table], stale: Sequence[Key]) -> 
 def _cam_lines(axis: Axis, compensation: Compensation) -> list[str]:
     cam = render_cam(compensation, axis.bench)
     table = cam.table.table
-    largest_um = max(map(abs, table.entries)) / 16.0 * axis.scales.motor_m_per_ct * UM_PER_M
+    largest_um = table.largest_correction_ct * axis.scales.motor_m_per_ct * UM_PER_M
     closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
     tested = "its time is then run slowly to where it corrects clearly, to measure its sign"
     return [

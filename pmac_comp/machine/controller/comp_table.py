@@ -20,6 +20,7 @@ from pmac_comp.base.errors import ConfigError, RemoteProtocolError
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.registers import motor_base
 
+CT16_PER_CT: Final = 16.0  # entries are in 1/16 count (Software Reference Manual p. 303)
 ENTRY_MIN: Final = -(1 << 23)
 ENTRY_MAX: Final = (1 << 23) - 1
 SPAN_MAX: Final = (1 << 31) - 1
@@ -98,6 +99,11 @@ class Table:
     def lines(self) -> tuple[str, ...]:
         """Lines that define and fill the table, I30 first."""
         return (f"I30={int(self.wrap)}", self.definition, *entry_lines(self.listed.split()))
+
+    @property
+    def largest_entry(self) -> int:
+        """Largest size of an entry, in the unit of the entries."""
+        return max(map(abs, self.entries))
 
     @cached_property
     def listed(self) -> str:
@@ -183,7 +189,12 @@ class CompTable(Table):
 
     def correction_ct(self, position_ct: FloatArray | float) -> FloatArray:
         """Correction in counts of the target at source positions in counts."""
-        return self.at(position_ct) / 16.0
+        return self.at(position_ct) / CT16_PER_CT
+
+    @property
+    def largest_correction_ct(self) -> float:
+        """Largest size of a correction in counts of the target."""
+        return self.largest_entry / CT16_PER_CT
 
 
 @dataclass(frozen=True)
@@ -197,7 +208,7 @@ class BacklashTable(Table):
 
     def backlash_ct(self, position_ct: FloatArray | float) -> FloatArray:
         """Backlash in counts at positions in counts."""
-        return self.at(position_ct) / 16.0
+        return self.at(position_ct) / CT16_PER_CT
 
 
 @dataclass(frozen=True)

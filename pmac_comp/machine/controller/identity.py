@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from pmac_comp.base.errors import CommandRefused, ConnectFailed
+from pmac_comp.base.units import CLOCK_CT_PER_MS, MS_PER_S
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.registers import DPRAM_BASE, DPRAM_END
@@ -23,7 +24,6 @@ CARDS: Final = {
 }
 OLDEST_FIRMWARE: Final = 1.934  # per-port addressing, ## groups (p. 270, 276)
 NO_MODULE: Final = "0"  # answer to SID without an ID module (p. 331)
-_CLOCK_CT_PER_MS: Final = 8388608.0
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def read_identity(link: Link) -> Identity:
 
 def read_servo_period_s(link: Link) -> float:
     """Servo period that the controller states in I10, s."""
-    return read_one(link, "I10") / _CLOCK_CT_PER_MS / 1e3
+    return read_one(link, "I10") / CLOCK_CT_PER_MS / MS_PER_S
 
 
 def _serial(link: Link) -> str:

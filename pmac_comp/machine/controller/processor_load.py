@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from pmac_comp.base.errors import CommandRefused
+from pmac_comp.base.units import MS_PER_S
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 
@@ -64,7 +65,7 @@ class ProcessorLoad:
             "phase_frac": round(self.phase_frac, 4),
             "servo_frac": round(self.servo_frac, 4),
             "rti_frac": round(self.rti_frac, 4),
-            "background_cycle_ms": round(1e3 * self.background_s, 3),
+            "background_cycle_ms": round(MS_PER_S * self.background_s, 3),
             "watchdog_lowest_frac": round(self.watchdog_frac, 4),
         }
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import AmplitudeExceeded, MotorNotSafe, SafetyRefusal, SlopeExceeded
-from pmac_comp.machine.controller.comp_table import CompTable, Table, TorqueTable
+from pmac_comp.base.units import UM_PER_MM
+from pmac_comp.machine.controller.comp_table import CT16_PER_CT, CompTable, Table, TorqueTable
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.machine.controller.numbers import MANTISSA_LIMIT
 
@@ -70,7 +71,7 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
     refusals = _check_span(table, limits) + _check_end(table)
     if isinstance(table, TorqueTable):
         return refusals
-    values_ct = np.array([table.entries[-1] if table.wrap else 0, *table.entries]) / 16.0
+    values_ct = np.array([table.entries[-1] if table.wrap else 0, *table.entries]) / CT16_PER_CT
     position_ct = np.arange(len(values_ct)) * table.spacing_ct
     worst = int(np.argmax(np.abs(values_ct)))
     if abs(values_ct[worst]) > limits.max_correction_ct:
@@ -90,8 +91,8 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
         refusals.append(
             SlopeExceeded(
                 f"Between entries {steep} and {steep + 1} ({position_ct[steep]:.0f} counts) the "
-                f"correction changes by {slopes[steep] * 1e3:.3g} um per mm; the limit is "
-                f"{limits.max_slope * 1e3:.3g}.",
+                f"correction changes by {slopes[steep] * UM_PER_MM:.3g} um per mm; the limit is "
+                f"{limits.max_slope * UM_PER_MM:.3g}.",
                 code="PC-SAF-002",
                 hint="Smooth the table, or raise max_slope_um_per_mm if the screw really is so.",
                 context={"entry": steep, "slope": float(slopes[steep])},

@@ -25,7 +25,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.threads import working
-from pmac_comp.base.units import UM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
@@ -300,9 +300,9 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     long and slow: on those a load holds the nut near the force at which it changes its flank.
     """
     period = bench.servo_period_s
-    low, high = bench.travel.min_mm / 1e3, bench.travel.max_mm / 1e3
+    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     middle, span = 0.5 * (low + high), high - low
-    speed = top_speed_m_per_s(bench)
+    speed = bench.usable_speed_m_per_s
     acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
 
     def sine(amplitude: float, frequency: float, place: float, cycles: float) -> Trajectory:
@@ -341,13 +341,6 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
         move(0.5, 0.8, -0.4),
         sine(0.045, 0.7, 0.2, 2.0),
     )
-
-
-def top_speed_m_per_s(bench: Bench) -> float:
-    """Highest speed that bench file and motor allow."""
-    rpm = bench.known.rated_speed_rpm
-    rated = math.inf if rpm is None else rpm / 60.0 * bench.pitch_m
-    return min(bench.safety.max_speed_mm_per_s / 1e3, rated)
 
 
 def design_law(

@@ -27,7 +27,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.compensate.design import LoopRunner, aims, design_motions, top_speed_m_per_s
+from pmac_comp.physics.compensate.design import LoopRunner, aims, design_motions
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
@@ -89,7 +89,7 @@ def with_wobble(
     bare = law.with_values(**none)
     phase_rad = wave.phase_rad + math.pi  # the motor swings against the wobble
     probe = bare.with_values(
-        torque_wobble_Nm_s3_per_m3=_PROBE_Nm / top_speed_m_per_s(bench) ** 3,
+        torque_wobble_Nm_s3_per_m3=_PROBE_Nm / bench.usable_speed_m_per_s**3,
         turn_order=float(wave.order),
         turn_phase_rad=phase_rad,
     )
@@ -161,7 +161,7 @@ def _fastest(bench: Bench) -> Trajectory:
     return trapezoid(
         period_s=bench.servo_period_s,
         distance_m=reach,
-        speed_m_per_s=top_speed_m_per_s(bench),
+        speed_m_per_s=bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(_HARDEST_m_per_s2, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.015,
         start_m=0.5 * (low + high - reach),

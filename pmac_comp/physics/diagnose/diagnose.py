@@ -12,6 +12,7 @@ import numpy as np
 
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.threads import working
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.by_run import told_by_run
@@ -426,8 +427,8 @@ def _traces(grown: Grown, bench: Bench) -> tuple[Trace, ...]:
                 record.name,
                 at.values["time"][part],
                 MappingProxyType({k: v[part] for k, v in at.values.items()}),
-                1e6 * (before[i][part, -1] - before[i][part, -1].mean()),
-                1e6 * (after[i][part, -1] - after[i][part, -1].mean()),
+                UM_PER_M * (before[i][part, -1] - before[i][part, -1].mean()),
+                UM_PER_M * (after[i][part, -1] - after[i][part, -1].mean()),
             )
         )
     return tuple(traces)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.diagnose.localise import Region
 from pmac_comp.physics.diagnose.records import Record
 from pmac_comp.physics.diagnose.workbench import Workbench
@@ -94,7 +95,7 @@ def fine_pattern(bench: Workbench, model: DriveModel) -> FinePattern | None:
     best = int(np.argmax(powers))
     channel = "table" if bench.channels > 1 else "motor"
     region = _region(waves[best], channel, "frequency" if best else "position")
-    return FinePattern(region, 1e6 * float(np.sqrt(powers[best])), waves[best].p_value)
+    return FinePattern(region, UM_PER_M * float(np.sqrt(powers[best])), waves[best].p_value)
 
 
 def _fast(record: Record, model: DriveModel) -> _Fast:
@@ -165,10 +166,10 @@ def _region(wave: _Wave, channel: str, coordinate: str) -> Region:
     size_m, *_ = np.linalg.lstsq(np.column_stack(both), fast.left_m, rcond=None)
     explained = float(np.sum((both[0] * size_m[0] + both[1] * size_m[1]) ** 2))
     of_position = coordinate == "position"
-    period = (1e6 if of_position else 1.0) / max(wave.per_unit, 1e-300)
+    period = (UM_PER_M if of_position else 1.0) / max(wave.per_unit, 1e-300)
     shown = period if of_position else wave.per_unit
     along = (np.arange(_BINS) + 0.5) / _BINS
-    shape = 1e6 * (
+    shape = UM_PER_M * (
         size_m[0] * np.cos(2.0 * np.pi * along) + size_m[1] * np.sin(2.0 * np.pi * along)
     )
     return Region(
@@ -178,7 +179,7 @@ def _region(wave: _Wave, channel: str, coordinate: str) -> Region:
         low=shown,
         high=shown,
         share=min(1.0, explained / float(fast.left_m @ fast.left_m)),
-        size_um=1e6 * float(np.hypot(*size_m)),
+        size_um=UM_PER_M * float(np.hypot(*size_m)),
         p_value=wave.p_value,
         centres=tuple((period * along).tolist()),
         means_um=tuple(shape.tolist()),

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
 from pmac_comp.base.arrays import FloatArray, IntArray
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.physics.diagnose.statistics import corrected_p, effective_size
 
 COORDINATE_UNITS: Mapping[str, str] = MappingProxyType(
@@ -140,10 +141,10 @@ def machine_coordinates(
     velocity = np.gradient(position_m, time_s)
     acceleration = np.gradient(velocity, time_s)
     values = {
-        "position": 1e3 * position_m,
+        "position": MM_PER_M * position_m,
         "screw_angle": np.mod(position_m / lead_m_per_rev, 1.0),
-        "speed": 1e3 * velocity,
-        "distance_since_reversal": 1e3 * distance_since_reversal_m(position_m),
+        "speed": MM_PER_M * velocity,
+        "distance_since_reversal": MM_PER_M * distance_since_reversal_m(position_m),
         "acceleration": acceleration,
         "time": time_s - time_s[0],
         "direction": np.sign(np.where(np.abs(velocity) > 1e-5, velocity, 0.0)),
@@ -267,10 +268,10 @@ def _bin_test(
         low=float(edges[worst]),
         high=float(edges[worst + 1]),
         share=float(np.clip(explained / power - chance, 0.0, 1.0)),
-        size_um=1e6 * float(abs(means[worst])),
+        size_um=UM_PER_M * float(abs(means[worst])),
         p_value=p_value,
         centres=tuple(float(c) for c in 0.5 * (edges[:-1] + edges[1:])),
-        means_um=tuple(float(1e6 * m) for m in means),
+        means_um=tuple(float(UM_PER_M * m) for m in means),
     )
 
 
@@ -294,10 +295,10 @@ def _frequency_region(residual_m: Sequence[FloatArray], channel: str, sample_s: 
         low=float(edges[peak]),
         high=float(2 * edges[peak]),
         share=float(sums[peak]),
-        size_um=1e6 * float(np.sqrt(2.0 * sums[peak]) * clean.std()),
+        size_um=UM_PER_M * float(np.sqrt(2.0 * sums[peak]) * clean.std()),
         p_value=0.0 if sums[peak] > 0.5 else 1.0,
         centres=tuple(float(e) for e in edges),
-        means_um=tuple(float(1e6 * np.sqrt(s) * clean.std()) for s in sums),
+        means_um=tuple(float(UM_PER_M * np.sqrt(s) * clean.std()) for s in sums),
     )
 
 
@@ -328,7 +329,7 @@ def _ringing(residual_m: Sequence[FloatArray], channel: str, sample_s: float) ->
         low=float(edges[peak]),
         high=float(edges[peak + _WIDTH]),
         share=share,
-        size_um=1e6 * float(np.sqrt(2.0 * share * power)),
+        size_um=UM_PER_M * float(np.sqrt(2.0 * share * power)),
         p_value=0.0,
         rings=True,
     )

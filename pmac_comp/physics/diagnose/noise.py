@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray, stretches
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.diagnose.records import Record
 from pmac_comp.physics.diagnose.workbench import Workbench
 from pmac_comp.physics.model.drive import DriveModel
@@ -47,7 +48,7 @@ def noise_floor_um(
         known = float(np.sqrt(steps**2 + ambient_m2))
         total += n * min(max(known, repeatability_m(complete)), left) ** 2
         count += n
-    return 1e6 * float(np.sqrt(total / max(count, 1)))
+    return UM_PER_M * float(np.sqrt(total / max(count, 1)))
 
 
 def ambient_m2(bench: Workbench, model: DriveModel) -> float:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
@@ -375,6 +376,6 @@ def gap(records: Sequence[Record], model: DriveModel, executor: Executor) -> Gap
             torques += float(np.sum((record.torque_Nm - response.torque_command_Nm)[good] ** 2))
     has_torque = all(r.torque_Nm is not None for r in records)
     return Gap(
-        1e6 * float(np.sqrt(squares / max(count, 1))),
+        UM_PER_M * float(np.sqrt(squares / max(count, 1))),
         float(np.sqrt(torques / max(count, 1))) if has_torque else None,
     )

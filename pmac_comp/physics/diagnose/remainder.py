@@ -271,7 +271,7 @@ def _onset_um(grown: Grown) -> float:
     if noise is None or noise.doubtful is None:
         return 0.0
     powers = [float(np.mean(np.sum(d[:, -1] ** 2, axis=1))) for d in noise.doubtful]
-    return 1e6 * float(np.sqrt(np.mean(powers)))
+    return UM_PER_M * float(np.sqrt(np.mean(powers)))
 
 
 def _left_out(bench: Workbench) -> float:

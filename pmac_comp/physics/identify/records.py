@@ -21,6 +21,7 @@ from scipy.signal import firwin, resample_poly
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import CaptureError
+from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, usable_rows
@@ -292,8 +293,8 @@ def _stride(capture: Capture, bench: Bench) -> int:
     # 0.2 % of drift would be 20 ms after 10 s: a capture of another controller.
     if abs(ratio - stride) > 2e-3 * stride:
         raise CaptureError(
-            f"The capture's sample period {capture.sample_period_s * 1e6:.3f} us is not a multiple "
-            f"of the bench's servo period {bench.servo_period_s * 1e6:.3f} us.",
+            f"The capture's sample period {capture.sample_period_s * US_PER_S:.3f} us is not a "
+            f"multiple of the bench's servo period {bench.servo_period_s * US_PER_S:.3f} us.",
             code="PC-IDN-010",
             hint="Use the bench file of the controller that made the capture (servo_period_us, "
             "or I10 for kind = 'pmac').",

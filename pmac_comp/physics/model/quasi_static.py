@@ -13,6 +13,7 @@ from scipy.linalg import eigh
 
 from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel
 
@@ -197,7 +198,7 @@ def regression_coefficients(model: DriveModel) -> RegressionCoefficients:
     """
     vector = _elastic(model)
     travel = model.bench.travel
-    ends = np.array([travel.min_mm, travel.max_mm]) / 1e3
+    ends = np.array([travel.min_mm, travel.max_mm]) / MM_PER_M
     x = _screw_position(vector, ends)
     C = compliance_m_per_N(model, ends)
     own = screw_windup_m_per_m_per_s2(model, ends)

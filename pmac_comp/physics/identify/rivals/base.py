@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.derivatives import bridged, central_difference, motion_of
@@ -145,7 +146,7 @@ def fit_rival(
 
     def left(theta: FloatArray) -> FloatArray:
         parts = [_centred(run, rival.error_m(run, theta * scales, bench)) for run in runs]
-        return np.asarray(np.concatenate(parts) * 1e6)
+        return np.asarray(np.concatenate(parts) * UM_PER_M)
 
     first = np.ones(scales.size) if start is None else start / scales
     found = least_squares(left, first, x_scale="jac", max_nfev=60)

@@ -4,6 +4,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.identify.rivals.base import Rival, Signals
 
@@ -43,7 +44,7 @@ def _torsional_stiffness(bench: Bench) -> float:
 def _screw_term(x_m: FloatArray, bench: Bench) -> FloatArray:
     """c_J of ballscrew facts 2.8 in s2, without the coupling's own inertia."""
     inertia = bench.nominal.screw_inertia_kgm2 or 0.0
-    length = bench.screw.length_mm / 1e3
+    length = bench.screw.length_mm / MM_PER_M
     twisted = (length * x_m - 0.5 * x_m**2) / (length * bench.torsional_rigidity_Nm2)
     return np.asarray(inertia * (1.0 / _torsional_stiffness(bench) + twisted))
 
