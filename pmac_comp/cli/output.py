@@ -22,7 +22,6 @@ from pmac_comp.cli.progress import LOCK, ProgressLines, end_line, printable
 JSON_STDOUT = "--json=-"
 _WHOLE_BELOW = 1e7  # counts are shown to the last one
 _ROUNDED_FROM = 1e4  # of which fractions say nothing
-Progress = Callable[[str, float], None]
 
 
 def spell_out_json(words: list[str]) -> list[str]:

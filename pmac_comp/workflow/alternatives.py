@@ -18,6 +18,7 @@ from scipy.signal import iirnotch
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NonFinite
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench, Controller
 from pmac_comp.physics.compensate.delay import drive_delay_s
@@ -36,8 +37,6 @@ from pmac_comp.physics.model.effect import split_name
 from pmac_comp.physics.model.quasi_static import mechanical_error_m, modes_Hz, motor_torque_Nm
 from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
 from pmac_comp.physics.signals.trajectory import trapezoid
-
-Progress = Callable[[str, float], None]
 
 BASIS = (
     "simulated, not measured: the identified full model is the plant, on the commands of the "

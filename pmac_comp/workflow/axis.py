@@ -22,6 +22,7 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -62,7 +63,6 @@ from pmac_comp.workflow.sensors import (
     require_agreement,
 )
 
-Progress = Callable[[str, float], None]
 _START_TIME_s = 0.4  # program start, calculation time and the first DWELL
 _ATTEMPTS = 3
 _END_s = 0.5  # after the last sample, for a host that ran ahead of the card's clock

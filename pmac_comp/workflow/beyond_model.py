@@ -11,10 +11,11 @@ The gap is looked for where readings belong together and nothing swings; with it
 drive is fitted anew, and both are looked for again.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
@@ -44,7 +45,6 @@ from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 _FRICTION = ("stribeck", "presliding")
 _WHOLE = "whole_model"  # of a law: all that the last fit has
 _LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave

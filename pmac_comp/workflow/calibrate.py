@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, StorageFull
+from pmac_comp.base.progress import Progress, Tell
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
@@ -31,7 +32,6 @@ from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
 from pmac_comp.workflow.runs import acting
 from pmac_comp.workflow.session import open_axis
 
-Progress = Callable[[str, float], None]
 _LEAD = "lead"
 _CAMPAIGNS: dict[str, Callable[[Bench], list[Motion]]] = {
     "calibration": calibration_motions,
@@ -103,7 +103,7 @@ def capture_to_folder(
     *,
     journal: Path = DEFAULT_JOURNAL,
     progress: Progress | None = None,
-    tell: Callable[[str], None] | None = None,
+    tell: Tell | None = None,
 ) -> dict[str, Any]:
     """Run the motions of a plan and store one HDF5 file each; names of the files.
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ConfigError, ReplyTimeout, SafetyRefusal, VerifyMismatch
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -44,7 +45,7 @@ from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.physics.signals.trajectory import Trajectory
-from pmac_comp.workflow.axis import Axis, Progress
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion

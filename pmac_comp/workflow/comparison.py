@@ -1,16 +1,15 @@
 """Rival models on capture files, and beside them what a user would do otherwise."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, told_by
 from pmac_comp.workflow.same_axis import captures_of, check_no_copies
-
-Progress = Callable[[str, float], None]
 
 
 def compare_files(

@@ -5,7 +5,6 @@ law (``physics.compensate``), registers, conversations.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
@@ -73,7 +73,6 @@ from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit, bench_map, covered_m, static_map
 from pmac_comp.workflow.tables import sum_remarks
 
-Progress = Callable[[str, float], None]
 _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
 _SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a law
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded

@@ -7,7 +7,7 @@ are recorded beside, so that the report can say what the sensors could not see.
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, capture_source, write_capture
 from pmac_comp.workflow.axis import Axis, run_all
@@ -45,7 +46,6 @@ from pmac_comp.workflow.simulated import (
 from pmac_comp.workflow.verification import Verification
 from pmac_comp.workflow.verify import store, verify_axis
 
-Progress = Callable[[str, float], None]
 _STATIC_RUNS = 2  # the standard wants five; the demo is to be short
 
 

@@ -5,7 +5,7 @@ test before the first use. What may not: the transactions themselves (``machine.
 computing (``computing``).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from pmac_comp.base.errors import (
     ControllerState,
     SafetyRefusal,
 )
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
@@ -73,8 +74,6 @@ from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.sign_test import check_cam_sign, check_law_sign, check_table_sign
 from pmac_comp.workflow.standing import place_refusals, stand_to_switch, uploading
 from pmac_comp.workflow.tables import tables_of
-
-Progress = Callable[[str, float], None]
 
 
 def context_to_look(axis: Axis, store: Path = DEFAULT_JOURNAL) -> Context:

@@ -1,12 +1,13 @@
 """Diagnosis of capture files: the contract's JSON, the grown model, words for people."""
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model, written_for
@@ -22,8 +23,6 @@ from pmac_comp.workflow.same_axis import (
 if TYPE_CHECKING:
     from pmac_comp.physics.diagnose import Diagnosis
     from pmac_comp.physics.model.drive import DriveModel
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

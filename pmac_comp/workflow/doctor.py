@@ -1,13 +1,14 @@
 """Is everything as it should be: this installation, and a controller against its bench file."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmac_comp import __version__
 from pmac_comp.base.errors import FlashSuspect, PmacCompError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL, data_folder
@@ -16,7 +17,6 @@ from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
 if TYPE_CHECKING:
     from pmac_comp.workflow.axis import Axis
 
-Progress = Callable[[str, float], None]
 _CLOCK_TOLERANCE = 1e-4
 
 

@@ -4,9 +4,10 @@ What lives here: when it is looked for, how the compensation file keeps it, the 
 What may not: the fit (``physics.identify.drive_lag``).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from pmac_comp.physics.identify.drive_lag import DriveLag
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 _KEY = "drive_lag"
 
 

@@ -5,13 +5,14 @@ arithmetic of either (``physics.compensate``), files, controllers.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -56,7 +57,6 @@ _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
 _FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", RIPPLE})
 GAVE_WAY = "turn_gave_way"  # in a law's provenance
-Progress = Callable[[str, float], None]
 
 
 def dynamic_law(

@@ -1,7 +1,7 @@
 """Identification and prediction on files: captures and benches in, models and captures out."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,6 +10,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError, NotIdentifiable
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import (
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from pmac_comp.physics.identify.result import Identification
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 Friction = Literal["auto", "coulomb"]
 Rounding = Literal["expected", "none"]
 _HARDLY_ANY_mm = 0.5  # no motion that anybody identifies a drive from

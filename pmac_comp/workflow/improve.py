@@ -1,7 +1,7 @@
 """Diagnose, grow the model, recompute, upload, verify, and see whether the error falls again."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, ModelError, PmacCompError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, holds_runs
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
@@ -36,7 +37,6 @@ from pmac_comp.workflow.verify import KeptRuns, store, verify_axis
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 JOURNAL = "journal"
 _MOST_STAGES = 8
 _RESULT = "improvement.json"

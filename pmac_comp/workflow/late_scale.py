@@ -7,12 +7,13 @@ two readings belong together, the words for people. What may not: the fit
 A law that took this lag for an error of the table would make the table lead its command.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -21,7 +22,6 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 _KEY = "scale_age"
 _SKEW = "channel_skew"
 _TIME = "time_s"

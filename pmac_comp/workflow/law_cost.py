@@ -6,13 +6,13 @@ words for people. What may not: the count of operations and the card's task time
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pmac_comp.base.errors import SafetyRefusal
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law_cost import law_cost_cycles, servo_cost_cycles
@@ -210,7 +210,7 @@ def cheaper_laws(
     bench: Bench,
     model: "DriveModel",
     law: CompensationLaw,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     *,
     whole: CompensationLaw | None = None,
 ) -> tuple[CheaperLaw, ...]:

@@ -10,7 +10,7 @@ mechanical error, less what the compensation table gives.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,6 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.late_scale import read_together
-
-if TYPE_CHECKING:
-    pass
-
-Progress = Callable[[str, float], None]
 
 PROMISED = ("e_r_after", "total_after")  # what a promise gives with an interval
 ROUNDING = "e_r_rounding_um"  # what the encoder's steps make of e_r through the loop, by the model

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -22,7 +23,7 @@ from pmac_comp.machine.controller.program_upload import upload_program
 from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.physics.signals.trajectory import Trajectory
-from pmac_comp.workflow.axis import Axis, Progress
+from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion
 from pmac_comp.workflow.pvt import pvt_program

@@ -4,7 +4,6 @@ What lives here: how an offset reaches the motion program, how such a run become
 terms of the contract, and ``--refine``. What may not: the learning rule (``physics.compensate``).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
@@ -30,7 +30,6 @@ from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.late_scale import read_together, scale_age_s
 from pmac_comp.workflow.motions import Motion
 
-Progress = Callable[[str, float], None]
 _FRESH_RUNS = 2
 # Of its way, after which a command has begun: before a learned offset a card's cubics bow by nm.
 _BEGUN_FRAC = 1e-3

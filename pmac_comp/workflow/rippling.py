@@ -7,17 +7,16 @@ A tenth of the torque that comes and goes by the turn moves motor and table by m
 that is read late or a nut that lets go, and hides both.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.ripple import RIPPLE, rippling_model
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
-
-Progress = Callable[[str, float], None]
 
 
 def rippling(

@@ -1,11 +1,12 @@
 """Backup and restore of a whole controller, and the download of program files."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.errors import ConfigError, ControllerState, PmacCompError, VerifyMismatch
+from pmac_comp.base.progress import Progress, Steps
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
@@ -24,7 +25,6 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
 
-Progress = Callable[[str, float], None]
 _SHOWN = 40
 _NAMED = 8
 _BACKGROUND_PLCS = 2  # bit of I5 (Software Reference Manual, I5)
@@ -225,7 +225,7 @@ def _short(value: object) -> str:
     return (first[:_LINE_SHOWN] + f" ... ({len(rest)} more lines)") if rest else first or "nothing"
 
 
-def _steps(progress: Progress | None, time: str = "") -> kept.Progress:
+def _steps(progress: Progress | None, time: str = "") -> Steps:
     def told(step: str, done: int, total: int) -> None:
         if progress is not None:
             progress(step + time, done / max(total, 1))

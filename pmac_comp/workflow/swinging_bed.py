@@ -4,10 +4,11 @@ What lives here: when it is looked for, how the compensation file keeps it, the 
 What may not: the fit (``physics.identify.swinging_bed``).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -15,7 +16,6 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 _KEY = "bed"
 _EFFECT = "base_mode"
 _OWN = ("frequency_Hz", "mass_ratio", "damping_ratio")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, parts, recovery, rollback, temporary, waiting
 from pmac_comp.machine.controller.context import Context
@@ -24,7 +25,7 @@ from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.deploy import Deployment, Progress, context_of, deploy
+from pmac_comp.workflow.deploy import Deployment, context_of, deploy
 from pmac_comp.workflow.motion_owners import MOTIONS, motion_refusals
 from pmac_comp.workflow.owners import time_motor_refusals
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM

@@ -15,6 +15,7 @@ from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.resources import DEFAULT_JOURNAL
@@ -66,7 +67,6 @@ from pmac_comp.workflow.simulated import Truth
 from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approaches, is_static
 from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks
 
-Progress = Callable[[str, float], None]
 _RESULT = "verification.json"
 _LEARNED = "learned.json"
 _NO_FILE = (

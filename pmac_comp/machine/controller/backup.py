@@ -18,6 +18,7 @@ from pmac_comp.base.errors import (
     FlashSuspect,
     RemoteProtocolError,
 )
+from pmac_comp.base.progress import Steps
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
@@ -109,9 +110,6 @@ class Difference:
     after: str
 
 
-Progress = Callable[[str, int, int], None]
-
-
 def silent(step: str, done: int, total: int) -> None:
     """Tell nobody."""
     del step, done, total
@@ -122,7 +120,7 @@ def read_backup(
     *,
     p_range: tuple[int, int] = (0, VARIABLES - 1),
     with_q: bool = True,
-    progress: Progress = silent,
+    progress: Steps = silent,
 ) -> Backup:
     """Read the whole configuration; nothing is changed.
 
@@ -162,7 +160,7 @@ def read_backup(
 
 
 def _read_variables(
-    link: Link, wanted: Mapping[str, range], progress: Progress
+    link: Link, wanted: Mapping[str, range], progress: Steps
 ) -> dict[str, dict[int, str]]:
     """Values by letter and number; of M-variables the definitions."""
     in_all, done = sum(map(len, wanted.values())), 0

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from pmac_comp.base.progress import Steps
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.safety import Limits
 
-Progress = Callable[[str, int, int], None]
 """Called with a step, lines done and lines in all."""
 
 
@@ -65,7 +65,7 @@ class Context:
     servo_period_s: float
     controller: str = "controller"
     alike: str = ""
-    progress: Progress = _no_progress
+    progress: Steps = _no_progress
     stop_requested: Callable[[], bool] = never
     group: int = 0
     number_before: int = 0

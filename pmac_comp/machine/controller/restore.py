@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 
 from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, SafetyRefusal
+from pmac_comp.base.progress import Steps
 from pmac_comp.machine.controller import programs, temporary
 from pmac_comp.machine.controller.backup import (
     NOT_RESTORED,
     Q_WINDOW,
     Backup,
     Difference,
-    Progress,
     compare,
     live_variables,
     read_backup,
@@ -45,7 +45,7 @@ def restore(
     backup: Backup,
     *,
     other_card: bool = False,
-    progress: Progress = silent,
+    progress: Steps = silent,
 ) -> tuple[UploadResult, tuple[Difference, ...]]:
     """Put a backup on the controller as one upload, and say what still differs.
 
@@ -98,7 +98,7 @@ def restore(
     return result, compare(backup, after)
 
 
-def _read_like(link: Link, backup: Backup, progress: Progress) -> Backup:
+def _read_like(link: Link, backup: Backup, progress: Steps) -> Backup:
     """What stands of the variables that the backup has."""
     return read_backup(
         link,

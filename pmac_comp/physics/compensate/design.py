@@ -16,7 +16,7 @@ a third worse with what was fitted so.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,6 +24,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
     from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 # What goes by the place of the table alone. A cable pulls on the screw as a lead error does, and
 # tables take that; its torque the law has from the captures.
 STATIC_EFFECTS = frozenset(

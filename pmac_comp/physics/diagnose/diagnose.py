@@ -4,13 +4,14 @@ What lives here: the door of the package and the assembly of the answer. May imp
 this package.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from pmac_comp.base.errors import NotIdentifiable
+from pmac_comp.base.progress import Tell
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -51,7 +52,6 @@ from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
-Progress = Callable[[str], None]
 _RULED_OUT = 0.05  # largest p-value at which a look-alike counts as ruled out
 # A second form of presliding for prediction; the diagnosis names the phenomenon once.
 _FORMS = frozenset({"presliding_gms"})
@@ -64,7 +64,7 @@ def diagnose(
     validate: Sequence[Capture] = (),
     model: DriveModel | None = None,
     effects: Mapping[str, Effect] | None = None,
-    progress: Progress | None = None,
+    progress: Tell | None = None,
     rules: Rules | None = None,
 ) -> Diagnosis:
     """What the base model lacks on these captures.

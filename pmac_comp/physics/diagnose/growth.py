@@ -5,11 +5,12 @@ What lives here: the order of work. The rules by which a candidate is accepted o
 package.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pmac_comp.base.progress import Tell
 from pmac_comp.physics.diagnose.acceptance import Round, best, earned, tied_with
 from pmac_comp.physics.diagnose.contenders import (
     Contender,
@@ -37,7 +38,6 @@ from pmac_comp.physics.diagnose.workbench import Noise, Workbench
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect
 
-Progress = Callable[[str], None]
 # Drop of chi-square per sample, and number of effects, that are looked at afresh in later rounds.
 _HINT = 0.002
 _MOST_FRESH = 10
@@ -105,7 +105,7 @@ def grow(
     start: DriveModel,
     library: Mapping[str, Effect],
     rules: Rules,
-    progress: Progress,
+    progress: Tell,
 ) -> Grown:
     """Refit the base, then add effects while one earns its place.
 
@@ -245,7 +245,7 @@ def _round(
     screening: Screening,
     library: Mapping[str, Effect],
     rules: Rules,
-    progress: Progress,
+    progress: Tell,
 ) -> Round:
     ground = Ground.of(bench, before, library)
     fits, rows = ground.fitting, ground.rows

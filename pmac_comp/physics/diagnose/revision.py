@@ -4,10 +4,11 @@ What lives here: an accepted effect that is another one in truth, acts at furthe
 longer needed. May import ``acceptance``, ``contenders`` and ``widening``.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Tell
 from pmac_comp.physics.diagnose.acceptance import Round, earned
 from pmac_comp.physics.diagnose.contenders import (
     ELEMENTARY,
@@ -67,7 +68,7 @@ class Reviser:
     bench: Workbench
     library: Mapping[str, Effect]
     rules: Rules
-    progress: Callable[[str], None]
+    progress: Tell
 
     def renamed(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
         """The model with effects in corners of their range replaced by those that they are there.

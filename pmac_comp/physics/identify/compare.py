@@ -3,13 +3,14 @@
 Imports this package and ``physics.model``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.friction_form import identify_with_friction
@@ -18,7 +19,6 @@ from pmac_comp.physics.identify.result import Identification, StaticMap
 from pmac_comp.physics.identify.rivals import fit_rival, rivals
 from pmac_comp.physics.signals.metrics import rms_um
 
-Progress = Callable[[str, float], None]
 FULL_NAME = "full model, from the command alone"
 _TRUE = ("true_table_position_m", "true_motor_position_m")
 

@@ -5,12 +5,13 @@ is the motor: in the closed loop from the command alone, and one step ahead from
 Imports this package and ``physics.model``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmac_comp.base.errors import DidNotConverge, ModelError, NotIdentifiable
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -20,7 +21,6 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.quasi_static import table_force_N
 from pmac_comp.physics.signals.metrics import rms_um
 
-Progress = Callable[[str, float], None]
 # Effects beside Coulomb and viscous friction, from the published symmetric model upwards.
 GROWTH: tuple[tuple[str, ...], ...] = (
     ("bias_force",),

@@ -8,7 +8,7 @@ Coulomb and viscous friction stay the base. A form is added only if it predicts 
 of the same captures clearly better, and the result says so.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -29,9 +30,6 @@ from pmac_comp.physics.identify.scale_age import SKEW
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 from pmac_comp.physics.model.effect import split_name
-
-Progress = Callable[[str, float], None]
-
 
 _WORDS = {
     "presliding": "presliding at the guide (presliding)",

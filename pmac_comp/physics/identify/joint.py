@@ -4,7 +4,7 @@ What lives here: the choice of the path (elastic drive with a scale, or rigid dr
 assembly of the result. What may not: numerics of either path. Imports this package.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Literal
@@ -14,6 +14,7 @@ from scipy.stats import t as student
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -44,7 +45,6 @@ from pmac_comp.physics.identify.result import (
 from pmac_comp.physics.identify.rigid import force_of, rigid_regression
 from pmac_comp.physics.model.drive import DriveModel, Response
 
-Progress = Callable[[str, float], None]
 _STATIC_EFFECTS = ("lead_linear", "lead_cyclic", "encoder_eccentricity", "scale_slope")
 # With these effects only, the moments after a reversal are left out: see ``records.prepare``.
 _NO_DETAIL_AT_REST = {

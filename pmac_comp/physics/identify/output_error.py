@@ -5,7 +5,7 @@ scale offsets and the static lead map are projected out. What lives here: the ro
 may not: simulation (``problem``), weights (``normal_equations``), verdicts and words.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,6 +14,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.identify.covariance import uncertainty_of
@@ -36,7 +37,6 @@ from pmac_comp.physics.identify.steps import damped_step
 from pmac_comp.physics.identify.whitening import Whitener
 from pmac_comp.physics.model.drive import DriveModel
 
-Progress = Callable[[str, float], None]
 Stages = Literal["all", "outline", "rough", "fine"]
 
 _WHITE_ROUNDS = 3

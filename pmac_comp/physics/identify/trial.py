@@ -5,7 +5,7 @@ it better than another. What may not: what is tried (``friction_form``, ``scale_
 package.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +14,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge, ModelError
+from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -22,8 +23,6 @@ from pmac_comp.physics.identify.joint import identify
 from pmac_comp.physics.identify.output_error import Stages
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.model.drive import DriveModel
-
-Progress = Callable[[str, float], None]
 
 _SEGMENT_s = 0.8  # held out and fitted by turns
 _BLOCK_s = 0.4
