@@ -1,1 +1,1 @@
-"""Errors, units, arrays, clock, atomic files. Imports nothing of ours."""
+"""Errors, units, arrays, clock, atomic files, documents, progress. Imports nothing of ours."""

@@ -4,17 +4,14 @@ What lives here: rendering only. Standard output carries the result (a table, or
 document), standard error carries progress (``progress``) and errors, so that results can be piped.
 """
 
-import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, is_dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from pmac_comp.base.documents import document, plain
 from pmac_comp.base.errors import ConfigError, PmacCompError, SafetyRefusal
 from pmac_comp.base.reading import why
 from pmac_comp.cli.progress import LOCK, ProgressLines, end_line, printable
@@ -179,33 +176,9 @@ def _paths(value: Any) -> list[Path]:
     return [Path(v).resolve() for v in values if isinstance(v, (str, Path)) and v not in {"", "-"}]
 
 
-def plain(value: Any) -> Any:
-    """Value as what JSON can hold; NaN and infinity become null, arrays become lists."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, (str, int, bool, type(None))) and not isinstance(value, Enum):
-        return value
-    return _plain_object(value)
-
-
-def _plain_object(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(plain(key)): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
-    if isinstance(value, Enum):
-        return value.value
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    for method, arguments in (("model_dump", {"mode": "json"}), ("tolist", {})):
-        if hasattr(value, method):
-            return plain(getattr(value, method)(**arguments))
-    return str(value)
-
-
 def write_json(target: str, result: Any) -> None:
     """One JSON document to standard output (``-``) or whole into a file."""
-    text = json.dumps(plain(result), indent=2) + "\n"
+    text = document(result)
     if target == "-":
         sys.stdout.write(text)
         sys.stdout.flush()

@@ -7,7 +7,7 @@ from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table, sentence
 from pmac_comp.report.positioning import lead_section, positioning_section
 from pmac_comp.report.repeated import learning_section
-from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread, error_signals
+from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread, error_signals, quadratic_mean
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.verification import Verification
@@ -27,7 +27,9 @@ def headline(verification: Verification) -> list[tuple[str, str]]:
         if _is_total_judged(verification):
             kinds = kinds[2:]
         for name, before, after, digits, left in kinds:
-            values = [_mean([getattr(m, key).value for m in motions]) for key in (before, after)]
+            values = [
+                quadratic_mean([getattr(m, key).value for m in motions]) for key in (before, after)
+            ]
             share = "" if left is None else f"; after/before {_share(left)}"
             out.append((f"{values[0]:.{digits}f} → {values[1]:.{digits}f} um", f"{name}{share}"))
     out += _true_headline(verification)
@@ -48,14 +50,9 @@ def _true_headline(verification: Verification) -> list[tuple[str, str]]:
         return []
     known = verification.route in MOTION_ROUTES
     keys = ("total_before_um", "total_after_um") if known else ("e_before_um", "e_r_after_um")
-    before, after = (_mean([truth[key] for truth in truths]) for key in keys)
+    before, after = (quadratic_mean([truth[key] for truth in truths]) for key in keys)
     what = "total" if known else "mechanical"
     return [(f"{before:.2f} → {after:.2f} um", f"{what} error, true positions of the plant")]
-
-
-def _mean(values: list[float]) -> float:
-    """Quadratic mean over motions."""
-    return float((sum(v * v for v in values) / max(len(values), 1)) ** 0.5)
 
 
 def verification_sections(verification: Verification) -> list[Section]:

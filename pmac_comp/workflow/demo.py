@@ -5,7 +5,6 @@ protocol only; the host knows the bench file and nothing of the plant. The plant
 are recorded beside, so that the report can say what the sensors could not see.
 """
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.documents import document
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
@@ -212,7 +212,7 @@ def run_demo(
         open_axis(endpoints["tcp"], loaded, clock=clock) as axis,
     ):
         result = _whole_job(axis, out, endpoints["tcp"], route, seed, watch, recorder)
-    atomic_write_text(out / "result.json", json.dumps(_plain(result.as_result()), indent=2) + "\n")
+    atomic_write_text(out / "result.json", document(result.as_result()))
     return result
 
 
@@ -294,13 +294,3 @@ def _whole_job(
             *cost_remarks(axis.bench, route, compensation.law),
         ),
     )
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "item"):
-        return value.item()
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

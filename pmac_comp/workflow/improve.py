@@ -1,6 +1,5 @@
 """Diagnose, grow the model, recompute, upload, verify, and see whether the error falls again."""
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.documents import document
 from pmac_comp.base.errors import ConfigError, ModelError, PmacCompError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
@@ -28,6 +28,7 @@ from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.identification import identify_captures, load_model
+from pmac_comp.workflow.outcome import quadratic_mean
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.upload_flow import removal_command
@@ -126,15 +127,11 @@ def is_better(before: Verification, after: Verification) -> bool:
 
 
 def _mechanical_um(verification: Verification) -> float:
-    return _together([m.e_r_after.value for m in verification.motions])
+    return quadratic_mean([m.e_r_after.value for m in verification.motions])
 
 
 def _total_um(verification: Verification) -> float:
-    return _together([m.total_after.value for m in verification.motions])
-
-
-def _together(values: list[float]) -> float:
-    return float((sum(v * v for v in values) / max(len(values), 1)) ** 0.5)
+    return quadratic_mean([m.total_after.value for m in verification.motions])
 
 
 def require_many_motions(route: str) -> None:
@@ -189,7 +186,7 @@ def improve_on_controller(
         removal=removal_command(url, bench, out / JOURNAL),
     )
     result = replace(result, diagnosis=asked)
-    atomic_write_text(out / _RESULT, json.dumps(result.as_result(), indent=2, default=str) + "\n")
+    atomic_write_text(out / _RESULT, document(result.as_result()))
     return result
 
 

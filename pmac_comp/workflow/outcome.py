@@ -30,6 +30,11 @@ _DRAWS = 400
 _SEED = 20_261
 
 
+def quadratic_mean(values: Sequence[float]) -> float:
+    """Error of all motions from the rms of each, in its unit; zero without any."""
+    return float((sum(v * v for v in values) / max(len(values), 1)) ** 0.5)
+
+
 @dataclass(frozen=True)
 class ErrorSignals:
     """Errors of one run in m, mean taken out; shape (n,) each.

@@ -4,7 +4,6 @@ What lives here: which runs are made, in which order, and what belongs together.
 statistics (``outcome``), plots (``report``).
 """
 
-import json
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.documents import document
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
@@ -209,7 +209,7 @@ def store(verification: Verification, folder: Path) -> dict[str, list[str]]:
     for capture in (*runs, *(c for found in special if found is not None for c in found.captures)):
         kept.keep(capture)
     result = {**verification.as_result(), "files": kept.names}
-    atomic_write_text(folder / _RESULT, json.dumps(result, indent=2) + "\n")
+    atomic_write_text(folder / _RESULT, document(result))
     return kept.names
 
 

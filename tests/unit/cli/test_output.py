@@ -1,11 +1,8 @@
 """Rendering: two forms of --json, plain values, escaped text, errors as classes and codes."""
 
 import json
-from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pmac_comp.base.errors import (
@@ -31,20 +28,6 @@ from pmac_comp.cli.app import main
 )
 def test_bare_json_goes_to_standard_output(words: list[str], spelled: list[str]) -> None:
     assert output.spell_out_json(words) == spelled
-
-
-def test_values_become_plain_and_json_holds_no_nan() -> None:
-    class Colour(Enum):
-        RED = "red"
-
-    @dataclass
-    class Thing:
-        at: Path
-        colour: Colour
-
-    value = {"a": np.array([1.0, np.nan]), "b": Thing(Path("x"), Colour.RED), "c": (np.int64(3),)}
-    text = json.dumps(output.plain(value), allow_nan=False)
-    assert json.loads(text) == {"a": [1.0, None], "b": {"at": "x", "colour": "red"}, "c": [3]}
 
 
 def test_text_of_a_controller_cannot_drive_the_terminal(
