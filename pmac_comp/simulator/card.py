@@ -46,7 +46,6 @@ from pmac_comp.simulator.variables import Variables
 for _name in ("buffers", "coordinate", "faults", "identity", "memory", "motor", "variables"):
     importlib.import_module(f"pmac_comp.simulator.commands.{_name}")
 
-BACKGROUND_CYCLES = 10
 _FIRST_READING_CYCLES = 4  # after which the positions are those of encoder and scale
 SAVE_TIME_s = 1.5  # SRM p. 394: 1 to 2 s
 _STOPPING_EVENTS = {
@@ -113,7 +112,7 @@ class Card:
         self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
         self.ip_address = bytes((192, 6, 94, 5))
         self._elapsed = 0
-        self._next_background = BACKGROUND_CYCLES
+        self._next_background = ks.BACKGROUND_CYCLES
         self._keep_background = False
         if servo_source is not None:
             self._load_servo(servo_source)
@@ -157,7 +156,7 @@ class Card:
             if self._elapsed >= self._next_background:
                 self._background()
                 late = self._elapsed - self._next_background
-                self._next_background += BACKGROUND_CYCLES * (late // BACKGROUND_CYCLES + 1)
+                self._next_background += ks.BACKGROUND_CYCLES * (late // ks.BACKGROUND_CYCLES + 1)
         self.refresh_status()
 
     def _has_background(self) -> bool:
@@ -350,4 +349,4 @@ class Card:
         while done < pause:
             done += self.servo.run(pause - done)
         self._elapsed += pause
-        self._next_background = self._elapsed + BACKGROUND_CYCLES
+        self._next_background = self._elapsed + ks.BACKGROUND_CYCLES

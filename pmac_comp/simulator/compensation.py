@@ -22,6 +22,7 @@ from numba import njit
 
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.simulator import registers as reg
+from pmac_comp.simulator.errors import ERR_MEMORY, ERR_ORDER
 from pmac_comp.simulator.memory import (
     LARGEST_LONG,
     Memory,
@@ -39,8 +40,6 @@ from pmac_comp.simulator.user_memory import (
     buffer_exists,
 )
 
-ERR_ORDER: Final = 3
-ERR_MEMORY: Final = 6
 HEADER: Final = 5
 VALUES_PER_LINE: Final = 12
 _LIMIT = 0x7FFFFF

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from pmac_comp.base.arrays import FloatArray, IntArray
-from pmac_comp.simulator.memory import Space
+from pmac_comp.simulator.memory import Space, signed24
 from pmac_comp.simulator.registers import ECT_BASE, ECT_LINES
 
 # Columns of a decoded entry.
@@ -60,12 +60,6 @@ from pmac_comp.simulator.registers import ECT_BASE, ECT_LINES
 _WORD = 0xFFFFFF
 _TRIGGERED = 1 << 11  # capture flag in the status word of a channel
 _LINES = (1, 1, 2, 3, 2, 2, 2, 3, 1, 2, 2, 2, 1, 3, 1, 2)  # lines by method digit, at least
-
-
-@njit(cache=True)
-def _signed24(value: int) -> int:
-    value &= _WORD
-    return value - 0x1000000 if value >= 0x800000 else value
 
 
 @njit(cache=True)
@@ -138,24 +132,24 @@ def _decode_entry(y: Space, entry: IntArray, setup: int) -> bool:
         return bool(1 <= entry[E_WIDTH] <= 24 and entry[E_LSB] <= 0x2F)
     elif method == 4:
         entry[E_METHOD] = METHOD_TIME_BASE
-        entry[E_GAIN] = _signed24(second)
+        entry[E_GAIN] = signed24(second)
     elif method == 5:
         entry[E_METHOD] = METHOD_INTEGRATED_ADC
         entry[E_WIDTH] = bit19
-        entry[E_SECOND] = _signed24(second)
+        entry[E_SECOND] = signed24(second)
     elif method == 8:
         entry[E_METHOD] = METHOD_FLAGS
         entry[E_SECOND] = 0 if bit19 else 4
     elif method in {9, 10, 11}:
         entry[E_METHOD] = METHOD_FROZEN + method - 9
-        entry[E_GAIN] = _signed24(second)
+        entry[E_GAIN] = signed24(second)
     elif method == 12:
         entry[E_METHOD] = METHOD_TIMER if bit19 else METHOD_COUNT
     elif method == 13:
         entry[E_METHOD] = METHOD_TRACKING if bit19 else METHOD_EXPONENTIAL
         entry[E_LIMIT] = second
-        entry[E_GAIN] = _signed24(third)
-        entry[E_SECOND] = _signed24(int(y[first + 4])) if bit19 else 0
+        entry[E_GAIN] = signed24(third)
+        entry[E_SECOND] = signed24(int(y[first + 4])) if bit19 else 0
     elif method == 14:
         entry[E_METHOD] = METHOD_SUM
         entry[E_SHIFT] = setup  # mode bits and the two offsets
@@ -222,7 +216,7 @@ def _convert_other(x: Space, y: Space, entry: IntArray, memory: FloatArray) -> N
     elif method in (METHOD_EXPONENTIAL, METHOD_TRACKING):
         result = _filtered(entry, own, int(x[source]))
     elif method == METHOD_TIME_BASE:
-        change = _signed24(int(x[source]) - int(x[entry[E_FIRST]]))
+        change = signed24(int(x[source]) - int(x[entry[E_FIRST]]))
         x[entry[E_FIRST]] = x[source]
         result = 2 * entry[E_GAIN] * change
     elif method == METHOD_INTEGRATED_ADC:
@@ -243,7 +237,7 @@ def _convert_other(x: Space, y: Space, entry: IntArray, memory: FloatArray) -> N
 def _adc(y: Space, entry: IntArray) -> int:
     """24-bit word of a converter, signed unless the mode switch says otherwise."""
     word = int(y[entry[E_SOURCE]])
-    return word if entry[E_WIDTH] else int(_signed24(word))
+    return word if entry[E_WIDTH] else int(signed24(word))
 
 
 @njit(cache=True)
@@ -289,7 +283,7 @@ def _follow(entry: IntArray, own: FloatArray, word: int) -> int:
     if entry[E_LIMIT] >= 0:
         change = min(max(change, -entry[E_LIMIT]), entry[E_LIMIT])
     own[R_INPUT] = (int(own[R_INPUT]) + change) & (span - 1)
-    own[R_OUTPUT] = _signed24(int(own[R_OUTPUT]) + (change << entry[E_SHIFT]))
+    own[R_OUTPUT] = signed24(int(own[R_OUTPUT]) + (change << entry[E_SHIFT]))
     return int(own[R_OUTPUT])
 
 
@@ -301,9 +295,9 @@ def _wrapped(value: float) -> float:
 @njit(cache=True)
 def _filtered(entry: IntArray, own: FloatArray, word: int) -> int:
     """Exponential or tracking filter; the state keeps the fraction the result word cannot."""
-    change = _signed24(word - int(own[R_INPUT]))
+    change = signed24(word - int(own[R_INPUT]))
     change = min(max(change, -entry[E_LIMIT]), entry[E_LIMIT])
-    own[R_INPUT] = _signed24(int(own[R_INPUT]) + change)
+    own[R_INPUT] = signed24(int(own[R_INPUT]) + change)
     error = _wrapped(own[R_INPUT] - own[R_OUTPUT])
     own[R_INTEGRAL] += entry[E_SECOND] / 8388608.0 * error
     step = entry[E_GAIN] / 8388608.0 * error + own[R_INTEGRAL]
@@ -333,7 +327,7 @@ def _triggered(x: Space, y: Space, entry: IntArray) -> int:
         entry[E_METHOD] = METHOD_RUNNING
         y[first] = (int(y[first]) & 0x0FFFFF) | 0xA00000
         before = int(x[source + 3]) << 8
-    return int(2 * entry[E_GAIN] * _signed24(extended - before))
+    return int(2 * entry[E_GAIN] * signed24(extended - before))
 
 
 @njit(cache=True)
@@ -341,7 +335,7 @@ def _sine_cosine(x: Space, y: Space, entry: IntArray, own: FloatArray) -> int:
     """Entries that read a pair of converters: interpolator, resolver and their diagnostics."""
     method = entry[E_METHOD]
     place = entry[E_SECOND] if method == METHOD_INTERPOLATOR else entry[E_SOURCE]
-    raw_sine, raw_cosine = _signed24(int(y[place])), _signed24(int(y[place + 1]))
+    raw_sine, raw_cosine = signed24(int(y[place])), signed24(int(y[place + 1]))
     if method == METHOD_BIAS:
         return int(_bias_word(y, entry, own, raw_sine >> 12, raw_cosine >> 12))
     sine = raw_sine / 8388608.0 + _signed12(entry[E_GAIN] >> 12) / 2048.0
@@ -353,7 +347,7 @@ def _sine_cosine(x: Space, y: Space, entry: IntArray, own: FloatArray) -> int:
         # The counter says which line it is: four counts a line, each a quarter from its mark on.
         about = (int(x[entry[E_SOURCE] + 2]) >> 1) * 1024.0 + 512.0
         return math.floor(turn + 4096.0 * math.floor((about - turn) / 4096.0 + 0.5))
-    if _signed24(int(y[entry[E_SECOND]])) < 0:  # phase of the excitation
+    if signed24(int(y[entry[E_SECOND]])) < 0:  # phase of the excitation
         sine, cosine = -sine, -cosine
     turn = math.atan2(sine, cosine) / (2.0 * math.pi) * 131072.0
     turn = -turn if entry[E_WIDTH] else turn

@@ -10,7 +10,7 @@ import math
 
 from numba import njit
 
-from pmac_comp.simulator.memory import Space
+from pmac_comp.simulator.memory import Space, signed24
 
 _WORD = 0xFFFFFF
 # Extension registers: time since the last count over time between counts, in these units.
@@ -19,12 +19,6 @@ CAPTURED = 1 << 11  # in the status word of a channel
 INDEX_FLAG = 1 << 14
 CAPTURE_INDEX, CAPTURE_FLAG, CAPTURE_BOTH = 1, 2, 3  # bits 0-1 of I7mn2
 INDEX_LOW = 4  # bit 2
-
-
-@njit(cache=True)
-def _signed24(value: int) -> int:
-    value &= _WORD
-    return value - 0x1000000 if value >= 0x800000 else value
 
 
 @njit(cache=True)
@@ -42,7 +36,7 @@ def latch_channel(x: Space, y: Space, base: int, position_ct: float, sign: int) 
     x[base + 1] = raw
     direction = x[base + 2] & 1
     if raw != before:
-        direction = 1 if _signed24(raw - before) < 0 else 0
+        direction = 1 if signed24(raw - before) < 0 else 0
     x[base + 2] = ((count << 1) & 0xFFFFFE) | direction
     y[base] = _TIMER_ONE
     y[base + 1] = int((edge - whole) * _TIMER_ONE)
@@ -82,7 +76,7 @@ def capture_channel(
         return
     mode = control & 3
     flag = bool((int(x[base]) >> (16 + (select & 3))) & 1) != bool(control & 8)
-    captured = float(_signed24(x[base + 1]))
+    captured = float(signed24(x[base + 1]))
     if mode == CAPTURE_FLAG and not flag:
         return
     if mode in (CAPTURE_INDEX, CAPTURE_BOTH):

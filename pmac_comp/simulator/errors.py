@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+ERR_ORDER: Final = 3  # not in this form, or not now
+ERR_MEMORY: Final = 6  # what it would need is taken
+
 
 class CardError(Exception):
     """A command line is refused with ERRnnn (Software Reference Manual p. 40).

@@ -19,12 +19,11 @@ from numba import njit
 
 from pmac_comp.base.arrays import IntArray
 from pmac_comp.simulator import registers as reg
+from pmac_comp.simulator.errors import ERR_MEMORY, ERR_ORDER
 from pmac_comp.simulator.memory import Memory, Space, read_word_signed, write_dpram32
 from pmac_comp.simulator.user_memory import allocate_down, lowest_defined, program_floor
 
 ERR_RUNNING: Final = 1
-ERR_ORDER: Final = 3
-ERR_MEMORY: Final = 6
 MAX_SOURCES: Final = 48
 WORDS_PER_LINE: Final = 16
 # Internal words beside I5000: X end address or size of the buffer; Y whether it may be listed.

@@ -25,7 +25,7 @@ from pmac_comp.simulator import registers as reg
 from pmac_comp.simulator import servo_law as law
 from pmac_comp.simulator import trajectory as traj
 from pmac_comp.simulator.compiled import keep_fresh
-from pmac_comp.simulator.memory import Space, read_long, read_word_signed, write_long
+from pmac_comp.simulator.memory import Space, read_long, read_word_signed, signed24, write_long
 from pmac_comp.simulator.plant import kernel_ballscrew as plant
 from pmac_comp.simulator.sensors import (
     W_ANGLE,
@@ -272,12 +272,6 @@ def _event(task: Task, kind: int, motor: int, value: int) -> None:
 
 
 @njit
-def _signed24(value: int) -> int:
-    value &= _WORD
-    return value - 0x1000000 if value >= 0x800000 else value
-
-
-@njit
 def _signed16(value: int) -> int:
     """Sixteen-bit variables occupy the low bits of their word."""
     value &= 0xFFFF
@@ -327,7 +321,7 @@ def decode_motor(x: Space, y: Space, m: int, d: FloatArray, a: IntArray) -> None
     a[A_IXX24] = y[base + reg.M_IXX25_IXX24]
     a[A_CS] = (int(y[base + reg.M_STATUS2]) >> reg.S2_CS_SHIFT) & 15
     a[A_EXTENSION] = int(y[base + reg.M_IXX32_IXX60]) & 0xFF
-    a[A_IXX07] = _signed24(int(x[base + reg.M_IXX07]))
+    a[A_IXX07] = signed24(int(x[base + reg.M_IXX07]))
     a[A_IXX08] = ixx08
     a[A_IXX09] = ixx09
     a[A_IN_POSITION_SCANS] = y[base + reg.M_IXX88]
@@ -724,12 +718,12 @@ def _overcurrent(words: Words, motor: Motor, word: int) -> bool:
 def _measure(x: Space, y: Space, base: int, a: IntArray) -> None:
     """Actual and master position of a motor, from what their registers moved by."""
     now = int(x[a[A_POSITION]])
-    change = _signed24(now - int(y[base + reg.M_IXX05]))
+    change = signed24(now - int(y[base + reg.M_IXX05]))
     y[base + reg.M_IXX05] = now
     position = read_long(x, y, base + reg.M_ACTUAL) + change * a[A_IXX08]
     write_long(x, y, base + reg.M_ACTUAL, position)
     now = int(x[a[A_MASTER]])
-    change = _signed24(now - int(y[base + reg.M_IXX07]))
+    change = signed24(now - int(y[base + reg.M_IXX07]))
     y[base + reg.M_IXX07] = now
     if x[base + reg.M_STATUS1] & reg.S1_FOLLOWING and change != 0:
         master = read_long(x, y, base + reg.M_MASTER) + change * a[A_IXX07]
@@ -847,9 +841,9 @@ def _feedback_velocity(x: Space, y: Space, motor: Motor, close: bool) -> int:  #
     """What the velocity feedback moved by since the loop was last closed, times Ixx09."""
     cell = motor.base + reg.M_VELOCITY
     if not close:
-        return int(_signed24(int(x[cell])))
+        return int(signed24(int(x[cell])))
     now = int(x[motor.a[A_VELOCITY]])
-    feedback = _signed24(now - int(y[cell])) * motor.a[A_IXX09]
+    feedback = signed24(now - int(y[cell])) * motor.a[A_IXX09]
     y[cell] = now
     x[cell] = feedback & _WORD
     return int(feedback)

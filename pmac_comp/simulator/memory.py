@@ -21,6 +21,14 @@ LARGEST_LONG = LONG_MASK >> 1  # of a 48-bit register
 DPRAM_START = 0x060000
 DPRAM_END_SMALL = 0x061000
 DPRAM_END_LARGE = 0x064000
+FIELD_WIDTHS = (1, 4, 8, 12, 16, 20, 24)  # of a part of a word that an M-variable names
+
+
+@njit(cache=True)
+def signed24(value: int) -> int:
+    """Signed integer that the low 24 bits of a value are."""
+    value &= 0xFFFFFF
+    return value - 0x1000000 if value >= 0x800000 else value
 
 
 @njit(cache=True)

@@ -31,13 +31,13 @@ from pmac_comp.simulator.language.expressions import (
     compiled,
 )
 from pmac_comp.simulator.language.scanner import Scanner
+from pmac_comp.simulator.memory import FIELD_WIDTHS
 
 _POINTER = re.compile(
     r"(?P<kind>[LF])(?P<number>\d+)->(?P<space>X|Y|L|D):"
     r"(?:\(R1(?P<offset>[+-]\$?[0-9A-F]+)?\)|(?P<address>\$[0-9A-F]+|\d+))"
     r"(?P<rest>(?:,\w+)*)(?:\[(?P<size>\d+)\])?"
 )
-_WIDTHS: Final = (1, 4, 8, 12, 16, 20, 24)
 _INTEGER_ARITHMETIC = (vm.OP_ADD, vm.OP_SUB, vm.OP_MUL)
 _MAX_WORDS: Final = 3072  # program memory of the servo part on an 80 MHz CPU
 
@@ -338,7 +338,7 @@ def _field(parts: list[str]) -> tuple[int, int, int]:
         return 0, 24, int(sign != "U")
     offset = numbers[0]
     width = numbers[1] if len(numbers) > 1 else 1
-    if width not in _WIDTHS or offset + width > 24 or len(numbers) > 2:
+    if width not in FIELD_WIDTHS or offset + width > 24 or len(numbers) > 2:
         raise CardError(3, f"no field of {width} bits at bit {offset}")
     return offset, width, int(sign == "S" or (width == 24 and sign != "U"))
 

@@ -20,7 +20,7 @@ Source: Turbo PMAC Software Reference Manual p. 95-108, 284-286, 326-340, 377; U
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +43,6 @@ _END_SWITCH_m = 5e-3
 _HOME_SWITCH_m = 10e-3
 _FORCE_CYCLES = 4  # a force schedule is renewed this often
 _KILL_BITS = (1 << 21) | (1 << 22)
-_FAULTS2: Final = reg.S2_FATAL_ERROR | reg.S2_INTEGRATED_ERROR | reg.S2_I2T | reg.S2_AMPLIFIER_FAULT
 _FAULT_EVENTS = {ks.EV_FATAL, ks.EV_INTEGRATED, ks.EV_OVERCURRENT}
 
 

@@ -16,14 +16,13 @@ from pmac_comp.simulator import registers as r
 from pmac_comp.simulator import vm
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.ivariables import TABLE, channel_address, compiled_table, lock_group
-from pmac_comp.simulator.memory import Memory, read_float48, write_float48
+from pmac_comp.simulator.memory import FIELD_WIDTHS, Memory, read_float48, write_float48
 from pmac_comp.simulator.numbers import finite, format_hex, format_number
 
 _FORMATS = {"U": vm.M_UNSIGNED, "S": vm.M_SIGNED, "D": vm.M_BCD, "C": vm.M_COMPLEMENT}
 _FORMAT_NAMES = {code: name for name, code in _FORMATS.items()}
 _WHOLE_CELL = {"D": vm.M_D, "L": vm.M_L, "DP": vm.M_DP, "F": vm.M_F}
 _WHOLE_NAMES = {code: name for name, code in _WHOLE_CELL.items()}
-_WIDTHS = (1, 4, 8, 12, 16, 20, 24)
 
 
 class Variables:
@@ -216,7 +215,7 @@ def _pack_field(parts: list[str]) -> int:
         offset, width, rest = first, int(parts[1]), parts[2:]
     else:
         offset, width, rest = first, 1, parts[1:]
-    if len(rest) > 1 or width not in _WIDTHS or offset + width > 24:
+    if len(rest) > 1 or width not in FIELD_WIDTHS or offset + width > 24:
         raise CardError(3)
     form = rest[0] if rest else "U"
     if form not in _FORMATS:
