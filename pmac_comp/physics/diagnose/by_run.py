@@ -58,10 +58,12 @@ def told_by_run(grown: Grown, left: Remainder) -> tuple[str, ...]:
 
 
 def _runs(grown: Grown) -> list[RunLeft]:
-    bench = grown.bench
-    residuals = bench.residuals(grown.final.simulated)
+    workbench = grown.workbench
+    residuals = workbench.residuals(grown.final.simulated)
     found = []
-    for record, counted, residual in zip(bench.records, bench.counted, residuals, strict=True):
+    for record, counted, residual in zip(
+        workbench.records, workbench.counted, residuals, strict=True
+    ):
         missed = residual[counted, -1]
         if missed.size:
             peak = 0.0 if record.torque_Nm is None else float(np.abs(record.torque_Nm).max())

@@ -141,9 +141,9 @@ def named_alone(grown: Grown, claims: Claims) -> Grown | None:
     first = grown.accepted[: len(claims.effects)]
     if not claims.withheld or not first or tuple(c.effect for c in first) != claims.effects:
         return None
-    part = grown.bench.fitting_bench()
+    part = grown.workbench.fitting_bench()
     point = refit(part, evaluate(part, first[-1].fitted.model), rounds=_ALONE_ROUNDS)
-    final = evaluate(grown.bench, point.model)
+    final = evaluate(grown.workbench, point.model)
     return replace(grown, final=final, rounds=claims.rounds, open_SI={})
 
 
@@ -159,7 +159,7 @@ def unreached(grown: Grown) -> frozenset[str]:
         return frozenset()
     vector = model.kernel_vector()
     corner_N = vector[slots.K_NUT] * vector[slots.SOFT_RATIO] * vector[slots.SOFT_HALF]
-    forces_N = [np.abs(r.response(model).joint_force_N) for r in grown.bench.records]
+    forces_N = [np.abs(r.response(model).joint_force_N) for r in grown.workbench.records]
     within = float(np.mean(np.concatenate(forces_N) <= corner_N))
     # A zone around zero force may be narrow in force and wide in deflection: play has none.
     passed = split_name(key)[1] != "beyond" or within > _LEAST_WITHIN

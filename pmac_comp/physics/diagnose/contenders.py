@@ -146,7 +146,7 @@ class Ground:
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records and weights.
     before : Fitted
         The model without any of them.
@@ -156,17 +156,17 @@ class Ground:
         Candidates.
     """
 
-    bench: Workbench
+    workbench: Workbench
     before: Fitted
     fitting: BoolArray
     rows: FloatArray
     library: Mapping[str, Effect]
 
     @classmethod
-    def of(cls, bench: Workbench, before: Fitted, library: Mapping[str, Effect]) -> "Ground":
+    def of(cls, workbench: Workbench, before: Fitted, library: Mapping[str, Effect]) -> "Ground":
         """The ground under a model."""
-        gram = empty_gram(bench, before.simulated)
-        return cls(bench, before, gram.fitting, gram.rows, library)
+        gram = empty_gram(workbench, before.simulated)
+        return cls(workbench, before, gram.fitting, gram.rows, library)
 
 
 def leaders(
@@ -207,7 +207,7 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
         return _loosened(ground, item, fresh)
     if item.start.effect not in _FRESH:
         return []
-    part = ground.bench.fitting_bench()
+    part = ground.workbench.fitting_bench()
     leads = item.fit_gain > _LEADS * screening.ranked[0].fit_gain
     limits = item.start.effect == "torque_saturation" and leads
     begun = _limited(part, fresh, screening) if limits else []
@@ -222,7 +222,7 @@ def afresh(ground: Ground, screening: Screening, item: Screened) -> list[Contend
         fitted = refit(part, point, rounds=6)
         if limits:
             fitted = under_own_weights(part, fitted, rounds=6)
-        found.append(judged(ground, start, evaluate(ground.bench, fitted.model)))
+        found.append(judged(ground, start, evaluate(ground.workbench, fitted.model)))
     return found
 
 
@@ -232,7 +232,7 @@ def _loosened(ground: Ground, item: Screened, fresh: DriveModel) -> list[Contend
     Either holds the table back by the direction of motion: while the gap was missing, the fit took
     friction from the shaft to the guide, and beside that no step towards the gap helps.
     """
-    part = ground.bench.fitting_bench()
+    part = ground.workbench.fitting_bench()
     found = []
     for share in _TAKEN_BACK:
         looser = fresh.with_parameters(_with_friction_at_shaft(fresh, share))
@@ -244,7 +244,7 @@ def _loosened(ground: Ground, item: Screened, fresh: DriveModel) -> list[Contend
                 continue
         if begun:
             fitted = refit(part, min(begun, key=lambda b: b.chi2), rounds=_MORE_ROUNDS)
-            found.append(judged(ground, item, evaluate(ground.bench, fitted.model)))
+            found.append(judged(ground, item, evaluate(ground.workbench, fitted.model)))
     return found
 
 
@@ -329,7 +329,7 @@ def _best_levels(
 
 def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
     """Full joint refit of one candidate; nothing where no simulation stays finite."""
-    part = ground.bench.fitting_bench()
+    part = ground.workbench.fitting_bench()
     begun = []
     # What the candidate takes over, the others must give up: both at once, unless that went too far
     # for a linear step.
@@ -347,19 +347,19 @@ def contend(ground: Ground, item: Screened, frozen: Frozen) -> list[Contender]:
     promised, kept = item.fit_gain, ground.before.chi2 - fitted.chi2
     if promised > _LARGE * rows_fit and kept < _KEPT * promised:
         fitted = refit(part, fitted, rounds=_MORE_ROUNDS)
-    return [judged(ground, item, evaluate(ground.bench, fitted.model))]
+    return [judged(ground, item, evaluate(ground.workbench, fitted.model))]
 
 
 def judged(ground: Ground, item: Screened, whole: Fitted) -> Contender:
     """A refitted candidate with its evidence."""
-    bench, before = ground.bench, ground.before
+    workbench, before = ground.workbench, ground.before
     drop = before.blocks - whole.blocks
     gain = float(drop[ground.fitting].sum())
     size = effective_size(drop) / max(1, drop.size)
-    rows = float(sum(np.count_nonzero(m) for m in bench.fitting)) * bench.channels
+    rows = float(sum(np.count_nonzero(m) for m in workbench.fitting)) * workbench.channels
     times = free_clocks(whole.model) if item.start.clocks else 0
     parameters = len(ground.library[item.start.effect].parameters) + times
-    left = gap(bench.calm_records, whole.model, bench.executor)
+    left = gap(workbench.calm_records, whole.model, workbench.executor)
     return Contender(
         item.start.effect,
         item.start.key,
@@ -387,11 +387,11 @@ def polished(ground: Ground, contenders: Sequence[Contender]) -> list[Contender]
     ranked = _best_of_each(contenders)
     if len(ranked) < 2 or ranked[1].gain < _OPEN * ranked[0].gain:
         return ranked
-    part = ground.bench.fitting_bench()
+    part = ground.workbench.fitting_bench()
     best = []
     for contender in ranked[:2]:
         fitted = refit(part, evaluate(part, contender.fitted.model), rounds=3)
-        whole = evaluate(ground.bench, fitted.model)
+        whole = evaluate(ground.workbench, fitted.model)
         best.append(judged(ground, contender.screened, whole))
     return _best_of_each([*best, *ranked[2:]])
 

@@ -137,10 +137,10 @@ def _silent(text: str) -> None:
     """Progress that nobody listens to."""
 
 
-def _refuse_unjudged(bench: Workbench) -> None:
+def _refuse_unjudged(workbench: Workbench) -> None:
     """What is judged where nothing moves is judged by nothing."""
-    usable = np.concatenate([r.usable for r in bench.records])
-    fitting = np.concatenate(bench.fitting)
+    usable = np.concatenate([r.usable for r in workbench.records])
+    fitting = np.concatenate(workbench.fitting)
     fitted, judged = np.any(usable & fitting), np.any(usable & ~fitting)
     if fitted and judged:
         return
@@ -195,8 +195,8 @@ def _assembled(
     found: _Found, library: Mapping[str, Effect], bench: Bench, rules: Rules
 ) -> Diagnosis:
     grown, left, estimates, findings = found.grown, found.left, found.estimates, found.findings
-    executor = grown.bench.executor
-    judging = grown.bench.judging_records
+    executor = grown.workbench.executor
+    judging = grown.workbench.judging_records
     before = gap(judging, grown.base.model, executor)
     after = gap(judging, grown.final.model, executor)
     # One quantity that leaves nothing proved was moved by nothing but itself.
@@ -228,12 +228,12 @@ def _assembled(
         torque_gap_before_Nm=before.torque_Nm,
         torque_gap_after_Nm=after.torque_Nm,
         noise_floor_um=left.noise_floor_um,
-        gap_channel="table" if grown.bench.channels > 1 else "motor",
+        gap_channel="table" if grown.workbench.channels > 1 else "motor",
         residual=_residual(left, where, verdict),
         separating_experiment=experiment,
         findings=released,
         statements=(
-            *told_of_law(grown.bench.records, bench),
+            *told_of_law(grown.workbench.records, bench),
             *statements_of(
                 Story(
                     verdict,
@@ -268,7 +268,7 @@ def _assembled(
 
 def _undated(grown: Grown, left: Remainder, claims: Claims) -> tuple[str, ...]:
     """Says on which order of the runs an answer rests that depends on time."""
-    records = grown.bench.records
+    records = grown.workbench.records
     slow = SLOW & {*claims.effects, *claims.withheld}
     late = left.unexplained and any(r.coordinate == "time" for r in left.regions)
     if len(records) < 2 or records[0].dated_s is not None or not (slow or late):
@@ -384,7 +384,7 @@ def _evidence(grown: Grown, library: Mapping[str, Effect]) -> tuple[Evidence, ..
 
 def _where(grown: Grown, bench: Bench) -> tuple[Region, ...]:
     """Where the base model disagrees, in the table channel and in the motor's."""
-    workbench = grown.bench
+    workbench = grown.workbench
     residuals = workbench.residuals(grown.base.simulated)
     responses = [r.response(grown.base.model) for r in workbench.records]
     coordinates = [
@@ -403,7 +403,7 @@ def _where(grown: Grown, bench: Bench) -> tuple[Region, ...]:
 
 def _path(grown: Grown, before: Gap, after: Gap) -> tuple[Growth, ...]:
     steps = [Growth((), before.position_um, before.torque_Nm)]
-    judging, executor = grown.bench.judging_records, grown.bench.executor
+    judging, executor = grown.workbench.judging_records, grown.workbench.executor
     accepted = grown.accepted
     for i, contender in enumerate(accepted):
         here = after if i == len(accepted) - 1 else gap(judging, contender.fitted.model, executor)
@@ -413,7 +413,7 @@ def _path(grown: Grown, before: Gap, after: Gap) -> tuple[Growth, ...]:
 
 def _traces(grown: Grown, bench: Bench) -> tuple[Trace, ...]:
     """Residuals of the judging samples before and after, for figures."""
-    workbench = grown.bench
+    workbench = grown.workbench
     before = workbench.residuals(grown.base.simulated)
     after = workbench.residuals(grown.final.simulated)
     traces = []

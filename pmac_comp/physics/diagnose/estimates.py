@@ -66,7 +66,7 @@ class Told:
     @classmethod
     def of(cls, grown: Grown) -> "Told":
         """What the fitting samples tell about every parameter of a grown model."""
-        part = grown.bench.fitting_bench()
+        part = grown.workbench.fitting_bench()
         point = grown.final_on(part)
         gram, directions, columns = linearised(part, point, None)
         return cls(part, point, gram, tuple(directions), columns)

@@ -68,12 +68,12 @@ class _Wave:
     fast: _Fast
 
 
-def fine_pattern(bench: Workbench, model: DriveModel) -> FinePattern | None:
+def fine_pattern(workbench: Workbench, model: DriveModel) -> FinePattern | None:
     """The strongest wave of the judging runs within coarse samples.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records; those that judge are looked at.
     model : DriveModel
         What is subtracted, and where the axis is.
@@ -83,8 +83,8 @@ def fine_pattern(bench: Workbench, model: DriveModel) -> FinePattern | None:
     FinePattern or None
         None where the samples are as coarse as the coarse grid, or too few.
     """
-    records = [r for r in bench.judging_records if r.factor > 1]
-    parts = list(bench.executor.map(lambda r: _fast(r, model), records))
+    records = [r for r in workbench.judging_records if r.factor > 1]
+    parts = list(workbench.executor.map(lambda r: _fast(r, model), records))
     count = sum(part.left_m.size for part in parts)
     power = sum(float(part.left_m @ part.left_m) for part in parts)
     if count < _LEAST or power <= 0.0:
@@ -93,7 +93,7 @@ def fine_pattern(bench: Workbench, model: DriveModel) -> FinePattern | None:
     waves = [_position_wave(_joined(parts)), *tones]
     powers = [wave.mean_square_m2 * wave.fast.left_m.size / count for wave in waves]
     best = int(np.argmax(powers))
-    channel = "table" if bench.channels > 1 else "motor"
+    channel = "table" if workbench.channels > 1 else "motor"
     region = _region(waves[best], channel, "frequency" if best else "position")
     return FinePattern(region, UM_PER_M * float(np.sqrt(powers[best])), waves[best].p_value)
 

@@ -56,7 +56,7 @@ class Grown:
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         With the last noise estimate.
     base, final : Fitted
         Refitted base model and grown model.
@@ -69,7 +69,7 @@ class Grown:
         distance that the model of the last round did not have.
     """
 
-    bench: Workbench
+    workbench: Workbench
     base: Fitted
     final: Fitted
     rounds: tuple[Round, ...] = field(default=())
@@ -91,17 +91,19 @@ class Grown:
         return evaluate(part, self.final.model)
 
 
-def first_noise(bench: Workbench, model: DriveModel) -> Workbench:
+def first_noise(workbench: Workbench, model: DriveModel) -> Workbench:
     """Weights before any data was explained: what the sensors' steps do inside the loop."""
-    rounded, floor_m = bench.rounded(model), bench.floor_m(model.bench)
-    unruly = bench.unruly(model, rounded)
-    noise = Noise(bench.noise_from(rounded, floor_m).whitener, None, bench.doubtful(model), unruly)
-    bench = bench.with_noise(noise)
-    return bench.with_noise(replace(bench.noise_from(rounded, floor_m), robust=None))
+    rounded, floor_m = workbench.rounded(model), workbench.floor_m(model.bench)
+    unruly = workbench.unruly(model, rounded)
+    noise = Noise(
+        workbench.noise_from(rounded, floor_m).whitener, None, workbench.doubtful(model), unruly
+    )
+    workbench = workbench.with_noise(noise)
+    return workbench.with_noise(replace(workbench.noise_from(rounded, floor_m), robust=None))
 
 
 def grow(
-    bench: Workbench,
+    workbench: Workbench,
     start: DriveModel,
     library: Mapping[str, Effect],
     rules: Rules,
@@ -111,7 +113,7 @@ def grow(
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records, no noise yet.
     start : DriveModel
         Base model.
@@ -127,8 +129,8 @@ def grow(
     Grown
     """
     progress("fitting the base model")
-    bench = first_noise(bench, start)
-    part = bench.fitting_bench()
+    workbench = first_noise(workbench, start)
+    part = workbench.fitting_bench()
     point = _based(part, start)
     rounds: list[Round] = []
     base: Fitted | None = None
@@ -137,51 +139,51 @@ def grow(
     for number in range(1, last + 1):
         progress(f"round {number}: looking at {len(library)} effects")
         rounds = [*map(_slim, rounds)]
-        bench, point, screening, seen = _look_around(bench, point, library, seen)
-        whole = evaluate(bench, point.model)
+        workbench, point, screening, seen = _look_around(workbench, point, library, seen)
+        whole = evaluate(workbench, point.model)
         base = whole if base is None else base
-        done = _round(bench, whole, screening, library, rules, progress)
+        done = _round(workbench, whole, screening, library, rules, progress)
         if len(accepted_of(rounds)) >= rules.most_effects or number == last:
             done = replace(done, accepted=None, tied=())
         rounds.append(done)
         if done.accepted is None:
             break
         progress(f"round {number}: {done.accepted.effect} earns its place")
-        reviser = Reviser(bench, library, rules, progress)
+        reviser = Reviser(workbench, library, rules, progress)
         whole, rounds = reviser.renamed(done.accepted.fitted, rounds)
         whole, rounds = reviser.widened(whole, rounds)
         whole, rounds = reviser.pruned(whole, rounds)
-        point = evaluate(bench.fitting_bench(), whole.model)
+        point = evaluate(workbench.fitting_bench(), whole.model)
     open_SI: Mapping[str, float] = {}
     if accepted_of(rounds):
         progress("settling all parameters")
-        part = bench.fitting_bench()
+        part = workbench.fitting_bench()
         point, open_SI = settled(part, evaluate(part, point.model))
-        grown = evaluate(bench, point.model)
-        reviser = Reviser(bench, library, rules, progress)
+        grown = evaluate(workbench, point.model)
+        reviser = Reviser(workbench, library, rules, progress)
         whole, rounds = reviser.renamed(grown, rounds)
         whole, rounds = reviser.pruned(whole, rounds)
         if whole is not grown:
             point, open_SI = settled(part, evaluate(part, whole.model))
     progress("looking at how friction sets in")
-    final = with_onset(bench, evaluate(bench, point.model))
+    final = with_onset(workbench, evaluate(workbench, point.model))
     beside_onset: Screening | None = None
     if final.model.effects != point.model.effects:
         # What stood for how friction sets in need not stay beside it, nor do flexible rivals.
-        final, rounds = Reviser(bench, library, rules, progress).pruned(final, rounds)
-        bench = _calmed(bench, final.model)
-        final = not_outgrown(bench, freed(bench, final))
-        beside_onset = _rivals_of(bench, final.model)
+        final, rounds = Reviser(workbench, library, rules, progress).pruned(final, rounds)
+        workbench = _calmed(workbench, final.model)
+        final = not_outgrown(workbench, freed(workbench, final))
+        beside_onset = _rivals_of(workbench, final.model)
     grew = base is not None and bool(accepted_of(rounds))
-    base_model = evaluate(bench, base.model) if base is not None and grew else final
-    return Grown(bench, base_model, final, tuple(rounds), open_SI, beside_onset)
+    base_model = evaluate(workbench, base.model) if base is not None and grew else final
+    return Grown(workbench, base_model, final, tuple(rounds), open_SI, beside_onset)
 
 
-def _based(bench: Workbench, start: DriveModel) -> Fitted:
+def _based(workbench: Workbench, start: DriveModel) -> Fitted:
     """The base model fitted, on and on as long as most of the misfit goes."""
-    point = refit(bench, evaluate(bench, start), rounds=_BASE_ROUNDS)
+    point = refit(workbench, evaluate(workbench, start), rounds=_BASE_ROUNDS)
     for _ in range(_MOST_LEGS):
-        further = refit(bench, point, rounds=_LEG_ROUNDS)
+        further = refit(workbench, point, rounds=_LEG_ROUNDS)
         if further.chi2 > _ON_THE_WAY * point.chi2:
             break
         point = further
@@ -189,11 +191,11 @@ def _based(bench: Workbench, start: DriveModel) -> Fitted:
 
 
 def _look_around(
-    bench: Workbench, point: Fitted, library: Mapping[str, Effect], last: Look | None
+    workbench: Workbench, point: Fitted, library: Mapping[str, Effect], last: Look | None
 ) -> tuple[Workbench, Fitted, Screening, Look]:
     """Columns at the point, a fresh noise estimate, the point refitted under it, the ranking."""
-    bench = _calmed(bench, point.model)
-    part = bench.fitting_bench()
+    workbench = _calmed(workbench, point.model)
+    part = workbench.fitting_bench()
     seen = look(part, point.model.bench, point, library, last)
     left = noise_like(part, point, seen)
     noise = part.noise_from(left, part.floor_m(point.model.bench), foretold=False)
@@ -203,18 +205,18 @@ def _look_around(
     if seen.stale:
         seen = refreshed(part, point, seen, _promising(screening))
         screening = screen(part, moved, seen)
-    return bench.with_noise(_spread(bench, noise)), moved, screening, seen
+    return workbench.with_noise(_spread(workbench, noise)), moved, screening, seen
 
 
-def _calmed(bench: Workbench, model: DriveModel) -> Workbench:
-    """The bench without evidence from where, by this model, rounding decides the motion."""
-    unruly = bench.unruly(model, bench.rounded(model))
-    return bench.with_noise(replace(bench.known_noise, unruly=unruly))
+def _calmed(workbench: Workbench, model: DriveModel) -> Workbench:
+    """The workbench without evidence from where, by this model, rounding decides the motion."""
+    unruly = workbench.unruly(model, workbench.rounded(model))
+    return workbench.with_noise(replace(workbench.known_noise, unruly=unruly))
 
 
-def _rivals_of(bench: Workbench, model: DriveModel) -> Screening:
+def _rivals_of(workbench: Workbench, model: DriveModel) -> Screening:
     """What flexible rivals earn beside a model, without any candidate."""
-    part = bench.fitting_bench()
+    part = workbench.fitting_bench()
     point = evaluate(part, model)
     return screen(part, point, look(part, model.bench, point, {}))
 
@@ -230,24 +232,24 @@ def _slim(done: Round) -> Round:
     return replace(done, screening=replace(done.screening, frozen=Frozen((), [])))
 
 
-def _spread(bench: Workbench, noise: Noise) -> Noise:
+def _spread(workbench: Workbench, noise: Noise) -> Noise:
     """Noise of the fitting records for all records; judging samples are weighed alike."""
     weights, given = [], iter(noise.robust or ())
-    for record, mask in zip(bench.records, bench.fitting, strict=True):
-        whole = np.ones((record.usable.size, bench.channels))
+    for record, mask in zip(workbench.records, workbench.fitting, strict=True):
+        whole = np.ones((record.usable.size, workbench.channels))
         weights.append(next(given) if mask.any() and noise.robust is not None else whole)
-    return replace(bench.known_noise, whitener=noise.whitener, robust=tuple(weights))
+    return replace(workbench.known_noise, whitener=noise.whitener, robust=tuple(weights))
 
 
 def _round(
-    bench: Workbench,
+    workbench: Workbench,
     before: Fitted,
     screening: Screening,
     library: Mapping[str, Effect],
     rules: Rules,
     progress: Tell,
 ) -> Round:
-    ground = Ground.of(bench, before, library)
+    ground = Ground.of(workbench, before, library)
     fits, rows = ground.fitting, ground.rows
     rows_fit, rows_judge = float(rows[fits].sum()), float(rows[~fits].sum())
     tried: list[Contender] = []
@@ -255,8 +257,8 @@ def _round(
         progress(f"refitting with {item.start.key}")
         tried += [*contend(ground, item, screening.frozen), *afresh(ground, screening, item)]
     contenders = polished(ground, tried)
-    left = gap(bench.calm_records, before.model, bench.executor)
-    floor_um = noise_floor_um(bench, before.model, calm=True)
+    left = gap(workbench.calm_records, before.model, workbench.executor)
+    floor_um = noise_floor_um(workbench, before.model, calm=True)
     bare = Round(
         before,
         screening,

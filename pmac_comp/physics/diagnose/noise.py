@@ -28,7 +28,7 @@ _LOWEST_LINE = 3
 
 
 def noise_floor_um(
-    bench: Workbench, model: DriveModel, *, calm: bool = False, ambient_m2: float = 0.0
+    workbench: Workbench, model: DriveModel, *, calm: bool = False, ambient_m2: float = 0.0
 ) -> float:
     """Rms of the last channel on judging samples that a perfect model would leave.
 
@@ -38,10 +38,10 @@ def noise_floor_um(
     of the same command. Neither can exceed what the model leaves, which contains it. ``calm``
     leaves out where the sensors' rounding decides the motion.
     """
-    judging = bench.calm_records if calm else bench.judging_records
-    still_m2 = _still_power_m2(bench, model)
-    parts = list(bench.executor.map(lambda r: _noise_parts_m(r, model, still_m2), judging))
-    whole = bench.whole_records(calm=calm)
+    judging = workbench.calm_records if calm else workbench.judging_records
+    still_m2 = _still_power_m2(workbench, model)
+    parts = list(workbench.executor.map(lambda r: _noise_parts_m(r, model, still_m2), judging))
+    whole = workbench.whole_records(calm=calm)
     total, count = 0.0, 0
     for record, complete, (steps, left) in zip(judging, whole, parts, strict=True):
         n = int(np.count_nonzero(record.valid))
@@ -51,7 +51,7 @@ def noise_floor_um(
     return UM_PER_M * float(np.sqrt(total / max(count, 1)))
 
 
-def ambient_m2(bench: Workbench, model: DriveModel) -> float:
+def ambient_m2(workbench: Workbench, model: DriveModel) -> float:
     """Power in m2 that repeats of a command differ by beyond what the sensors' steps explain.
 
     Vibration and uneven friction push the axis whatever it does: runs that repeat tell of those
@@ -60,9 +60,9 @@ def ambient_m2(bench: Workbench, model: DriveModel) -> float:
     """
     records = [
         r.masked(r.valid & np.resize(np.repeat(c, r.factor), r.valid.size))
-        for r, c in zip(bench.records, bench.counted, strict=True)
+        for r, c in zip(workbench.records, workbench.counted, strict=True)
     ]
-    still_m2 = _still_power_m2(bench, model)
+    still_m2 = _still_power_m2(workbench, model)
 
     def work(record: Record) -> tuple[float, int]:
         seen = repeats_m(record, record.measured_m[:, -1])
@@ -74,7 +74,7 @@ def ambient_m2(bench: Workbench, model: DriveModel) -> float:
         foreseen += _beyond_steps_m2(record, smooth, stepped, still_m2)
         return 0.5 * broadband_power(seen) - foreseen, seen.size
 
-    found = list(bench.executor.map(work, records))
+    found = list(workbench.executor.map(work, records))
     count = sum(n for _, n in found)
     return max(0.0, sum(power * n for power, n in found) / max(count, 1))
 
@@ -195,10 +195,10 @@ def _beyond_steps_m2(
     return max(0.0, seen - _white_power(record, stepped - smooth, record.usable))
 
 
-def _still_power_m2(bench: Workbench, model: DriveModel) -> float | None:
+def _still_power_m2(workbench: Workbench, model: DriveModel) -> float | None:
     """White power where the axis hardly moves, at least that of the scale's step; None if never."""
     powers, count = 0.0, 0
-    for record in bench.records:
+    for record in workbench.records:
         blocks = record.usable.size
         shape = (blocks, record.factor)
         travel = np.ptp(record.desired_m[: blocks * record.factor].reshape(shape), axis=1)
@@ -212,7 +212,7 @@ def _still_power_m2(bench: Workbench, model: DriveModel) -> float | None:
     if count < _LEAST_STILL:
         return None
     description = model.bench
-    step_m = description.scale_resolution_m if bench.channels > 1 else None
+    step_m = description.scale_resolution_m if workbench.channels > 1 else None
     return powers / count + (step_m or description.motor_resolution_m) ** 2 / 12.0
 
 

@@ -31,12 +31,12 @@ _WORTH = 0.002  # drop of chi-square per sample
 _CLOSED = 0.995  # of the gap on judging runs
 
 
-def with_onset(bench: Workbench, point: Fitted) -> Fitted:
+def with_onset(workbench: Workbench, point: Fitted) -> Fitted:
     """The model with the distance over which its friction sets in, where the data shows one.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         All records.
     point : Fitted
         The grown model on them.
@@ -50,7 +50,7 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     present = {split_name(name)[0] for name in point.model.effects}
     if present & _GRIP or not present & _FRICTION:
         return point
-    part = _outspoken(bench.fitting_bench())
+    part = _outspoken(workbench.fitting_bench())
     begun = evaluate(part, point.model)
     tried = [f for f in (_begun(part, point.model, first) for first in _FIRST_m) if f is not None]
     if not tried:
@@ -60,33 +60,33 @@ def with_onset(bench: Workbench, point: Fitted) -> Fitted:
     if begun.chi2 - fitted.chi2 < _WORTH * rows or _resolved(fitted.model):
         return point
     before, after = (
-        gap(bench.calm_records, m, bench.executor) for m in (point.model, fitted.model)
+        gap(workbench.calm_records, m, workbench.executor) for m in (point.model, fitted.model)
     )
     if after.position_um > _CLOSED * before.position_um:
         return point
-    return evaluate(bench, fitted.model)
+    return evaluate(workbench, fitted.model)
 
 
-def freed(bench: Workbench, point: Fitted) -> Fitted:
+def freed(workbench: Workbench, point: Fitted) -> Fitted:
     """The model with an onset, and what had stood for it gone back to where it belongs.
 
     Before the onset was in the model, others were bent to stand for it, a delay above all.
     """
-    part = _outspoken(bench.fitting_bench())
+    part = _outspoken(workbench.fitting_bench())
     free, _ = settled(part, evaluate(part, point.model))
-    return evaluate(bench, point.model if _resolved(free.model) else free.model)
+    return evaluate(workbench, point.model if _resolved(free.model) else free.model)
 
 
-def not_outgrown(bench: Workbench, point: Fitted) -> Fitted:
+def not_outgrown(workbench: Workbench, point: Fitted) -> Fitted:
     """The model without an onset that grew beyond what an encoder resolves in a refit.
 
     Friction that grips over such a distance is an effect, found by name or left unknown.
     """
     if not _resolved(point.model):
         return point
-    part = bench.fitting_bench()
+    part = workbench.fitting_bench()
     bare = evaluate(part, point.model.without_effect("presliding"))
-    return evaluate(bench, refit(part, bare, rounds=_ROUNDS).model)
+    return evaluate(workbench, refit(part, bare, rounds=_ROUNDS).model)
 
 
 def without_onset(model: DriveModel) -> DriveModel:

@@ -59,12 +59,12 @@ class Frozen:
     columns: Columns
 
 
-def evaluate(bench: Workbench, model: DriveModel) -> Fitted:
+def evaluate(workbench: Workbench, model: DriveModel) -> Fitted:
     """What a model leaves; raises ModelError as ``simulate`` does."""
     if needs_clocks(model):
-        for judge in bench.judges():
+        for judge in workbench.judges():
             model = _clocked(judge, model)
-    return _fitted(bench, model, bench.simulate([model])[0])
+    return _fitted(workbench, model, workbench.simulate([model])[0])
 
 
 def _clocked(judge: Workbench, model: DriveModel) -> DriveModel:
@@ -74,17 +74,17 @@ def _clocked(judge: Workbench, model: DriveModel) -> DriveModel:
     return refit(judge, best, rounds=_CLOCK_ROUNDS, clocks_only=True).model
 
 
-def _fitted(bench: Workbench, model: DriveModel, simulated: list[FloatArray]) -> Fitted:
-    gram = empty_gram(bench, simulated)
+def _fitted(workbench: Workbench, model: DriveModel, simulated: list[FloatArray]) -> Fitted:
+    gram = empty_gram(workbench, simulated)
     blocks = gram.blocks[:, -1, -1]
     chi2 = float(blocks[gram.fitting].sum()) + prior_cost(model)
     return Fitted(model, simulated, chi2, np.asarray(blocks))
 
 
-def empty_gram(bench: Workbench, simulated: Sequence[FloatArray]) -> Gram:
+def empty_gram(workbench: Workbench, simulated: Sequence[FloatArray]) -> Gram:
     """Gram matrices of the residual alone."""
     none: Columns = [np.zeros((*s.shape, 0), dtype=np.float32) for s in simulated]
-    return bench.gram(bench.residuals(simulated), none, prior_of([]))
+    return workbench.gram(workbench.residuals(simulated), none, prior_of([]))
 
 
 def prior_cost(model: DriveModel) -> float:
@@ -95,7 +95,7 @@ def prior_cost(model: DriveModel) -> float:
 
 
 def refit(
-    bench: Workbench,
+    workbench: Workbench,
     start: Fitted,
     *,
     frozen: Frozen | None = None,
@@ -107,7 +107,7 @@ def refit(
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records and weights.
     start : Fitted
         Where to begin.
@@ -130,10 +130,10 @@ def refit(
     held = frozen
     for _ in range(rounds):
         gram, directions, columns = linearised(
-            bench, best, held, step_frac=step_frac, clocks_only=clocks_only
+            workbench, best, held, step_frac=step_frac, clocks_only=clocks_only
         )
         solution = gram.solve(range(gram.n_columns))
-        moved = _line_search(bench, best, directions, solution)
+        moved = _line_search(workbench, best, directions, solution)
         if moved is None:
             if held is frozen:
                 return best
@@ -151,12 +151,12 @@ def refit(
     return best
 
 
-def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
+def settled(workbench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
     """Refits with ever narrower differences until none helps, and how far they still moved.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records and weights.
     start : Fitted
         Where to begin.
@@ -172,18 +172,18 @@ def settled(bench: Workbench, start: Fitted) -> tuple[Fitted, dict[str, float]]:
     ends: list[Fitted] = []
     best = start
     for step_frac in _SETTLING:
-        best = refit(bench, best, rounds=_SETTLING_ROUNDS, step_frac=step_frac)
+        best = refit(workbench, best, rounds=_SETTLING_ROUNDS, step_frac=step_frac)
         ends.append(best)
     final = best.model.parameters
     return best, {k: max(abs(v - e.model.parameters[k]) for e in ends) for k, v in final.items()}
 
 
-def under_own_weights(bench: Workbench, start: Fitted, *, rounds: int) -> Fitted:
+def under_own_weights(workbench: Workbench, start: Fitted, *, rounds: int) -> Fitted:
     """A model refitted under the weights of what it leaves itself, as long as these are too loose.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records, all fitted, with weights that were taken from more than is left by now: under them
         hardly anything that could still be closed counts.
     start : Fitted
@@ -198,23 +198,25 @@ def under_own_weights(bench: Workbench, start: Fitted, *, rounds: int) -> Fitted
     """
     best = start
     for _ in range(_WEIGHINGS):
-        if not _forgiven(bench, best):
+        if not _forgiven(workbench, best):
             break
-        left = bench.residuals(best.simulated)
-        bench = bench.with_noise(bench.noise_from(left, bench.floor_m(best.model.bench)))
-        best = refit(bench, evaluate(bench, best.model), rounds=rounds)
+        left = workbench.residuals(best.simulated)
+        workbench = workbench.with_noise(
+            workbench.noise_from(left, workbench.floor_m(best.model.bench))
+        )
+        best = refit(workbench, evaluate(workbench, best.model), rounds=rounds)
     return best
 
 
-def _forgiven(bench: Workbench, point: Fitted) -> bool:
+def _forgiven(workbench: Workbench, point: Fitted) -> bool:
     """Whether a model leaves far less than the weights were taken from: chi-square below one."""
-    gram = empty_gram(bench, point.simulated)
+    gram = empty_gram(workbench, point.simulated)
     left = float(point.blocks[gram.fitting].sum())
     return left < _FORGIVEN * float(gram.rows[gram.fitting].sum())
 
 
 def linearised(
-    bench: Workbench,
+    workbench: Workbench,
     point: Fitted,
     frozen: Frozen | None,
     *,
@@ -223,12 +225,12 @@ def linearised(
 ) -> tuple[Gram, list[Direction], Columns]:
     """Gram matrices of a model's own directions at a point, with directions and columns."""
     known = {} if frozen is None else {d.label: i for i, d in enumerate(frozen.directions)}
-    directions = bench.concerned(own_directions(point.model, step_frac=step_frac))
+    directions = workbench.concerned(own_directions(point.model, step_frac=step_frac))
     if clocks_only:
         directions = [d for d in directions if d.run is not None]
     fresh = [d for d in directions if d.label not in known]
     kept = [d for d in directions if d.label in known]
-    columns = _columns(bench, point.model, fresh, step_frac)
+    columns = _columns(workbench, point.model, fresh, step_frac)
     if frozen is not None and kept:
         index = [known[d.label] for d in kept]
         # A frozen column counts in steps of the point where it was taken.
@@ -240,23 +242,25 @@ def linearised(
             for c, f in zip(columns, frozen.columns, strict=True)
         ]
     ordered = [*fresh, *kept]
-    gram = bench.gram(bench.residuals(point.simulated), columns, prior_of(ordered))
+    gram = workbench.gram(workbench.residuals(point.simulated), columns, prior_of(ordered))
     return gram, ordered, columns
 
 
 def _columns(
-    bench: Workbench, model: DriveModel, fresh: Sequence[Direction], step_frac: float
+    workbench: Workbench, model: DriveModel, fresh: Sequence[Direction], step_frac: float
 ) -> Columns:
     """Columns of directions at a model; those of all its own serve again as long as it stands."""
     whole = [d.label for d in fresh] == [d.label for d in own_directions(model)]
     if not whole or any(d.run is not None for d in fresh):
-        return bench.columns(model, fresh)
-    missing = [i for i, r in enumerate(bench.records) if r.recent.columns(model, step_frac) is None]
-    made = bench.of(missing).columns(model, fresh) if missing else []
+        return workbench.columns(model, fresh)
+    missing = [
+        i for i, r in enumerate(workbench.records) if r.recent.columns(model, step_frac) is None
+    ]
+    made = workbench.of(missing).columns(model, fresh) if missing else []
     for i, column in zip(missing, made, strict=True):
-        bench.records[i].recent.keep_columns(model, step_frac, column)
+        workbench.records[i].recent.keep_columns(model, step_frac, column)
     new = dict(zip(missing, made, strict=True))
-    kept = (r.recent.columns(model, step_frac) for r in bench.records)
+    kept = (r.recent.columns(model, step_frac) for r in workbench.records)
     return [new[i] if c is None else c for i, c in enumerate(kept)]
 
 
@@ -277,7 +281,7 @@ def moved_values(
 
 
 def _line_search(
-    bench: Workbench, point: Fitted, directions: Sequence[Direction], solution: Solution
+    workbench: Workbench, point: Fitted, directions: Sequence[Direction], solution: Solution
 ) -> Fitted | None:
     """The step, halved until it helps; None if none does."""
     ordered = [directions[i] for i in solution.indices.tolist()]
@@ -287,7 +291,7 @@ def _line_search(
             step = (share * solution.step).tolist()
             model = point.model.with_parameters(moved_values(point.model, ordered, step))
             model = model.with_clocks(moved_clocks(model, ordered, step))
-            tried = evaluate(bench, model)
+            tried = evaluate(workbench, model)
         except ModelError:
             share *= 0.25
             continue

@@ -124,7 +124,7 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
     last = grown.rounds[-1]
     rivals = grown.rivals
     fit_share = rivals.rival_gain / max(rivals.rows_fit, 1.0)
-    floor_um = noise_floor_um(grown.bench, grown.final.model, calm=True)
+    floor_um = noise_floor_um(grown.workbench, grown.final.model, calm=True)
     gap_um = _rms_um(grown, grown.final.model)
     excess_um, quiet_um, plain_um, settled_um = _excess_um(grown, gap_um, floor_um)
     p_value = corrected_p(sign_flip_p(rivals.rival_drop, seed=1), 1)
@@ -167,11 +167,11 @@ def remainder_of(grown: Grown, bench: Bench, *, rivals_apply: bool = True) -> Re
         judged_share=excess_um / max(floor_um, 1e-12),
         p_value=p_value,
         floor_um=floor_um,
-        calm=Calm(_left_out(grown.bench), _rms_um(grown, grown.base.model), gap_um, floor_um),
+        calm=Calm(_left_out(grown.workbench), _rms_um(grown, grown.base.model), gap_um, floor_um),
         noise_floor_um=noise_floor_um(
-            grown.bench,
+            grown.workbench,
             grown.final.model,
-            ambient_m2=ambient_m2(grown.bench, grown.final.model),
+            ambient_m2=ambient_m2(grown.workbench, grown.final.model),
         ),
         excess_um=excess_um,
         settled_um=settled_um,
@@ -184,7 +184,7 @@ def _material_wave(grown: Grown, worth_um: float) -> FinePattern | None:
 
     The gap beyond the floor is looked for on the coarse grid, which averages such a wave away.
     """
-    fine = fine_pattern(grown.bench, grown.final.model)
+    fine = fine_pattern(grown.workbench, grown.final.model)
     if fine is None or fine.p_value > _CHANCE or fine.rms_um < worth_um:
         return None
     return fine
@@ -195,7 +195,7 @@ def _material_place(grown: Grown, bench: Bench, worth_um: float) -> PlacePattern
 
     What friction does at stops may excuse a gap, but runs that stop elsewhere show nothing there.
     """
-    workbench = grown.bench
+    workbench = grown.workbench
     if workbench.channels < 2:
         return None
     pattern = place_pattern(
@@ -222,32 +222,32 @@ def _excess_um(grown: Grown, gap_um: float, floor_um: float) -> tuple[float, flo
     excess_um = float(np.sqrt(max(0.0, gap_um**2 - floor_um**2)))
     if excess_um < max(0.3 * floor_um, _MODEL_um):
         return excess_um, excess_um, excess_um, gap_um
-    bench = grown.bench
-    every = replace(bench, fitting=tuple(np.ones_like(mask) for mask in bench.fitting))
+    workbench = grown.workbench
+    every = replace(workbench, fitting=tuple(np.ones_like(mask) for mask in workbench.fitting))
     settled = refit(every, evaluate(every, grown.final.model), rounds=2)
-    both = [_doubted_um2(bench, model) for model in (grown.final.model, settled.model)]
+    both = [_doubted_um2(workbench, model) for model in (grown.final.model, settled.model)]
     whole, quiet, plain = (
         float(np.sqrt(max(0.0, min(b[i] for b in both) - floor_um**2))) for i in (0, 1, 2)
     )
     return whole, quiet, plain, _rms_um(grown, settled.model)
 
 
-def _doubted_um2(bench: Workbench, model: DriveModel) -> tuple[float, float, float]:
+def _doubted_um2(workbench: Workbench, model: DriveModel) -> tuple[float, float, float]:
     """Mean square of the gap less the shapes that the onset of friction leaves open.
 
     Of all the time, without the worst tenth, and of all the time with those shapes.
     """
-    simulated = bench.simulate([model])[0]
-    doubtful = None if bench.noise is None else bench.noise.doubtful
+    simulated = workbench.simulate([model])[0]
+    doubtful = None if workbench.noise is None else workbench.noise.doubtful
     largest = _FITTED_SHAPE if holds_onset(model) else _LARGEST_SHAPE
     powers, plain = [], []
-    counted = bench.counted
-    for i, (record, mask) in enumerate(zip(bench.records, bench.fitting, strict=True)):
+    counted = workbench.counted
+    for i, (record, mask) in enumerate(zip(workbench.records, workbench.fitting, strict=True)):
         judged = np.flatnonzero(~mask & counted[i])
         left = (record.coarse_measured_m[:, -1] - simulated[i][:, -1])[judged]
         if left.size < _TRIM_BLOCK:
             continue
-        if bench.channels > 1:
+        if workbench.channels > 1:
             left = left - np.median(left)
         plain.append(block_means(left**2, _TRIM_BLOCK))
         if doubtful is not None:
@@ -267,26 +267,29 @@ def _shaped(left_m: FloatArray, shapes_m: FloatArray, largest: float) -> FloatAr
 
 def _onset_um(grown: Grown) -> float:
     """Rms of what the onset of friction leaves open in the last channel."""
-    noise = grown.bench.noise
+    noise = grown.workbench.noise
     if noise is None or noise.doubtful is None:
         return 0.0
     powers = [float(np.mean(np.sum(d[:, -1] ** 2, axis=1))) for d in noise.doubtful]
     return UM_PER_M * float(np.sqrt(np.mean(powers)))
 
 
-def _left_out(bench: Workbench) -> float:
+def _left_out(workbench: Workbench) -> float:
     """Share of the judging time in which rounding decides the motion."""
-    judged = [u & ~f for u, f in zip((r.usable for r in bench.records), bench.fitting, strict=True)]
-    kept = sum(int(np.count_nonzero(j & c)) for j, c in zip(judged, bench.counted, strict=True))
+    judged = [
+        u & ~f
+        for u, f in zip((r.usable for r in workbench.records), workbench.fitting, strict=True)
+    ]
+    kept = sum(int(np.count_nonzero(j & c)) for j, c in zip(judged, workbench.counted, strict=True))
     return 1.0 - kept / max(1, sum(int(np.count_nonzero(j)) for j in judged))
 
 
 def _rms_um(grown: Grown, model: DriveModel) -> float:
-    return gap(grown.bench.calm_records, model, grown.bench.executor).position_um
+    return gap(grown.workbench.calm_records, model, grown.workbench.executor).position_um
 
 
 def _regions(grown: Grown, bench: Bench) -> tuple[Region, ...]:
-    workbench = grown.bench
+    workbench = grown.workbench
     residuals: Sequence[FloatArray] = workbench.residuals(grown.final.simulated)
     coordinates = [
         r.coordinates(r.response(grown.final.model), bench.pitch_m) for r in workbench.records

@@ -55,7 +55,7 @@ class Reviser:
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records with their noise.
     library : Mapping of str to Effect
         Candidates.
@@ -65,7 +65,7 @@ class Reviser:
         Told in words what is being done.
     """
 
-    bench: Workbench
+    workbench: Workbench
     library: Mapping[str, Effect]
     rules: Rules
     progress: Tell
@@ -99,16 +99,18 @@ class Reviser:
         """Another effect in the place of a round's, the round judged against neither of them."""
         if done.accepted is None:
             return None
-        part = self.bench.fitting_bench()
+        part = self.workbench.fitting_bench()
         bare = whole.model.without_effect(done.accepted.effect)
         try:
-            less = evaluate(self.bench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model)
+            less = evaluate(
+                self.workbench, refit(part, evaluate(part, bare), rounds=_MORE_LESS).model
+            )
         except ModelError:
             return None
-        ground = Ground.of(self.bench, less, self.library)
+        ground = Ground.of(self.workbench, less, self.library)
         tried = contend(ground, replace(start, own_SI={}), Frozen((), []))
         tried += self._as_large(ground, whole, done.accepted.effect, start)
-        left = gap(self.bench.calm_records, less.model, self.bench.executor)
+        left = gap(self.workbench.calm_records, less.model, self.workbench.executor)
         best = max(tried, key=lambda c: c.gain, default=None)
         return None if best is None else (best, done.judged_against(left))
 
@@ -116,7 +118,7 @@ class Reviser:
         self, ground: Ground, whole: Fitted, effect: str, start: Screened
     ) -> list[Contender]:
         """The other effect at the size of the one in its corner, all else as it was beside that."""
-        part = self.bench.fitting_bench()
+        part = self.workbench.fitting_bench()
         same = as_true_name(effect, whole.model)
         if start.start.effect not in {split_name(n)[0] for n in same.effects}:
             return []
@@ -124,7 +126,7 @@ class Reviser:
             fitted = refit(part, evaluate(part, same))
         except ModelError:
             return []
-        return [judged(ground, start, evaluate(self.bench, fitted.model))]
+        return [judged(ground, start, evaluate(self.workbench, fitted.model))]
 
     def widened(self, whole: Fitted, rounds: Sequence[Round]) -> tuple[Fitted, list[Round]]:
         """The model with accepted effects at further places where those earn themselves."""
@@ -132,8 +134,8 @@ class Reviser:
         for i, done in enumerate(kept):
             if done.accepted is None or not self.library[done.accepted.effect].joint_places:
                 continue
-            found = wider(Ground.of(self.bench, whole, self.library), done.accepted)
-            left = gap(self.bench.calm_records, whole.model, self.bench.executor)
+            found = wider(Ground.of(self.workbench, whole, self.library), done.accepted)
+            left = gap(self.workbench.calm_records, whole.model, self.workbench.executor)
             if found is None or not earned(found, done.judged_against(left), self.rules):
                 continue
             self.progress(f"{done.accepted.effect} acts at further places: {found.key}")
@@ -175,7 +177,7 @@ class Reviser:
 
     def _columns(self, whole: Fitted) -> Frozen:
         """What every parameter of the model does, once for all of its effects."""
-        part = self.bench.fitting_bench()
+        part = self.workbench.fitting_bench()
         _, directions, columns = linearised(part, evaluate(part, whole.model), None)
         return Frozen(tuple(directions), columns)
 
@@ -187,7 +189,7 @@ class Reviser:
         """
         if done.accepted is None or done.accepted.effect in ELEMENTARY:
             return None
-        part = self.bench.fitting_bench()
+        part = self.workbench.fitting_bench()
         try:
             bare = whole.model.without_effect(done.accepted.effect)
             begun, had = evaluate(part, bare), whole.chi2
@@ -199,10 +201,10 @@ class Reviser:
             fitted = refit(part, begun, rounds=_FIRST_LESS)
             if fitted.chi2 - had > limit:
                 return None
-            less = evaluate(self.bench, refit(part, fitted, rounds=_MORE_LESS).model)
+            less = evaluate(self.workbench, refit(part, fitted, rounds=_MORE_LESS).model)
         except ModelError:
             return None
-        left = gap(self.bench.calm_records, less.model, self.bench.executor)
-        back = judged(Ground.of(self.bench, less, self.library), done.accepted.screened, whole)
+        left = gap(self.workbench.calm_records, less.model, self.workbench.executor)
+        back = judged(Ground.of(self.workbench, less, self.library), done.accepted.screened, whole)
         needed = left.position_um > self.rules.widened * back.gap_um
         return None if needed or earned(back, done.judged_against(left), self.rules) else less

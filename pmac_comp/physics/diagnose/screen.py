@@ -130,7 +130,7 @@ class Look:
 
 
 def look(
-    bench: Workbench,
+    workbench: Workbench,
     description: Bench,
     point: Fitted,
     library: Mapping[str, Effect],
@@ -140,7 +140,7 @@ def look(
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records.
     description : Bench
         Bench file.
@@ -156,9 +156,9 @@ def look(
     -------
     Look
     """
-    own = tuple(bench.concerned(own_directions(point.model)))
-    responses = list(bench.executor.map(lambda r: r.response(point.model), bench.records))
-    peaks = peaks_of(bench.records, responses, point.model)
+    own = tuple(workbench.concerned(own_directions(point.model)))
+    responses = list(workbench.executor.map(lambda r: r.response(point.model), workbench.records))
+    peaks = peaks_of(workbench.records, responses, point.model)
     starts = tuple(
         start
         for effect in library.values()
@@ -167,13 +167,17 @@ def look(
     directions = [*own, *(d for start in starts for d in start.directions)]
     if last is None:
         columns = flexible_columns(
-            bench.records, point.model, description.pitch_m, bench.executor, room=len(directions)
+            workbench.records,
+            point.model,
+            description.pitch_m,
+            workbench.executor,
+            room=len(directions),
         )
-        bench.columns(point.model, directions, into=columns, at=range(len(directions)))
+        workbench.columns(point.model, directions, into=columns, at=range(len(directions)))
         n_flexible = columns[0].shape[2] - len(directions)
         prior = _with_flexible(prior_of(directions), n_flexible)
         return Look(own, starts, columns, prior, n_flexible)
-    return _with_old_columns(bench, point, own, starts, last)
+    return _with_old_columns(workbench, point, own, starts, last)
 
 
 def _identity(start: Start) -> tuple[str, tuple[tuple[str, float], ...], tuple[float, ...]]:
@@ -183,7 +187,7 @@ def _identity(start: Start) -> tuple[str, tuple[tuple[str, float], ...], tuple[f
 
 
 def _with_old_columns(
-    bench: Workbench,
+    workbench: Workbench,
     point: Fitted,
     own: tuple[Direction, ...],
     starts: tuple[Start, ...],
@@ -215,17 +219,17 @@ def _with_old_columns(
         columns.append(moved)
         # The earlier look ends here: old and new columns need not coexist.
         last.columns[i] = np.empty((0, 0, 0), dtype=np.float32)
-    bench.columns(point.model, [directions[j] for j in fresh], into=columns, at=fresh)
+    workbench.columns(point.model, [directions[j] for j in fresh], into=columns, at=fresh)
     prior = _with_flexible(prior_of(directions), last.n_flexible)
     return Look(own, starts, columns, prior, last.n_flexible, stale)
 
 
-def refreshed(bench: Workbench, point: Fitted, seen: Look, effects: frozenset[str]) -> Look:
+def refreshed(workbench: Workbench, point: Fitted, seen: Look, effects: frozenset[str]) -> Look:
     """The look with the columns of some effects simulated at the present point.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records.
     point : Fitted
         Working point.
@@ -242,7 +246,7 @@ def refreshed(bench: Workbench, point: Fitted, seen: Look, effects: frozenset[st
     places = seen.places()
     index = [j for i in chosen for j in places[i]]
     directions = [d for i in chosen for d in seen.starts[i].directions]
-    bench.columns(point.model, directions, into=seen.columns, at=index)
+    workbench.columns(point.model, directions, into=seen.columns, at=index)
     return replace(seen, stale=seen.stale - set(chosen))
 
 
@@ -261,52 +265,54 @@ def _with_flexible(prior: Prior, count: int) -> Prior:
     )
 
 
-def noise_like(bench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
+def noise_like(workbench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
     """What neither a candidate nor a flexible rival can explain: the best picture of the noise.
 
     Weights that forgive slow motion let many columns leave more of it than there ever was; taken
     for noise, that would be forgiven all the more. Then columns are fitted by plain squares.
     """
-    residuals = bench.residuals(point.simulated)
-    left = _left_by_all(bench, residuals, seen)
-    before = _power_m2(bench, residuals)
-    if np.all(_power_m2(bench, left) <= before):
+    residuals = workbench.residuals(point.simulated)
+    left = _left_by_all(workbench, residuals, seen)
+    before = _power_m2(workbench, residuals)
+    if np.all(_power_m2(workbench, left) <= before):
         return left
-    return _left_by_all(_plain(bench, before), residuals, seen)
+    return _left_by_all(_plain(workbench, before), residuals, seen)
 
 
-def _left_by_all(bench: Workbench, residuals: Sequence[FloatArray], seen: Look) -> list[FloatArray]:
-    gram = bench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
+def _left_by_all(
+    workbench: Workbench, residuals: Sequence[FloatArray], seen: Look
+) -> list[FloatArray]:
+    gram = workbench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
     shrunk = np.where(np.isfinite(seen.prior.sigma), seen.prior.sigma, 10.0)
     relaxed = Prior(
         np.full(shrunk.size, -np.inf), np.full(shrunk.size, np.inf), np.zeros(shrunk.size), shrunk
     )
     solution = gram.with_bounds(relaxed).solve(range(gram.n_columns))
-    return bench.left_by(residuals, seen.columns, solution)
+    return workbench.left_by(residuals, seen.columns, solution)
 
 
-def _plain(bench: Workbench, power_m2: FloatArray) -> Workbench:
-    """The bench with the weights of white noise, channel by channel."""
-    noise = bench.known_noise
+def _plain(workbench: Workbench, power_m2: FloatArray) -> Workbench:
+    """The workbench with the weights of white noise, channel by channel."""
+    noise = workbench.known_noise
     lags = np.zeros_like(noise.whitener.lags)
     white = Whitener(lags, np.diag(1.0 / np.sqrt(power_m2)))
-    return bench.with_noise(replace(noise, whitener=white, robust=None, doubtful=None))
+    return workbench.with_noise(replace(noise, whitener=white, robust=None, doubtful=None))
 
 
-def _power_m2(bench: Workbench, series: Sequence[FloatArray]) -> FloatArray:
+def _power_m2(workbench: Workbench, series: Sequence[FloatArray]) -> FloatArray:
     """Mean square of each channel about its mean in each run as fitted, shape (channels,)."""
-    fitted = [u & f for u, f in zip(bench.counted, bench.fitting, strict=True)]
+    fitted = [u & f for u, f in zip(workbench.counted, workbench.fitting, strict=True)]
     pairs = zip(series, fitted, strict=True)
     level = [x[u] - x[u].mean(axis=0) for x, u in pairs if u.any()]
     return np.asarray(np.mean(np.concatenate(level) ** 2, axis=0))
 
 
-def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
+def screen(workbench: Workbench, point: Fitted, seen: Look) -> Screening:
     """Rank all candidates by their linearised joint refits.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
         Records with their noise.
     point : Fitted
         Working point.
@@ -317,8 +323,8 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
     -------
     Screening
     """
-    residuals = bench.residuals(point.simulated)
-    gram = bench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
+    residuals = workbench.residuals(point.simulated)
+    gram = workbench.gram(residuals, seen.columns, seen.prior, longest_s=_WHOLE_s)
     n_own = len(seen.own)
     own = list(range(n_own))
     base = gram.solve(own)
@@ -344,12 +350,12 @@ def screen(bench: Workbench, point: Fitted, seen: Look) -> Screening:
         tuple(sorted((v[0] for v in starts.values()), key=lambda s: -s.gain)),
         starts,
         float(gram.rows[gram.fitting].sum()),
-        *_rival_drops(bench, residuals, seen, base, flexible),
+        *_rival_drops(workbench, residuals, seen, base, flexible),
     )
 
 
 def _rival_drops(
-    bench: Workbench,
+    workbench: Workbench,
     residuals: Sequence[FloatArray],
     seen: Look,
     base: Solution,
@@ -363,6 +369,6 @@ def _rival_drops(
         for c in seen.columns
     ]
     free = np.full(2, np.inf)
-    gram = bench.gram(residuals, both, Prior(-free, free, np.zeros(2), free))
+    gram = workbench.gram(residuals, both, Prior(-free, free, np.zeros(2), free))
     left = [gram.block_chi2(Solution(np.array([i]), np.ones(1), np.eye(1), 0.0)) for i in (0, 1)]
     return left[0] - left[1], gram.fitting

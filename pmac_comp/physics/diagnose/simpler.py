@@ -61,7 +61,7 @@ def single_cause(
     tried = [t for t in (_loosened(grown, spec) for spec in asked) if t is not None]
     if not tried:
         return None
-    judging, executor = grown.bench.calm_records, grown.bench.executor
+    judging, executor = grown.workbench.calm_records, grown.workbench.executor
     gaps = [gap(judging, fitted.model, executor).position_um for _, fitted in tried]
     best = min(range(len(tried)), key=gaps.__getitem__)
     spec, fitted = tried[best]
@@ -70,7 +70,7 @@ def single_cause(
         fitted = _gripping_as(grown, fitted)
         if gap(judging, fitted.model, executor).position_um > most_um:
             return None
-    found = finding_of(spec, grown.bench.fitting_bench(), fitted)
+    found = finding_of(spec, grown.workbench.fitting_bench(), fitted)
     if found is None:
         return None
     rivals = [s for (s, _), g in zip(tried, gaps, strict=True) if g <= _NEARLY * gaps[best]]
@@ -80,7 +80,7 @@ def single_cause(
     if spec.name in _INERTIAS:
         found = replace(found, text=f"{found.text}; {_as_torque(grown.base.model, fitted.model)}")
     bare = tuple(replace(done, accepted=None, tied=()) for done in grown.rounds)
-    final = evaluate(grown.bench, fitted.model)
+    final = evaluate(grown.workbench, fitted.model)
     return replace(grown, final=final, rounds=bare, open_SI={}), found
 
 
@@ -124,7 +124,7 @@ def _pinned(model: DriveModel, spec: ParameterSpec) -> bool:
 
 def _loosened(grown: Grown, spec: ParameterSpec) -> tuple[ParameterSpec, Fitted] | None:
     """The base model refitted with one quantity that nothing is known of."""
-    part = grown.bench.fitting_bench()
+    part = grown.workbench.fitting_bench()
     loose = replace(grown.base.model, bench=_unknown(grown.base.model.bench, spec))
     nominal = {s.name: s.nominal for s in loose.specs if s.kind == "known" and s.name != spec.name}
     try:
@@ -142,8 +142,8 @@ def _gripping_as(grown: Grown, fitted: Fitted) -> Fitted:
     """
     if not holds_onset(grown.final.model):
         return fitted
-    whole = with_onset(grown.bench, evaluate(grown.bench, fitted.model))
-    return evaluate(grown.bench.fitting_bench(), whole.model)
+    whole = with_onset(grown.workbench, evaluate(grown.workbench, fitted.model))
+    return evaluate(grown.workbench.fitting_bench(), whole.model)
 
 
 def _at_an_end(model: DriveModel, name: str) -> bool:

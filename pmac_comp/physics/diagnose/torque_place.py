@@ -60,11 +60,11 @@ class TorqueLeft:
 
 def told_by_torque(grown: Grown, left: Remainder) -> tuple[str, ...]:
     """A sentence on torque that comes back by place; none where nothing without a name is left."""
-    bench = grown.bench
-    if not left.unexplained or any(r.torque_Nm is None for r in bench.records):
+    workbench = grown.workbench
+    if not left.unexplained or any(r.torque_Nm is None for r in workbench.records):
         return ()
     runs = []
-    for record, counted in zip(bench.records, bench.counted, strict=True):
+    for record, counted in zip(workbench.records, workbench.counted, strict=True):
         if record.torque_Nm is None:
             continue
         response = record.response(grown.final.model)
@@ -77,7 +77,7 @@ def told_by_torque(grown: Grown, left: Remainder) -> tuple[str, ...]:
                 counted,
             )
         )
-    block = max(1, round(bench.block_s / bench.records[0].coarse_period_s))
+    block = max(1, round(workbench.block_s / workbench.records[0].coarse_period_s))
     return sentences(runs, pitch_m=grown.final.model.bench.pitch_m, block=block)
 
 

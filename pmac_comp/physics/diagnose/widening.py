@@ -48,8 +48,8 @@ def wider(ground: Ground, accepted: Contender) -> Contender | None:
     if not begun:
         return None
     fitted, key = min(begun, key=lambda b: b[0].chi2)
-    fitted = refit(ground.bench.fitting_bench(), fitted, rounds=_ROUNDS)
-    found = judged(ground, accepted.screened, evaluate(ground.bench, fitted.model))
+    fitted = refit(ground.workbench.fitting_bench(), fitted, rounds=_ROUNDS)
+    found = judged(ground, accepted.screened, evaluate(ground.workbench, fitted.model))
     return replace(found, key=key)
 
 
@@ -67,7 +67,7 @@ def _starts(ground: Ground, effect: str, place: str) -> list[DriveModel]:
 
 def _begun(ground: Ground, start: DriveModel) -> Fitted | None:
     """A few steps from a start, enough to tell which start is the better one."""
-    part = ground.bench.fitting_bench()
+    part = ground.workbench.fitting_bench()
     try:
         return refit(part, evaluate(part, start), rounds=_FIRST_ROUNDS)
     except ModelError:

@@ -41,7 +41,7 @@ def test_only_what_has_no_name_is_told_by_run(unexplained):
     records = [SimpleNamespace(name=n, torque_Nm=None) for n in ("slow", "fast")]
     counted = [np.array([True, True, False])] * 2
     bench = SimpleNamespace(records=records, counted=counted, residuals=lambda simulated: missed)
-    grown: Any = SimpleNamespace(bench=bench, final=SimpleNamespace(simulated=None))
+    grown: Any = SimpleNamespace(workbench=bench, final=SimpleNamespace(simulated=None))
     left: Any = SimpleNamespace(unexplained=unexplained)
     told = told_by_run(grown, left)
     assert told == (

@@ -224,7 +224,7 @@ def test_a_corner_that_no_run_crosses_carries_no_name(place):
         response = SimpleNamespace(joint_force_N=np.array([0.01 * largest_N, -largest_N]))
         record = SimpleNamespace(response=lambda _model: response)
         return SimpleNamespace(
-            final=SimpleNamespace(model=model), bench=SimpleNamespace(records=[record])
+            final=SimpleNamespace(model=model), workbench=SimpleNamespace(records=[record])
         )
 
     assert unreached(grown(1e-6, 700.0)) == frozenset()

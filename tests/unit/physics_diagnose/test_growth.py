@@ -242,7 +242,7 @@ def test_a_model_with_an_onset_is_asked_anew_where_rounding_decides_and_what_riv
         monkeypatch.setattr(growth, name, stand_in)
     start: Any = bare.model
     grown = growth.grow(bench, start, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
-    assert grown.bench is calmed
+    assert grown.workbench is calmed
     assert grown.final.on == "onset"  # type: ignore[attr-defined]
     assert grown.rivals.rival_gain == 2e2
 

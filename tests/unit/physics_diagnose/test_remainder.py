@@ -40,7 +40,7 @@ def test_twice_the_floor_is_unknown_whatever_might_excuse_it(
     point = SimpleNamespace(blocks=np.zeros(30), model=onset)
     effects = [SimpleNamespace(effect=name) for name in accepted]
     grown: Any = SimpleNamespace(
-        rounds=(done,), rivals=rivals, bench=None, base=point, final=point, accepted=effects
+        rounds=(done,), rivals=rivals, workbench=None, base=point, final=point, accepted=effects
     )
     monkeypatch.setattr(remainder, "noise_floor_um", lambda *a, **k: 0.4)
     monkeypatch.setattr(remainder, "ambient_m2", lambda *a: 0.0)

@@ -55,6 +55,8 @@ def test_two_runs_are_too_few_to_foretell_a_third():
 
 @pytest.mark.parametrize(("unexplained", "torque"), [(False, np.zeros(4)), (True, None)])
 def test_where_all_has_a_name_or_no_torque_was_captured_nothing_is_said(unexplained, torque):
-    grown: Any = SimpleNamespace(bench=SimpleNamespace(records=[SimpleNamespace(torque_Nm=torque)]))
+    grown: Any = SimpleNamespace(
+        workbench=SimpleNamespace(records=[SimpleNamespace(torque_Nm=torque)])
+    )
     left: Any = SimpleNamespace(unexplained=unexplained)
     assert told_by_torque(grown, left) == ()
