@@ -37,7 +37,7 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
     if missing and len(header) == 1 and ";" in header[0]:
         raise CaptureError(
             f"{path.name}: the columns are not separated by commas.",
-            code="PC-CMD-001",
+            code="PC-CMD-007",
             hint="Export with commas between columns and a point in numbers.",
         )
     if missing:

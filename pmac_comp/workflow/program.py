@@ -88,7 +88,7 @@ def draw_motion(compensation: Compensation, bench: Bench) -> DrawnMotion:
     if correction is None:
         raise ConfigError(
             "The compensation holds no correction.",
-            code="PC-DEP-051",
+            code="PC-DEP-056",
             hint="Compute it again: "
             "`pmac-comp compensate --bench FILE --model FILE --route program --command MOTION`.",
         )
@@ -110,7 +110,7 @@ def run_drawn(axis: "ProgramAxis", progress: Progress | None = None) -> Capture:
     """Run the uploaded program; the capture has the motion as command, the drawn as desired."""
     drawn = axis.drawn
     if drawn is None:
-        raise ConfigError("This axis has no compensated program.", code="PC-DEP-051")
+        raise ConfigError("This axis has no compensated program.", code="PC-DEP-057")
     return as_compensated(axis.run(drawn.drawn, progress=progress), drawn.motion, drawn.drawn)
 
 

@@ -94,7 +94,7 @@ def _overlap_refusal(block: LawBlock, other: int) -> SafetyRefusal:
         f"The p_block P{block.first}..{block.first + last} overlaps P{other}..{other + last}, "
         "which another bench file of this card uses or has used: each would write what the other "
         "works with.",
-        code="PC-COM-010",
+        code="PC-COM-011",
         hint="Choose a block apart from it with [controller] p_block = [first, last], and compute "
         "again.",
     )

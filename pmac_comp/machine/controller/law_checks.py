@@ -206,7 +206,7 @@ def _program_refusals(
             SafetyRefusal(
                 f"PLC 0 holds the law of another bench file, whose p_block begins at P{other}; "
                 f"that of motor #{motor} would replace it.",
-                code="PC-LAW-037",
+                code="PC-LAW-054",
                 hint="Take that law off first: `pmac-comp remove` with its bench file. For both at "
                 "once use --route servo, table, cam or program here.",
             )

@@ -149,7 +149,7 @@ def read_axes(link: Link, systems: Sequence[int] = range(1, SYSTEMS + 1)) -> Axi
         if len(lines) != MOTORS:
             raise RemoteProtocolError(
                 f"{MOTORS} axis definitions were asked for, {len(lines)} came.",
-                code="PC-SET-001",
+                code="PC-SET-004",
             )
         pairs = enumerate((line.strip() for line in lines), start=1)
         found += [(system, motor, text) for motor, text in pairs if text != "0"]

@@ -146,7 +146,7 @@ class DriveModel:
         if place and place not in known:
             raise ModelError(
                 f"Effect '{bare}' has no place '{place}'.",
-                code="PC-MOD-009",
+                code="PC-MOD-018",
                 hint="It has " + (", ".join(known) or "none"),
             )
         if self.is_rigid and "rigid" in effect.place_parameters:
@@ -181,7 +181,7 @@ class DriveModel:
         if len(kept) == len(self.effects):
             raise ModelError(
                 f"The model has no effect '{name}'.",
-                code="PC-MOD-009",
+                code="PC-MOD-019",
                 hint="It has " + ", ".join(self.effects),
             )
         values = {

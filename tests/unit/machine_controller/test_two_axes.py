@@ -307,7 +307,7 @@ def test_law_and_guard_of_another_axis_are_called_so(tmp_path: Path) -> None:
     first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
     law_install.install_law(bench.link, first, 2)
     (told,) = law_checks.owner_refusals(bench.link, second, 1)
-    assert told.code == "PC-LAW-037"
+    assert told.code == "PC-LAW-054"
     assert "law of another bench file, whose p_block begins at P7000" in told.message
     assert "`pmac-comp remove` with its bench file" in told.hint
     assert guard_install.install_guard(bench.link, second)[0].startswith(
@@ -330,6 +330,7 @@ def test_a_block_that_overlaps_that_of_another_axis_is_not_to_be_zeroed(
     for marked in (0, 7):  # by a change of ours before the other came: both would be at work
         bench.link.command(f"P{change}={marked}")
         (told,) = block_use.block_refusals(bench.link, LawBlock(first_p))
+        assert told.code == "PC-COM-011"
         assert "overlaps P7000..7199" in told.message
         assert "=0" not in told.hint
     bench.link.command(f"P{change}=0")
