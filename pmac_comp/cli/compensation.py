@@ -426,8 +426,7 @@ def verify(
         kept = [] if out is None else [f"runs and result: {out}"]
         return [*outcome.lines(), *kept]
 
-    result = outcome.as_result() if out is None else {**outcome.as_result(), "folder": out}
-    output.finish_with_report(result, lines, json_target, report)
+    output.finish_with_report(outcome.as_result(out), lines, json_target, report)
 
 
 def improve(

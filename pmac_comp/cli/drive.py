@@ -268,6 +268,8 @@ def compare(
 
 
 def _show_rigid(result: Mapping[str, Any]) -> None:
+    from pmac_comp.workflow.comparison import floor_lines
+
     laps = result["laps"]
     output.table(
         f"motor position from the command alone, um rms (fitted: first {laps['fitted']} of "
@@ -286,10 +288,4 @@ def _show_rigid(result: Mapping[str, Any]) -> None:
     )
     for name, why in result["refused"].items():
         output.echo(f"  {name}: {why}")
-    if result["floor_um"] is not None:
-        best = min((r["left_rms_um"] for r in result["models"]), default=float("nan"))
-        output.echo(
-            f"  laps differ from each other by {result['floor_um']:.2f} um rms, the floor of any "
-            f"model; the best leaves {best:.2f} um. One step ahead the encoder's lattice is "
-            f"{result['lattice_nm']:.0f} nm."
-        )
+    output.echo_all(floor_lines(result))

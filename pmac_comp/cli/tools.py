@@ -65,16 +65,16 @@ def config_show(
 ) -> None:
     """Print every key of a bench file and what it is, defaults included, and what follows."""
     from pmac_comp.files.bench import load_bench
-    from pmac_comp.workflow.bench_view import bench_rows, derived
+    from pmac_comp.workflow.bench_view import as_result, bench_rows
 
     loaded = load_bench(bench)
-    result = {**loaded.model_dump(mode="json", exclude={"text"}), "derived": derived(loaded)}
+    result = as_result(loaded)
 
     def show() -> None:
         output.table(
             loaded.name or str(bench), ("key", "value", "from", "what it is"), bench_rows(loaded)
         )
-        output.table("follows from it", ("quantity", "value"), list(derived(loaded).items()))
+        output.table("follows from it", ("quantity", "value"), list(result["derived"].items()))
 
     output.finish(result, json_target, show)
 
@@ -119,11 +119,7 @@ def config_servo(
     json_target: JsonOption = "",
 ) -> None:
     """Print the open servo's source for a bench file's p_block, for the vendor's compiler."""
-    from pmac_comp.files.bench import load_bench
-    from pmac_comp.machine.controller.law_bank import LawBlock
-    from pmac_comp.machine.controller.servo_source import servo_source
+    from pmac_comp.workflow.bench_view import servo_result
 
-    block = LawBlock.from_p_block(load_bench(bench).controller.p_block)
-    text = servo_source(block)
-    result = {"bench": str(bench), "first_p": block.first, "text": text}
-    output.finish(result, json_target, lambda: output.echo(text.rstrip()))
+    result = servo_result(bench)
+    output.finish(result, json_target, lambda: output.echo(result["text"].rstrip()))

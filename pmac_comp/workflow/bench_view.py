@@ -6,7 +6,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
-from pmac_comp.files.bench import Bench
+from pmac_comp.files.bench import Bench, load_bench
+from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.servo_source import servo_source
 from pmac_comp.physics.model.chain import compliance_at_mid_travel_m_per_N, first_mode_rad_per_s
 
 
@@ -77,3 +79,14 @@ def tuned_motors(bench: Bench) -> list[int]:
     """Motors whose proportional gain (Ixx30) the bench file states."""
     names = [name for name in bench.controller.ivariables if name[-2:] == "30"]
     return [number for number in range(1, 33) if f"I{number}30" in names]
+
+
+def as_result(bench: Bench) -> dict[str, Any]:
+    """Every key of a bench file and what follows from it, for ``--json``."""
+    return {**bench.model_dump(mode="json", exclude={"text"}), "derived": derived(bench)}
+
+
+def servo_result(name: str) -> dict[str, Any]:
+    """The open servo's source for the block of a bench file, for ``--json``."""
+    block = LawBlock.from_p_block(load_bench(name).controller.p_block)
+    return {"bench": name, "first_p": block.first, "text": servo_source(block)}

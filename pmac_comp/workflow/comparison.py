@@ -1,6 +1,7 @@
 """Rival models on capture files, and beside them what a user would do otherwise."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,18 @@ def _compare_rigid(
         "lattice_nm": found.lattice_nm,
         "alternatives": {"simulated": True, "basis": "", "rows": []},
     }
+
+
+def floor_lines(result: Mapping[str, Any]) -> list[str]:
+    """What the laps of a bench without a scale differ by, and the best model, for people."""
+    if result["floor_um"] is None:
+        return []
+    best_um = min((row["left_rms_um"] for row in result["models"]), default=math.nan)
+    return [
+        f"  laps differ from each other by {result['floor_um']:.2f} um rms, the floor of any "
+        f"model; the best leaves {best_um:.2f} um. One step ahead the encoder's lattice is "
+        f"{result['lattice_nm']:.0f} nm."
+    ]
 
 
 def _remarks(elsewhere_share: float) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from pmac_comp.base.arrays import FloatArray
@@ -74,8 +75,9 @@ class Verification:
     ringing: RingingOutcome | None = None
     learning: Refinement | None = None
 
-    def as_result(self) -> dict[str, Any]:
-        """Mapping for ``--json``."""
+    def as_result(self, folder: Path | None = None) -> dict[str, Any]:
+        """Mapping for ``--json``, with the folder that keeps the runs where there is one."""
+        kept = {} if folder is None else {"folder": folder}
         return {
             "kind": "verification",
             "simulated": self.simulated,
@@ -90,6 +92,7 @@ class Verification:
             "ringing": None if self.ringing is None else self.ringing.as_result(),
             "learning": None if self.learning is None else self.learning.as_result(),
             "remarks": list(self.remarks),
+            **kept,
         }
 
     def reached(self) -> list[str]:
