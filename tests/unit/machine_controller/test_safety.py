@@ -41,7 +41,7 @@ def test_a_killed_motor_follows_without_a_step() -> None:
 
 
 def test_a_folder_has_one_owner_in_every_locale() -> None:
-    stored = "/bench/für Achse 1".encode()
+    stored = "/bench/café axis 1".encode()
     # What Python makes of these bytes in the locale of the test, and where it is ASCII.
     names = (os.fsdecode(stored), stored.decode("ascii", "surrogateescape"))
     assert len({Context(LawBlock(), LIMITS, Path(n), 442e-6).owner for n in names}) == 1

@@ -9,7 +9,7 @@ from pmac_comp.workflow.commands import read_command
 
 
 def test_other_separators_are_told_and_not_that_columns_are_missing(tmp_path: Path) -> None:
-    file = tmp_path / "Befehl ü.csv"
+    file = tmp_path / "café axis.csv"
     file.write_text("\ufefftime_s;commanded_position_mm\n0,0;0,0\n0,1;1,5\n", encoding="utf-8")
     with pytest.raises(CaptureError, match="not separated by commas") as told:
         read_command(file)
