@@ -88,7 +88,8 @@ def test_simulated_error_follows_the_closed_form(place_m):
 
 
 def test_regression_of_a_simulated_run_gives_the_stated_coefficients():
-    # Facts 2.8: 2.199 / 3.84 / 0.97 um on table acceleration, velocity and direction at mid travel.
+    # The closed form at mid travel: 2.205 um per m/s2, 3.84 um per m/s, 0.935 um by direction. A
+    # run has the transients of its reversals too, worth 1.1 % of the share by speed.
     parts = [
         tr.sinusoid(period_s=TS, amplitude_m=a, frequency_Hz=f, cycles=4.0)
         for a, f in ((0.01, 1.0), (0.01, 3.0), (0.005, 5.0), (0.025, 2.0))
@@ -103,7 +104,7 @@ def test_regression_of_a_simulated_run_gives_the_stated_coefficients():
         rows.append(np.column_stack([a, v, np.sign(v)])[keep])
         target.append(response.mechanical_error_m[keep])
     found, *_ = np.linalg.lstsq(np.vstack(rows), -np.concatenate(target), rcond=None)
-    np.testing.assert_allclose(1e6 * found, [2.20, 3.84, 0.95], rtol=0.04)
+    np.testing.assert_allclose(1e6 * found, [2.205, 3.84, 0.935], rtol=0.02)
 
 
 def test_constant_load_at_rest_gives_the_static_deflection():

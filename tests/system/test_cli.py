@@ -119,7 +119,8 @@ def test_convert_there_and_back_keeps_every_number(tmp_path: Path) -> None:
     first = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
     lines = [x for x in (tmp_path / "c.csv").read_text().splitlines() if not x.startswith("#")]
     again = np.genfromtxt(lines[1:], delimiter=",")
-    assert np.allclose(first, again, atol=1e-9)
+    assert first.shape == again.shape == (400, 5)
+    np.testing.assert_allclose(again, first, rtol=0.0, atol=1e-9)
 
 
 def test_looking_at_the_embedded_card() -> None:

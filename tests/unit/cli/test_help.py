@@ -129,7 +129,11 @@ def test_command_lines_to_paste_name_all_that_the_command_requires() -> None:
 
 
 def test_what_a_command_writes_is_known_to_the_check_for_one_file_named_twice() -> None:
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
-        for parameter in getattr(command, "params", []):
-            if "to write" in (parameter.help or "") or "--out" in parameter.opts:
-                assert parameter.name in WRITTEN, f"{name} {parameter.name}"
+    writing = {
+        f"{name} {parameter.name}": parameter.name
+        for name, command in get_command(app).commands.items()  # type: ignore[attr-defined]
+        for parameter in getattr(command, "params", [])
+        if "to write" in (parameter.help or "") or "--out" in parameter.opts
+    }
+    assert len(writing) > 10
+    assert {place for place, name in writing.items() if name not in WRITTEN} == set()

@@ -24,7 +24,8 @@ def test_reversals_are_found_and_hunting_is_not():
     x = 0.03 * np.sin(2 * np.pi * 0.7 * t)
     turns = lo.reversal_indices(x)
     expected = (np.arange(0.25, 0.7 * t[-1], 0.5)) / 0.7 / (t[1] - t[0])
-    assert np.allclose(turns, expected[: turns.size], atol=2)
+    assert turns.size == np.count_nonzero(expected < t.size - 1)
+    np.testing.assert_allclose(turns, expected[: turns.size], rtol=0.0, atol=2)
     hunting = 0.5e-6 * np.sin(40 * t)
     assert lo.reversal_indices(hunting).size == 0
 

@@ -82,7 +82,9 @@ def test_the_tables_together_take_both_directions_away() -> None:
 def test_forward_part_and_file_keep_what_was_measured(tmp_path: Path) -> None:
     write_compensation(tmp_path / "c.json", COMPENSATION)
     assert read_compensation(tmp_path / "c.json").backlash
-    assert np.allclose(forward_part(LEAD).error_m - LEAD.error_m, 0.5 * LEAD.reversal_m)
+    np.testing.assert_allclose(
+        forward_part(LEAD).error_m - LEAD.error_m, 0.5 * LEAD.reversal_m, rtol=1e-9, atol=0.0
+    )
     assert backlash_table(LEAD, BENCH).table.wrap
 
 
