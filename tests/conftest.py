@@ -91,8 +91,11 @@ def exhaustive(request: pytest.FixtureRequest) -> bool:
 
 @pytest.fixture(scope="session")
 def emps_file() -> Path:
-    """The EMPS record where it lies; skips where it is absent."""
-    folder = Path(os.environ.get("PMAC_COMP_EMPS", ROOT / ".." / "shared" / "data" / "emps"))
+    """The EMPS record where it lies: ``PMAC_COMP_EMPS``, else a folder beside the project.
+
+    Skips where it is in neither.
+    """
+    folder = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared" / "data" / "emps"))
     path = folder / "DATA_EMPS.mat" if folder.is_dir() else folder
     if not path.is_file():
         pytest.skip("the EMPS record is absent; PMAC_COMP_EMPS names its folder")

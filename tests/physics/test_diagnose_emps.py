@@ -1,6 +1,5 @@
 """Growth on the EMPS record: from mass and viscous friction alone, judged on a held-back lap."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -11,18 +10,14 @@ from pmac_comp.physics.diagnose import Rules, diagnose
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import effect_library
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared" / "data" / "emps"))
-RECORD = FOLDER / "DATA_EMPS.mat"
+pytestmark = pytest.mark.emps
 FRICTION = ("coulomb", "friction_asymmetry", "bias_force", "stribeck", "presliding", "payload")
 
 
-@pytest.mark.emps
-@pytest.mark.skipif(not RECORD.exists(), reason="the EMPS record is not here (PMAC_COMP_EMPS)")
-def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data():
+def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data(emps_file: Path) -> None:
     bench = load_bench("emps")
     found = diagnose(
-        [read_capture(RECORD)],
+        [read_capture(emps_file)],
         bench,
         model=DriveModel(bench, ("viscous",), {}),
         effects={name: effect_library()[name] for name in FRICTION},
@@ -38,12 +33,12 @@ def test_coulomb_friction_then_its_asymmetry_are_found_on_real_data():
     assert found.gap_channel == "motor"
 
 
-@pytest.mark.emps
-@pytest.mark.skipif(not RECORD.exists(), reason="the EMPS record is not here (PMAC_COMP_EMPS)")
 @pytest.mark.slow
-def test_all_effects_beside_them_do_not_take_the_names_of_real_friction_away():
+def test_all_effects_beside_them_do_not_take_the_names_of_real_friction_away(
+    emps_file: Path,
+) -> None:
     bench = load_bench("emps")
-    found = diagnose([read_capture(RECORD)], bench, model=DriveModel(bench, ("viscous",), {}))
+    found = diagnose([read_capture(emps_file)], bench, model=DriveModel(bench, ("viscous",), {}))
     assert found.named[0] == "coulomb"
     assert set(found.named[1:]) & {"friction_asymmetry", "bias_force"}
     assert found.gap_after_um < 1.1

@@ -1,6 +1,5 @@
 """EMPS through ``identify``: the published table, and the closed loop it simulates."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -10,17 +9,12 @@ from pmac_comp.files.capture import read_capture
 from pmac_comp.physics.identify import Identification, identify, model_from_file, to_model_file
 from pmac_comp.physics.identify.compare_rigid import compare_rigid
 
-ROOT = Path(__file__).resolve().parents[2]
-EMPS = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared/data/emps")) / "DATA_EMPS.mat"
-pytestmark = [
-    pytest.mark.emps,
-    pytest.mark.skipif(not EMPS.is_file(), reason=f"no EMPS record at {EMPS}"),
-]
+pytestmark = pytest.mark.emps
 
 
 @pytest.fixture(scope="module")
-def found() -> Identification:
-    return identify([read_capture(EMPS)], load_bench("emps"))
+def found(emps_file: Path) -> Identification:
+    return identify([read_capture(emps_file)], load_bench("emps"))
 
 
 def test_parameters_are_named_as_published(found: Identification) -> None:
@@ -55,9 +49,9 @@ def test_model_file_gives_the_model_back(found: Identification) -> None:
     assert dict(again.parameters) == pytest.approx(dict(found.model.parameters), rel=1e-12)
 
 
-def test_models_are_judged_lap_by_lap() -> None:
+def test_models_are_judged_lap_by_lap(emps_file: Path) -> None:
     growth = (("bias_force",), ("bias_force", "friction_asymmetry", "viscous_nonlinear"))
-    compared = compare_rigid(read_capture(EMPS), load_bench("emps"), growth=growth)
+    compared = compare_rigid(read_capture(emps_file), load_bench("emps"), growth=growth)
     plain, grown = compared.rows
     assert compared.n_laps == 4
     assert compared.floor_um == pytest.approx(0.26, abs=0.02)

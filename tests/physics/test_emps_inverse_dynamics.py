@@ -1,6 +1,5 @@
 """The EMPS record gives the published parameters (Janot, Gautier, Brunot 2019)."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +9,12 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, read_capture
 from pmac_comp.physics.identify.rigid import rigid_regression
 
-ROOT = Path(__file__).resolve().parents[2]
-EMPS = Path(os.environ.get("PMAC_COMP_EMPS", ROOT.parent / "shared/data/emps")) / "DATA_EMPS.mat"
-pytestmark = [
-    pytest.mark.emps,
-    pytest.mark.skipif(not EMPS.is_file(), reason=f"no EMPS record at {EMPS}"),
-]
+pytestmark = pytest.mark.emps
 
 
 @pytest.fixture(scope="module")
-def record() -> Capture:
-    return read_capture(EMPS)
+def record(emps_file: Path) -> Capture:
+    return read_capture(emps_file)
 
 
 def test_symmetric_parameters_are_the_published_ones(record: Capture) -> None:
