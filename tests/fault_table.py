@@ -1,4 +1,4 @@
-"""The table of fault ids after a test run: injections, failures and worst time of each id.
+"""The list of faults, and the table of them after a test run: injections, failures, worst time.
 
 Where a test proves that many places (bytes, mostly) leave the same and injects at one of them,
 the table tells both numbers.
@@ -16,6 +16,53 @@ from typing import TypeVar
 
 import pytest
 
+FAULTS = {
+    "F01": "the connection is cut anywhere in a change",
+    "F02": "a cut that loses answers under way too",
+    "F03": "answers split or glued",
+    "F04": "an answer that begins and does not end",
+    "F05": "an answer that comes after its deadline",
+    "F06": "stray text before an answer",
+    "F07": "half-closed, reset or dead connections",
+    "F08": "a slow peer",
+    "F09": "no host, no port, or no PMAC behind it",
+    "F10": "a noisy serial line",
+    "F11": "a flipped bit in a download",
+    "F12": "dialog modes that another client changed",
+    "F13": "an SSH host that is not known, or another",
+    "F14": "shells behind SSH that say more, or less",
+    "F15": "a line that the card refuses",
+    "F16": "a line that is lost or doubled without an error",
+    "F17": "another client that changes the card meanwhile",
+    "F18": "a change left half-made, enabled by others",
+    "F19": "two of us at one card",
+    "F20": "the card is reset amid a change",
+    "F21": "a SAVE that fails, a damaged flash",
+    "F22": "an axis that begins to move amid a change",
+    "F23": "a jump when tables are switched on",
+    "F24": "a motor that trips during a run",
+    "F25": "encoder and scale that disagree",
+    "F26": "another card, or one without what is needed",
+    "F27": "a full disk during a capture",
+    "F28": "a kill during a capture",
+    "F29": "a kill during a change or a measurement",
+    "F30": "Ctrl-C and requests to stop",
+    "F31": "a gather buffer that overflows",
+    "F32": "samples that are missing or repeated",
+    "F33": "counters that wrap around",
+    "F34": "numbers that are none, or of no size",
+    "F35": "tables beyond limits or ranges",
+    "F36": "numbers and journals that read as something else",
+    "F37": "clocks that jump",
+    "F38": "folders and disks that take nothing",
+    "F40": "captures too poor to identify from",
+    "F41": "malformed requests to the simulated card",
+    "F42": "clients without end to the simulated card",
+    "F43": "programs without end on the simulated card",
+    "F44": "a controller that means harm",
+    "F45": "passwords that are repeated",
+    "F46": "keys that are offered unasked",
+}
 _IN_FUNCTION = re.compile(r"test_(f\d\d)(?!\d)", re.I)
 _IN_DOC = re.compile(r"^F\d\d(?!\d)")
 
@@ -121,10 +168,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         return
     terminalreporter.section("faults")
     terminalreporter.write_line(
-        f"{'id':<5}{'places':>8}{'runs':>8}{'failures':>10}{'skipped':>9}{'worst s':>9}"
+        f"{'id':<5}{'places':>8}{'runs':>8}{'failures':>10}{'skipped':>9}{'worst s':>9}  fault"
     )
     for name, row in sorted(_rows.items()):
         terminalreporter.write_line(
             f"{name:<5}{row.places:>8}{row.runs:>8}{row.failures:>10}{row.skipped:>9}"
-            f"{row.worst_s:>9.2f}"
+            f"{row.worst_s:>9.2f}  {FAULTS.get(name, '')}"
         )
