@@ -14,7 +14,7 @@ from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
 from pmac_comp.physics.signals import trajectory as tr
 
-pytestmark = [pytest.mark.faults, pytest.mark.timeout(20)]
+pytestmark = [pytest.mark.faults, pytest.mark.timeout(20, func_only=True)]
 MODEL = DriveModel.base(load_bench("paper"))
 TS = MODEL.bench.servo_period_s
 ONE = np.zeros(3)
@@ -50,6 +50,12 @@ CALLS = {
     ),
     "path": lambda a: tr.path(a, period_s=TS, speed_m_per_s=0.1, acceleration_m_per_s2=1.0),
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    """Compiling kernels is no part of how quickly bad numbers are refused."""
+    simulate(MODEL, ONE)
 
 
 @pytest.mark.parametrize("call", CALLS)
