@@ -140,7 +140,12 @@ class Drive(_Table):
 
 
 class SiControl(_Table):
-    """PID with feed-forward in SI-like units (contract, section 2)."""
+    """PID with feed-forward in SI-like units, e = command - motor.
+
+    u = Kp e + I - Kd v_f + Kvff v_c + Kaff a_c, clipped to the torque limit; I += Ki T e unless u
+    is clipped the way of e; v_f += alpha (motor speed - v_f); v_c and a_c are backward differences
+    of the command, T the servo period.
+    """
 
     Kp_Nm_per_mm: NonNegative = Field(description="on command - motor")
     Ki_Nm_per_mm_s: NonNegative = Field(default=0.0, description="on its integral")

@@ -54,7 +54,7 @@ def derived(bench: Bench) -> dict[str, float]:
 
 
 def compliance_m_per_N(bench: Bench) -> float | None:
-    """Axial compliance from motor to table at mid travel in m/N (ballscrew facts 2.8)."""
+    """Axial compliance from motor to table at mid travel in m/N, ``None`` where not stated."""
     nominal = bench.nominal
     if nominal.axial_stiffness_N_per_um is None or nominal.torsional_stiffness_Nm_per_rad is None:
         return None
@@ -66,7 +66,7 @@ def compliance_m_per_N(bench: Bench) -> float | None:
 
 
 def resonance_Hz(bench: Bench) -> float | None:
-    """First resonance with the motor free, two-mass formula (ballscrew facts 2.7)."""
+    """First resonance with the motor free, two-mass formula, ``None`` where not stated."""
     compliance, nominal = compliance_m_per_N(bench), bench.nominal
     if compliance is None or nominal.table_mass_kg is None or nominal.motor_inertia_kgm2 is None:
         return None

@@ -19,8 +19,8 @@ _RAMP_ACCELERATION = 1.113
 def calibration_motions(bench: Bench) -> list[Motion]:
     """Proposed campaign: several amplitudes and frequencies at three places of the travel.
 
-    Fits the travel, the safety limits and the rated speed of the bench (ballscrew facts 2.9,
-    excitation rules).
+    Fits the travel, the safety limits and the rated speed of the bench. In one sinusoid the way
+    of the motion and its speed go together (correlation 0.9): amplitudes and frequencies part them.
     """
     low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
     middle, span = 0.5 * (low + high), high - low

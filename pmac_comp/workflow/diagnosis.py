@@ -1,4 +1,4 @@
-"""Diagnosis of capture files: the contract's JSON, the grown model, words for people."""
+"""Diagnosis of capture files: the JSON of `diagnose`, the grown model, words for people."""
 
 import shlex
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ class DiagnosisOutcome:
         return [*first, f"  pmac-comp capture {where} --out separating {motions}"]
 
     def as_result(self) -> dict[str, Any]:
-        """The contract's mapping, with ``model_file`` (path) and the model itself."""
+        """The mapping for ``--json``, with ``model_file`` (path) and the model itself."""
         return {
             **self.diagnosis.to_json(),
             "sources": list(self.sources),

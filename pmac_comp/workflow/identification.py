@@ -247,7 +247,7 @@ def predict_files(
     effects: Path | None = None,
     rounding: Rounding = "expected",
 ) -> dict[str, Any]:
-    """Predict a command and write the capture; the contract's ``predict``.
+    """Predict a command and write the capture, for `predict`.
 
     ``command`` is a command file or a capture; of a capture the corrected command and the load are
     used too where it holds them, and the torque that it held at rest: a run that follows a move

@@ -1,4 +1,4 @@
-"""Errors before and after in the terms of the contract: signals, statistics, the promise.
+"""Errors before and after in the terms of README, Words: signals, statistics, the promise.
 
 What lives here: pure functions of captures. What may not: conversations, plots (``report``).
 
@@ -246,7 +246,7 @@ class MotionOutcome:
         return math.sqrt(max(self.e_r_after.value**2 - floor_um**2, 0.0))
 
     def as_result(self) -> dict[str, Any]:
-        """Mapping of the contract for ``--json``."""
+        """Mapping for the JSON of `verify`."""
         return {
             "name": self.name,
             "pairs": self.n_pairs,

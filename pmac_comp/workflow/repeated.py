@@ -1,7 +1,8 @@
 """One known motion, repeated: its pre-compensated program, and learning from the scale.
 
-What lives here: how an offset reaches the motion program, how such a run becomes a capture in the
-terms of the contract, and ``--refine``. What may not: the learning rule (``physics.compensate``).
+What lives here: how an offset reaches the motion program, how such a run becomes a capture with
+commanded and desired position, and ``--refine``. What may not: the learning rule
+(``physics.compensate``).
 """
 
 from dataclasses import dataclass, replace
@@ -201,7 +202,7 @@ def run_with_offset(
 
 
 def as_compensated(capture: Capture, motion: Motion, drawn: Motion) -> Capture:
-    """Capture of a drawn motion in the terms of the contract: command and desired position."""
+    """Capture of a drawn motion, commanded and desired position as README, Words, has them."""
     planned, gathered = drawn.position_m, capture.commanded_position_m
     index = np.clip(np.arange(capture.n) - delay_samples(planned, gathered), 0, planned.size - 1)
     correction = (planned - motion.position_m)[index]

@@ -36,7 +36,8 @@ def test_parameters_are_named_as_published(found: Identification) -> None:
 
 
 def test_closed_loop_meets_the_record(found: Identification) -> None:
-    # Ball-screw facts, section 4: 1.6 um and 4.56 % without the official model's extra delay.
+    # Computed from the published parameters without the official model's delay of a sample: 1.6 um
+    # and 4.56 %.
     assert found.figures["relative_force_error_percent"] <= 4.15
     assert found.figures["closed_loop_position_rms_um"] <= 1.65
     assert found.figures["closed_loop_force_error_percent"] <= 4.6
@@ -55,7 +56,7 @@ def test_models_are_judged_lap_by_lap(emps_file: Path) -> None:
     plain, grown = compared.rows
     assert compared.n_laps == 4
     assert compared.floor_um == pytest.approx(0.26, abs=0.02)
-    # Ball-screw facts, section 4: 1.6 um with the published parameters.
+    # 1.6 um with the published parameters.
     assert plain.left_rms_um < 1.75
     assert grown.left_rms_um < 1.1
     assert grown.one_step_nm < plain.one_step_nm < 70.0  # the lattice is 50 nm

@@ -111,7 +111,7 @@ def test_sandwich_of_file_and_model(found: Identification) -> None:
 
 
 def test_six_regression_coefficients(captures: tuple[list[Capture], dict[str, float]]) -> None:
-    # Ball-screw facts 2.9, nominal drive: 1.376, 1.816, 2.31, 3.38, 0.549, 0.855 (um and SI).
+    # Closed form of the nominal drive: 1.376, 1.816, 2.31, 3.38, 0.549, 0.855 (um and SI).
     fit = six_coefficients(captures[0], BENCH)
     at_middle = {
         "acceleration": (fit.value("alpha0") + 0.45 * fit.value("alpha1"), 2.20e-6),

@@ -33,7 +33,7 @@ def mechanical_error_um(run) -> np.ndarray:
     return 1e6 * (run["true_table_position_m"] - run["true_motor_position_m"])
 
 
-# Ball-screw facts, table "resonance check": bearing-to-nut distance -> first mode, motor free.
+# Screw of 60 finite elements: bearing-to-nut distance -> first mode, motor free.
 @pytest.mark.parametrize(
     ("x_m", "free_Hz"), [(0.15, 150.5), (0.30, 139.5), (0.45, 130.6), (0.60, 123.2), (0.75, 116.9)]
 )
@@ -346,7 +346,7 @@ def closure_of_an_inner_loop_um(elements):
 
 def test_parallel_elements_remember_where_an_inner_loop_began():
     assert abs(closure_of_an_inner_loop_um(6.0)) < 0.3
-    assert closure_of_an_inner_loop_um(0.0) > 2.0  # a single bristle drifts (ballscrew facts 2.3)
+    assert closure_of_an_inner_loop_um(0.0) > 2.0  # a single bristle drifts
 
 
 def test_parallel_elements_reach_63_percent_at_the_stated_distance():

@@ -6,7 +6,7 @@
 The whole job runs on the simulated card in this process: calibration captures, identification of
 the base model with the form of friction that the captures show (as `identify` does), law and
 tables, upload, fresh runs before and after on motions drawn by a seed. The errors are those of the
-plant's unquantised positions, in the terms of the contract. One line per motion is appended, so
+plant's unquantised positions, in the terms of README, Words. One line per motion is appended, so
 that an interrupted run goes on where it stopped; the table is printed at the end (``--report``
 prints it alone).
 

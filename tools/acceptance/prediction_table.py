@@ -41,7 +41,7 @@ from pmac_comp.workflow.campaigns import calibration_motions
 AIM_um = 0.2
 AUTO = ("auto",)
 BENCHES = ("paper", "paper_x4")
-# Amplitude in mm and frequency in Hz within 3000 rpm and the rated torque (ball-screw facts 2.8).
+# Amplitude in mm and frequency in Hz within 3000 rpm and the rated torque.
 SINUSOIDS = (
     (10, 0.5), (10, 1.0), (10, 2.0), (10, 3.0), (10, 5.0), (25, 1.0), (25, 3.0), (50, 1.0),
     (100, 0.5),
@@ -68,7 +68,7 @@ FRICTION: Mapping[str, Friction] = {
     "rotary": Friction(
         {"presliding": {"distance_um": 8.0, "place": "rotary"}}
     ),
-    # The drive of the paper (ball-screw facts 2.3 and 2.7): presliding at guide and screw at once.
+    # The drive of the paper: presliding at guide and screw at once.
     "paper": Friction({"stribeck": {"excess_N": 15.0, "speed_m_per_s": 0.005}}),
     # Everything that the demo's drive hides.
     "default": Friction(
@@ -156,7 +156,7 @@ def plant_of(bench: Bench, kind: str, seed: int) -> BallscrewPlant:
 
 
 def _soften(plant: BallscrewPlant) -> None:
-    """LuGre bristles of the facts' parameter set at guide, nut and motor."""
+    """LuGre bristles, usual figures, at guide, nut and motor."""
     par = plant.par
     par[[k.P_GUIDE_BRISTLE, k.P_NUT_BRISTLE, k.P_MOTOR_BRISTLE]] = 1.0
     par[k.P_GUIDE_BREAK] = par[k.P_GUIDE_LEVEL] / 4.5e6  # sigma0, N/m

@@ -507,7 +507,7 @@ def start_law(
 
     Source
     ------
-    Closed forms of the elastic chain (ballscrew facts 2.8, 2.9).
+    Closed forms of the elastic chain in ``model.quasi_static``.
     """
     period = bench.servo_period_s
     rows, errors, torques = [], [], []

@@ -44,7 +44,7 @@ places of a bed.
 
 The elastic error is the force in the nut times the compliance of screw, nut and bearings, and what
 the screw adds to that grows with the distance from its fixed bearing: one slope K for all three
-terms (ballscrew facts 2.8).
+terms (``model.quasi_static``).
 
 ``t`` is a second friction state with the break-away distance of the motor's friction. The
 look-ahead L covers the delay of door and drive: at a reversal the friction's step must meet
@@ -90,7 +90,7 @@ friction does: where the force turns over in the last tenths of a micrometre of 
 holds the table wherever the nut is, and a motor that still crossed the gap would throw it.
 
 A machine bed on its foundation swings as the table pushes it off, and the table feels the bed's
-acceleration as its own (ballscrew facts 3): positions are relative to the bed. The bed is one mass
+acceleration as its own: positions are relative to the bed. The bed is one mass
 on a spring, driven by the commanded acceleration; M is its share of that, TY the torque of the
 table's mass. As the command comes to rest the guide holds the table against the bed, as far as its
 friction reaches: ``b`` follows the way of the command as the friction states do, and where that is

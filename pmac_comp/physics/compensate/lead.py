@@ -4,7 +4,7 @@ What lives here: the binned map of both directions, its mean (lead table) and it
 direction-dependent remainder), and ISO 230-2 style figures of the map. What may not: counts.
 
 The lead error is taken from the mean of both directions, so that the elastic lost motion of the
-friction is not swallowed by the table (ballscrew facts 2.5). The dynamic law, evaluated on the
+friction is not swallowed by the table. The dynamic law, evaluated on the
 motion, is subtracted before, because even a slow run carries its Coulomb term.
 """
 

@@ -18,7 +18,7 @@ from pmac_comp.physics.model.effect import Effect
 # Exact twins: no run of this axis alone separates them (both are one slope of the scale reading).
 _TWINS = (frozenset({"lead_linear", "scale_slope"}),)
 
-# Groups that ordinary data may fail to separate (ball-screw facts, section 3).
+# Groups that ordinary data may fail to separate: the same line, step or wave in one quantity.
 _GROUPS = (
     frozenset({"bias_force", "friction_asymmetry"}),
     frozenset({"encoder_eccentricity", "lead_cyclic"}),

@@ -104,7 +104,7 @@ def compare_rigid(
 
     Source
     ------
-    EMPS: ball-screw facts, section 4.
+    EMPS: Janot, Gautier, Brunot 2019.
     """
     tell = progress or (lambda _text, _fraction: None)
     if capture.torque_command_Nm is None:

@@ -27,7 +27,7 @@ from pmac_comp.physics.model.chain import Shares
 # Tolerances, as a maker would state them. Metal bellows and disc couplings against the rotors that
 # they suit: a twentieth to a third of both together.
 _COUPLING = 0.15
-# Bearings of 100 to 735 N/um and nuts of 180 to 260 with their housings (ballscrew facts 2.7): the
+# Bearings of 100 to 735 N/um and nuts of 180 to 260 with their housings, by catalogues: the
 # quotient is known to a factor of two.
 _BEARING_OVER_NUT = 2.0
 # Diameter where a bench file does not state it: catalogues of rolled and ground screws from 12 to

@@ -4,7 +4,8 @@
 static map, (R2) ``T = J a / rho + B v / rho + T_c s``. What may not live here: the closed loop.
 Imports ``physics.model`` and this package.
 
-Source: ballscrew facts 2.8 and 2.9.
+Source: the elastic chain without its own inertia (R1) and Newton's law at the motor (R2); derived
+here, ``model.quasi_static`` has the closed forms.
 """
 
 from collections.abc import Sequence
@@ -107,7 +108,8 @@ def lag_by_speed_s(captures: Sequence[Capture], bench: Bench, model: DriveModel)
 
     Source
     ------
-    Ballscrew facts 2.9 and 3, sample skew between channels.
+    Position read by dt earlier lags by v dt, as a table does that friction B v holds back: derived
+    here.
     """
     guide, compliance = _guide(_gathered(captures, bench), bench, model)
     return compliance * guide["viscous.guide_Ns_per_m"]

@@ -6,7 +6,7 @@ parameters, and whether held-out samples bear it out. What may not: what a law m
 
 The force that accelerates the table shakes the bed, and on a bed that swings the table feels its
 own mass: table minus motor and torque ring after each change of the acceleration, at 20 to 60 Hz on
-feet (ballscrew facts 3), at 5 to 15 Hz on isolators or wheels. Positions are relative to the bed,
+feet, at 5 to 15 Hz on isolators or wheels. Positions are relative to the bed,
 so no sensor shows it directly.
 """
 

@@ -14,7 +14,7 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Values
 from pmac_comp.physics.model.parameters import ParameterSpec
 
-_DAMPING_RATIO = 7.3e-5 * math.pi * 130.6  # usual: 0.03, of 73 us at 130.6 Hz (ballscrew facts 2.7)
+_DAMPING_RATIO = 7.3e-5 * math.pi * 130.6  # usual: 0.03, of 73 us at 130.6 Hz
 USUAL_ONLY = "chain.damping_time_s"  # no bench file states it: its nominal value is what is usual
 _STIFF_COUPLING_Nm_per_rad = 2.0e4  # where the bench states none: stiffer than any in the catalogue
 _MASS_GUESS_kg = 50.0
@@ -35,7 +35,7 @@ class Shares:
 
     Source
     ------
-    Ball-screw facts 2.7.
+    Chosen with the paper's drive so that its first resonance is the 130.6 Hz of its bench.
     """
 
     coupling_of_motor: float = 1.0e-4 / 5.45e-4
@@ -86,7 +86,7 @@ def chain_specs(bench: Bench) -> tuple[ParameterSpec, ...]:
 def compliance_at_mid_travel_m_per_N(
     bench: Bench, axial_N_per_m: float, torsion_Nm_per_rad: float
 ) -> float:
-    """Axial compliance from motor to table with the nut at mid travel (ballscrew facts 2.8)."""
+    """Axial compliance from motor to table with the nut at mid travel: 1/k + x/EA + rho^2/k_th."""
     x_m = max(bench.screw_position_m(bench.mid_travel_m), 0.0)
     torsion = 1.0 / torsion_Nm_per_rad + x_m / bench.torsional_rigidity_Nm2
     axial = 1.0 / axial_N_per_m + x_m / bench.screw_rigidity_N
@@ -96,7 +96,7 @@ def compliance_at_mid_travel_m_per_N(
 def first_mode_rad_per_s(
     bench: Bench, rotary_kgm2: float, mass_kg: float, compliance_m_per_N: float
 ) -> float:
-    """First resonance with the motor free, two masses (ballscrew facts 2.7)."""
+    """First resonance with the motor free, two masses: omega^2 = (1/M + rho^2/J) / C."""
     inertias = 1.0 / mass_kg + bench.lead_m_per_rad**2 / rotary_kgm2
     return math.sqrt(inertias / compliance_m_per_N)
 

@@ -340,7 +340,7 @@ def simulate(
 
     Source
     ------
-    Ball-screw facts 2.1-2.6; method in ``kernel``.
+    Lagrange's equations of motor, screw end, screw and table; method in ``kernel_chain``.
     """
     if isinstance(commanded_position_m, Trajectory):
         _check_grid(model, commanded_position_m)

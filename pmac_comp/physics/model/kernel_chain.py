@@ -3,7 +3,9 @@
 What lives here: numba code only, SI, flat arrays (places in ``slots``). What may not: friction,
 controller, units other than SI. Imports ``slots`` only.
 
-Source: ball-screw facts 2.1 (chain); scaling and squaring of the matrix exponential.
+Source: Lagrange's equations with q = motor angle, screw angle and screw shift at the nut, table,
+all coupled through the nut's deflection ``x_t - rho theta_s - u_s``; scaling
+and squaring of the matrix exponential.
 """
 
 import math

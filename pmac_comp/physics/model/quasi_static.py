@@ -39,7 +39,7 @@ def compliance_m_per_N(model: DriveModel, table_position_m: FloatArray | float) 
 
     Source
     ------
-    Ball-screw facts 2.8: C = 1/k_b + 1/k_n + x/EA + rho^2 C_th.
+    Springs in series: C = 1/k_b + 1/k_n + x/EA + rho^2 C_th, C_th = 1/k_c + x/GJ.
     """
     vector = _elastic(model)
     x = _screw_position(vector, table_position_m)
@@ -62,7 +62,7 @@ def screw_windup_m_per_m_per_s2(
 
     Source
     ------
-    Ball-screw facts 2.8: c_J = (J_s + J_c/2)/k_c + j_s (L x - x^2/2)/GJ.
+    Derived here: c_J = (J_s + J_c/2)/k_c + j_s (L x - x^2/2)/GJ.
     """
     vector = _elastic(model)
     x = _screw_position(vector, table_position_m)
@@ -121,7 +121,12 @@ def mechanical_error_m(
 
     Source
     ------
-    Ball-screw facts 2.8.
+    Equations of motion of the chain without its own inertia, s the sense of motion; derived here::
+
+        e = -C F - rho C_th ((T_n + mu rho |F|) s + B_n v/rho) - c_J a
+        F = M a + B v + F_c s + F_ext
+
+    and of a gap or a soft stretch in the nut half its width, in the direction of F.
 
     Assumes
     -------
@@ -172,7 +177,7 @@ def motor_torque_Nm(
 
     Source
     ------
-    Ball-screw facts 2.2, 2.9 (R2): inertia, friction of all sites, force of the table, efficiency.
+    Newton's law at the motor: inertia, friction of all sites, force of the table, efficiency.
     """
     vector = model.kernel_vector()
     sense = np.sign(velocity_m_per_s) if direction is None else direction
@@ -194,7 +199,8 @@ def regression_coefficients(model: DriveModel) -> RegressionCoefficients:
 
     Source
     ------
-    Ball-screw facts 2.9 (R1). The quadratic part of c_J is replaced by its chord over the travel.
+    ``mechanical_error_m``, which is linear in a, v and s, each times 1 and x. The quadratic part of
+    c_J is replaced by its chord over the travel.
     """
     vector = _elastic(model)
     travel = model.bench.travel
@@ -226,7 +232,7 @@ def modes_Hz(model: DriveModel, table_position_m: float, *, motor_held: bool = F
 
     Source
     ------
-    Ball-screw facts 2.1 and 2.7.
+    Eigenvalues of K over M of the chain of four degrees of freedom.
     """
     from pmac_comp.physics.model.kernel_chain import chain_matrices
 

@@ -68,7 +68,7 @@ def _presliding_at(place: str) -> Callable[[FloatArray, Values], None]:
 def _bristle(par: FloatArray, level_index: int, distance: float, ratio: float) -> None:
     """LuGre bristles in place of the sharp stick; the distance belongs to 63 % of the level.
 
-    ``ratio`` is their damping over critical damping (ballscrew facts 2.3 and 2.7).
+    ``ratio`` is their damping over critical damping (Canudas de Wit et al. 1995).
     """
     flag, damping = {
         k.P_GUIDE_LEVEL: (k.P_GUIDE_BRISTLE, k.P_GUIDE_DAMPING),

@@ -12,7 +12,7 @@ from pmac_comp.base.atomic import atomic_write_bytes
 from pmac_comp.base.clock import Deadline, VirtualClock
 
 
-def test_exit_codes_are_those_of_the_contract():
+def test_exit_codes_are_those_of_the_readme():
     codes = {
         errors.ConfigError: 2, errors.ConnectFailed: 3, errors.RemoteProtocolError: 4,
         errors.CommandRefused: 5, errors.LeaseHeld: 6, errors.VerifyMismatch: 7,

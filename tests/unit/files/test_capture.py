@@ -69,7 +69,7 @@ def test_attributes_beside_a_csv_count_for_its_content_only(tmp_path, beside):
     assert holds_runs(tmp_path / "run.csv")
 
 
-def test_hdf5_columns_carry_the_contract_names_and_units(tmp_path):
+def test_hdf5_columns_carry_the_names_and_units_of_csv_files(tmp_path):
     write_capture(tmp_path / "run.h5", _capture())
     with h5py.File(tmp_path / "run.h5") as file:
         assert file["table_position_mm"].attrs["units"] == "mm"

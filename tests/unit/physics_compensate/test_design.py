@@ -42,7 +42,7 @@ def test_design_motions_stay_within_travel_and_limits() -> None:
 
 
 def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> None:
-    # Facts 2.8: 2.20 um per m/s2, 3.83 um per m/s and 0.93 um at mid travel (K at 0.45 m).
+    # By hand: 2.20 um per m/s2, 3.83 um per m/s and 0.93 um at mid travel (K at 0.45 m).
     assert law.inertia_s2 == pytest.approx(2.20e-6, rel=0.03)
     assert law.viscous_s == pytest.approx(3.83e-6, rel=0.10)
     assert law.coulomb_m == pytest.approx(0.93e-6, rel=0.15)

@@ -32,7 +32,7 @@ DESIGN = (
     "current_bandwidth torque_saturation external_force"
 )
 
-# First parameter in files and its unit, as the contract fixes them.
+# First parameter in files and its unit, as users' programs read them.
 SCORED = {
     "presliding": ("distance_um", 1e6),
     "friction_asymmetry": ("fraction", 1.0),
@@ -70,7 +70,7 @@ def test_library_holds_every_effect_of_the_design():
     assert set(DESIGN.split()) <= set(effect_library())
 
 
-def test_scored_parameters_have_the_names_of_the_contract():
+def test_first_parameters_keep_the_names_and_units_of_files():
     for name, (file_name, factor) in SCORED.items():
         first = effect_library()[name].parameters[0]
         assert (first.file_name, first.file_factor) == (file_name, factor)

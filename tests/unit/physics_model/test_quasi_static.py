@@ -15,7 +15,7 @@ MODEL = DriveModel.base(BENCH)
 
 
 def test_error_at_mid_travel_has_the_published_terms():
-    # Ball-screw facts 2.8, x = 0.45 m: 2.20 um per m/s2, 3.83 um per m/s, 0.93 um Coulomb.
+    # By hand, x = 0.45 m: 2.20 um per m/s2, 3.83 um per m/s, 0.93 um Coulomb.
     model = MODEL.with_parameters({"chain.efficiency": 1.0})
     one, none = np.ones(1), np.zeros(1)
     inertial = qs.mechanical_error_m(model, none, none, one, none)

@@ -58,7 +58,7 @@ velocity_filter_alpha = 0.5
 
 
 @pytest.mark.parametrize("limit_Nm", [19.11, 1.0])
-def test_si_law_is_that_of_the_contract(limit_Nm):
+def test_si_law_is_the_stated_one(limit_Nm):
     bench = si_bench(limit_Nm)
     run = run_closed_loop(bench, Rigid(bench), sine())
     r, y = run["commanded_position_m"] * 1e3, run["motor_position_m"] * 1e3

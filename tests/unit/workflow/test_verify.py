@@ -1,4 +1,4 @@
-"""Before and after: error terms of the contract, intervals, verdict on the promise."""
+"""Before and after: error terms of README, Words, intervals, verdict on the promise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def run(*, correction_um: float, e_um: float, control_um: float, motion: str = "
     )  # fmt: skip
 
 
-def test_error_terms_are_those_of_the_contract() -> None:
+def test_error_terms_are_those_of_the_readme() -> None:
     signals = error_signals(run(correction_um=-3.0, e_um=3.2, control_um=1.5))
     rms = [np.sqrt(np.mean(np.square(v))) * 1e6 for v in (
         signals.mechanical_m, signals.control_m, signals.total_m)]  # fmt: skip

@@ -42,7 +42,7 @@ def _torsional_stiffness(bench: Bench) -> float:
 
 
 def _screw_term(x_m: FloatArray, bench: Bench) -> FloatArray:
-    """c_J of ballscrew facts 2.8 in s2, without the coupling's own inertia."""
+    """c_J of ``model.quasi_static`` in s2, without the coupling's own inertia."""
     inertia = bench.nominal.screw_inertia_kgm2 or 0.0
     length = bench.screw.length_mm / MM_PER_M
     twisted = (length * x_m - 0.5 * x_m**2) / (length * bench.torsional_rigidity_Nm2)
@@ -62,7 +62,7 @@ WITHOUT_TORQUE_TRANSMISSION = Rival(
 )
 WITH_TORQUE_TRANSMISSION = Rival(
     name="axial chain with torque transmission",
-    source="quasi-static reconstruction of the paper's model (ballscrew facts 2.8)",
+    source="quasi-static reconstruction of the paper's model, thrust twists the screw by rho^2 F",
     parameters=(*_COMMON, ("nut_coulomb_Nm", 0.25)),
     error_m=with_error_m,
 )

@@ -27,7 +27,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="drive",
-    source="Ball-screw facts 2.6: exp(-s tau)",
+    source="A dead time: exp(-s tau)",
     signature=(
         "control error rings at higher frequency; nothing in table minus motor at low frequency"
     ),

@@ -7,7 +7,7 @@ from pmac_comp.physics.model.effect import Effect, Values
 from pmac_comp.physics.model.parameters import parameter
 
 # Two Hertz contacts preloaded by P against each other, F = P [(1 + u)^3/2 - (1 - u)^3/2], have
-# k d (1 - (F/P)^2 / 216) to the same order: their F_0 in the law of the facts is 2.45 P.
+# k d (1 - (F/P)^2 / 216) to the same order: F_0 in the law below is 2.45 P.
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
@@ -28,7 +28,10 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut joint",
-    source="Ball-screw facts 3: F = k d (1 - (F/F_0)^2 / 36), half of k beyond 2.83 F_0",
+    source=(
+        "Hertz contacts of two preloaded halves, derived here: F = k d (1 - (F/F_0)^2 / 36), half "
+        "of k beyond 2.83 F_0"
+    ),
     signature="table lag grows faster than the force",
     separating_experiment="an amplitude sweep at the same shape: presliding scales the other way",
     look_alikes=("preload_loss", "presliding"),

@@ -25,7 +25,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="screw",
-    source="Ball-screw facts 2.1: 1/k = 1/k_b + x/EA",
+    source="Bearing and screw in series: 1/k = 1/k_b + x/EA",
     signature=(
         "inertial table lag changes along the screw otherwise than expected: position times "
         "acceleration"

@@ -26,7 +26,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut joint",
-    source="Ball-screw facts 2.4: dead zone in the joint deflection",
+    source="A dead zone in the deflection of the joint",
     signature=(
         "table lags by the gap after each force reversal, at any speed and place; no force inside"
     ),

@@ -27,7 +27,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="bed",
-    source="Ball-screw facts 3: second order at f_base; positions are relative to the bed",
+    source="One mass on a spring: second order at f_base; positions are relative to the bed",
     signature="ringing at 20 to 60 Hz after each acceleration, in torque and table",
     separating_experiment="an accelerometer on bed and bracket",
     look_alikes=("payload", "chain_damping"),

@@ -25,7 +25,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="table",
-    source="Ball-screw facts 3: F_b",
+    source="A constant force F_b",
     signature="torque and table shift by the same amount in both directions",
     separating_experiment=(
         "the mean of both directions at constant speed, and the axis tilted by a known angle"

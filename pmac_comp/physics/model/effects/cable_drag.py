@@ -29,7 +29,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="table",
-    source="Ball-screw facts 3: k_d (x - x0)",
+    source="A spring: k_d (x - x0)",
     signature="torque in proportion to position, the same in both directions and at any speed",
     separating_experiment="slow runs over the whole travel with and without cable or cover",
     look_alikes=("bias_force", "lead_linear"),

@@ -27,7 +27,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="chain",
-    source="Ball-screw facts 3: 2 zeta / omega^3 times jerk",
+    source="One damped mode below its resonance: 2 zeta / omega^3 times jerk",
     signature="ringing after steps of acceleration dies out otherwise; nothing at constant speed",
     separating_experiment="the ring-down after a jerk-unlimited move",
     look_alikes=("actuator_delay",),

@@ -30,7 +30,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="sensors",
-    source="Ball-screw facts 1.2 and 2.9: v dt",
+    source="Position read at another time: v dt",
     signature=(
         "table minus motor strictly in proportion to speed, the same at both ends of the "
         "travel, none in the torque"

@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=harmonic_Nm(0.04, 20.0),
     apply=harmonic_at(s.COGGING, "amplitude_Nm"),
     where="motor",
-    source="Ball-screw facts 3: sum of A_k cos(k theta + phi)",
+    source="Fourier series in the motor angle: sum of A_k cos(k theta + phi)",
     signature="torque harmonics at slots and poles per revolution, the same in both directions",
     separating_experiment=(
         "a slow run with the motor uncoupled, or at two loads: torque ripple grows with the torque"

@@ -56,7 +56,7 @@ EFFECT = Effect(
     },
     apply=_apply,
     where="guide, nut, motor",
-    source="Ball-screw facts 2.3: friction that depends on the sign of the velocity alone",
+    source="Coulomb: friction that depends on the sign of the velocity alone",
     signature=(
         "torque step at each reversal; in table minus motor a step that grows along the screw"
     ),

@@ -26,7 +26,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="coupling",
-    source="Ball-screw facts 2.1: 1/k_th = 1/k_c + x/GJ",
+    source="Coupling and screw in series: 1/k_th = 1/k_c + x/GJ",
     signature=(
         "table lag in proportion to the torque that passes the coupling, the same at both "
         "ends of the travel"

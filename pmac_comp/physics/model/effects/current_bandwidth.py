@@ -18,7 +18,7 @@ EFFECT = Effect(
     parameters=(parameter("bandwidth_Hz", "Hz", 200.0, (5.0, 1e5), scale=30.0),),
     apply=_apply,
     where="drive",
-    source="Ball-screw facts 2.6: 1/(1 + s/(2 pi f))",
+    source="A lag of first order: 1/(1 + s/(2 pi f))",
     signature=(
         "control error rings at higher frequency; nothing in table minus motor at low frequency"
     ),

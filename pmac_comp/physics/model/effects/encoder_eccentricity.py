@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=harmonic_m(1.0),
     apply=harmonic_at(s.ECCENTRICITY, "amplitude_m"),
     where="encoder",
-    source="Ball-screw facts 2.5: A_e cos(theta + phi)",
+    source="A graduated disc off its axis: A_e cos(theta + phi)",
     signature=(
         "table minus motor repeats with the pitch; at high speed the loop follows it and the "
         "torque shows it"

@@ -24,7 +24,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="table",
-    source="Ball-screw facts 3: -C F_ext",
+    source="Force on the table, through the compliance: -C F_ext",
     signature=(
         "lines in torque and table at a frequency that is fixed in time, not in place; the "
         "phase is that in the first run, others begin when they do"

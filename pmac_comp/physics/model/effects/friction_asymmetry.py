@@ -29,7 +29,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="guide (viscous or all sliding friction), or nut and motor (viscous)",
-    source="Ball-screw facts 2.3 and 3; EMPS: 166.7 against 240.4 N s/m",
+    source="Janot, Gautier, Brunot 2019 (EMPS): 166.7 against 240.4 N s/m",
     signature="different slope of torque over speed in the two directions",
     separating_experiment="a speed staircase in both directions: a bias force only shifts it",
     look_alikes=("bias_force",),

@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=harmonic_Nm(0.03, 1.0),
     apply=harmonic_at(s.PER_REV, "amplitude_Nm"),
     where="nut",
-    source="Ball-screw facts 2.3 and 3: T_p0 (1 + a1 cos(theta - p1))",
+    source="Preload by the turn (Frey, Walther, Verl 2010): T_p0 (1 + a1 cos(theta - p1))",
     signature="torque harmonics locked to the screw angle that change sign with the direction",
     separating_experiment=(
         "a slow run in both directions, spectrum over the angle: cogging keeps its sign"

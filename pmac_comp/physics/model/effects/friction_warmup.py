@@ -27,7 +27,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="guide, nut, motor",
-    source="Ball-screw facts 2.3 and 3: F_c (1 - d (1 - exp(-t/tau)))",
+    source="An exponential with time: F_c (1 - d (1 - exp(-t/tau)))",
     signature="torque and reversal step fall with time, lap by lap",
     separating_experiment="the same lap repeated cold and warm",
     look_alikes=("viscous_nonlinear", "thermal_growth"),

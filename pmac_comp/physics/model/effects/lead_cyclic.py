@@ -41,7 +41,7 @@ EFFECT = Effect(
     parameters=harmonic_m(1.0),
     apply=_apply,
     where="screw: in the nut, which the chain carries to the table, or in the reading alone",
-    source="Ball-screw facts 2.5: A_k cos(2 pi k x/p + phi_k)",
+    source="Fourier series over the pitch p: A_k cos(2 pi k x/p + phi_k)",
     signature=(
         "table minus motor repeats with the pitch, the same in both directions and at any "
         "speed; none in the torque"

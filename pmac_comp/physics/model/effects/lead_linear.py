@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=SLOPE,
     apply=slope_at(s.LEAD_SLOPE),
     where="screw",
-    source="Ball-screw facts 2.5: a1 x",
+    source="A pitch other than nominal: a1 x",
     signature=(
         "table minus motor in proportion to position, the same in both directions, at any time"
     ),

@@ -25,7 +25,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut",
-    source="Ball-screw facts 2.2: T = rho F + s mu rho |F|",
+    source="Screw with rolling friction, both directions in one: T = rho F + s mu rho |F|",
     signature="torque grows with |force|, with the sign of the motion",
     separating_experiment="torque over external load in both directions",
     look_alikes=("coulomb", "payload"),

@@ -25,7 +25,7 @@ EFFECT = Effect(
     parameters=(parameter("mass_kg", "kg", 20.0, (-1e4, 1e5), scale=5.0, description="added"),),
     apply=_apply,
     where="table",
-    source="Ball-screw facts 3: (M + dM) C",
+    source="Newton: (M + dM) C per acceleration",
     signature="torque and table lag per acceleration larger everywhere, resonance lower",
     separating_experiment="torque over acceleration: a soft chain lags more at the same torque",
     look_alikes=("axial_stiffness_position", "coupling_windup", "base_mode"),

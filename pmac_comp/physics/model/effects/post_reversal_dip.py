@@ -28,7 +28,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut",
-    source="Ninomiya et al. 2002 (effect); ball-screw facts 2.3 (form): T_p (1 - b exp(-d/l))",
+    source="Ninomiya et al., JSPE 2002 (effect); form chosen here: T_p (1 - b exp(-d/l))",
     signature="torque lower over the first 0.5 to 5 mm after each reversal",
     separating_experiment=(
         "compare the torque after a reversal with that at the same place in a long move"

@@ -60,7 +60,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="nut joint: around zero force, or beyond a threshold of it",
-    source="Ball-screw facts 2.4 and 3: two-slope spring",
+    source="A spring of two slopes",
     signature=(
         "table lag per force changes at a threshold: larger for small forces (a ratio of zero is "
         "backlash), or larger beyond it"

@@ -8,7 +8,7 @@ from pmac_comp.physics.model.effect import Effect, Values
 from pmac_comp.physics.model.effects.coulomb import apply_bristle
 from pmac_comp.physics.model.parameters import ParameterSpec, parameter
 
-# Of critical damping. The facts' guide has 0.03; Dahl's form has none; a tenth is common in
+# Of critical damping. LuGre's guides have some hundredths, Dahl's form none; a tenth is common in
 # simulations. Nobody knows it of a drive beforehand, so it is fitted with the distance.
 _DAMPING_RATIO = 0.05
 
@@ -61,8 +61,8 @@ EFFECT = Effect(
     apply=_apply,
     where="guide, nut, motor, nut and motor (rotary), or all of them with a distance of each kind",
     source=(
-        "Ball-screw facts 2.3 and 3: LuGre with z/g in place of the level; with constant "
-        "level it is Dahl's"
+        "LuGre (Canudas de Wit et al. 1995) with z/g in place of the "
+        "level; with constant level it is Dahl's (1968)"
     ),
     signature=(
         "smooth S-shaped transition over 5 to 50 um after each reversal, hysteresis in small "

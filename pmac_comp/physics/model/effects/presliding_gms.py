@@ -39,8 +39,8 @@ EFFECT = Effect(
     apply=_apply,
     where="guide",
     source=(
-        "Ball-screw facts 2.3: GMS; element strengths so that the virgin curve is 1 - "
-        "exp(-d/distance), elements that stick damped as LuGre's bristles are"
+        "GMS (Al-Bender, Lampaert, Swevers 2005); element strengths so that the virgin curve is "
+        "1 - exp(-d/distance), elements that stick damped as LuGre's bristles are"
     ),
     signature="as presliding, but inner loops close: memory of earlier reversals",
     separating_experiment=(

@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=SLOPE,
     apply=slope_at(s.SCALE_SLOPE),
     where="scale",
-    source="Ball-screw facts 2.5: s_0 (x - x_ref)",
+    source="A scale that is too long or too short: s_0 (x - x_ref)",
     signature=(
         "table minus motor in proportion to position, the same in both directions, at any time"
     ),

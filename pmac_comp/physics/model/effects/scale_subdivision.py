@@ -27,7 +27,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="scale",
-    source="Ball-screw facts 2.5 and 3: A cos(2 pi x / 20 um)",
+    source="Error of an interpolated signal period: A cos(2 pi x / 20 um)",
     signature="table minus motor repeats with the signal period of the scale",
     separating_experiment="a slow scan over 100 um",
     starts=({"period_m": 20e-6}, {"period_m": 4e-6}, {"period_m": 40e-6}),

@@ -28,7 +28,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="guide, nut or motor",
-    source="Ball-screw facts 2.3 and 3: g(v) = F_c + (F_s - F_c) exp(-(v/v_s)^2)",
+    source="Canudas de Wit et al. 1995 (LuGre): g(v) = F_c + (F_s - F_c) exp(-(v/v_s)^2)",
     signature=(
         "torque and table lag rise below about 10 mm/s, odd in speed, the same at any "
         "distance from the reversal"

@@ -28,7 +28,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="screw",
-    source="Ball-screw facts 2.5: alpha times the integral of the temperature rise",
+    source="Thermal expansion: alpha times the integral of the temperature rise",
     signature="slope of table minus motor over position that grows with time",
     separating_experiment=(
         "the same slow run every few minutes: the slope of a scale does not change"

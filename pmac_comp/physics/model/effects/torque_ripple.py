@@ -19,7 +19,7 @@ EFFECT = Effect(
     parameters=harmonic_Nm(0.06, 10.0, description="at rated torque"),
     apply=_apply,
     where="motor",
-    source="Ball-screw facts 3: T (1 + sum of a_k cos)",
+    source="Fourier series in the motor angle: T (1 + sum of a_k cos)",
     signature="torque harmonics at multiples of the pole pairs that grow with the torque",
     separating_experiment="the same angles at two accelerations: cogging does not change",
     look_alikes=("cogging", "friction_per_rev"),

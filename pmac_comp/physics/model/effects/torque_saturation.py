@@ -16,7 +16,7 @@ EFFECT = Effect(
     parameters=(parameter("limit_Nm", "N m", 6.0, (1e-3, 1e6), scale=1.0),),
     apply=_apply,
     where="drive",
-    source="Ball-screw facts 3: saturation",
+    source="The drive's torque limit: T is cut off there",
     signature="control error jumps while the torque command passes a level",
     separating_experiment="acceleration steps of growing size",
     look_alikes=("payload",),

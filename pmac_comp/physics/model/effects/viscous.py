@@ -34,7 +34,7 @@ EFFECT = Effect(
     },
     apply=_apply,
     where="guide, nut, motor",
-    source="Ball-screw facts 2.3",
+    source="Friction in proportion to the speed: B v",
     signature="torque, and table minus motor, in proportion to speed",
     separating_experiment=(
         "a speed staircase at both ends of the travel: skew does not change there"

@@ -20,7 +20,7 @@ EFFECT = Effect(
     ),
     apply=_apply,
     where="guide",
-    source="Ball-screw facts 2.3 and 3: B |v|^n sgn v, n 0.5 to 0.7 in most data",
+    source="A power of the speed: B |v|^n sgn v, n 0.5 to 0.7 in most data",
     signature="curved torque over speed: residual even in |v| after a linear fit",
     separating_experiment="a speed staircase with a warm axis",
     look_alikes=("viscous", "stribeck", "friction_warmup"),
