@@ -157,7 +157,7 @@ def measured_clearance(
 
 
 def settled(capture: Capture) -> BoolArray:
-    """Samples of a run after which it is known on which flank the nut is."""
+    """Samples of a run after which it is known on which flank the nut is, shape (n,)."""
     steps = np.abs(np.diff(capture.commanded_position_m))
     return capture.mask & (np.concatenate([[0.0], np.cumsum(steps)]) > _SETTLED_m)
 

@@ -232,7 +232,10 @@ def load_torque_Nm(model: "DriveModel") -> float:
 
 
 def beside_load(torque_Nm: FloatArray | None, load_Nm: float) -> FloatArray | None:
-    """Torque added to a loop whose integrator holds the load at first, less what it sends of it."""
+    """Torque added to a loop whose integrator holds the load at first, in N m, shape (n,).
+
+    It is less by what of the load it sends itself; None stays None.
+    """
     if torque_Nm is None or load_Nm == 0.0:
         return torque_Nm
     return torque_Nm - min(max(float(torque_Nm[0]), min(load_Nm, 0.0)), max(load_Nm, 0.0))
@@ -288,7 +291,7 @@ def model_loop(model: "DriveModel", wave: LeadWave | None = None) -> LoopRunner:
 
 
 def beside_wave(table_m: FloatArray, at_m: FloatArray, wave: LeadWave | None) -> FloatArray:
-    """Position of the table beside the place that the wobble of the lead gives it, m."""
+    """Table beside the place that the wobble of the lead gives it in m; all shapes (n,)."""
     return table_m if wave is None else table_m - wave.at(at_m)
 
 

@@ -233,7 +233,11 @@ def _padded(values: FloatArray, n: int) -> FloatArray:
 
 
 def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatArray:
-    """Values low-passed forward and backward, so that nothing is shifted in time."""
+    """Values low-passed forward and backward, so that nothing is shifted in time; shapes (n,).
+
+    The filter is a Butterworth's of second order; where the sampling does not carry the cutoff it
+    lies at 0.45 of the rate.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     sos = butter(2, min(cutoff_Hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
@@ -242,7 +246,7 @@ def zero_phase(values: FloatArray, period_s: float, cutoff_Hz: float) -> FloatAr
 
 
 def faded(offset_m: FloatArray) -> FloatArray:
-    """An offset in m as every route sends it: at both ends of the motion it fades to zero."""
+    """An offset in m, shape (n,), as every route sends it: at both ends it fades to zero."""
     n = offset_m.size
     inside = np.minimum(np.arange(n), np.arange(n)[::-1]) / max(1.0, _EDGE_FRAC * n)
     edge = np.clip(inside, 0.0, 1.0)

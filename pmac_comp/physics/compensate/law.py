@@ -487,13 +487,16 @@ def friction_levels(
 def friction_state(
     speed_m_per_s: FloatArray, breakaway_m: float, period_s: float, start: float = 0.0
 ) -> FloatArray:
-    """Direction of a motion as its friction has it: follows distance, holds at rest."""
+    """Direction of a motion as its friction has it, -1 to 1, shape (n,).
+
+    It follows the distance over ``breakaway_m`` and holds at rest.
+    """
     states: FloatArray = _friction_states(speed_m_per_s * period_s / breakaway_m, start)
     return states
 
 
 def delayed(values: FloatArray, cycles: int) -> FloatArray:
-    """Array shifted to later samples; the first value fills the front."""
+    """Values, shape (n,), shifted to later samples; the first fills the front."""
     if cycles <= 0:
         return values
     head = np.full(min(cycles, values.size), values[0])

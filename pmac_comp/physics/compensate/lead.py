@@ -41,7 +41,7 @@ class LeadWave:
     turn_m: float
 
     def at(self, position_m: FloatArray) -> FloatArray:
-        """Lead error in m at positions in m."""
+        """Lead error in m at positions in m; of the shape of ``position_m``."""
         angle = 2.0 * math.pi * self.order * position_m / self.turn_m
         return np.asarray(self.amplitude_m * np.cos(angle + self.phase_rad))
 
@@ -73,7 +73,10 @@ class LeadMap:
         return float((self.position_m[-1] - self.position_m[0]) / (self.position_m.size - 1))
 
     def at(self, position_m: FloatArray) -> FloatArray:
-        """Lead error in m at positions in m, linear between knots, held beyond the ends."""
+        """Lead error in m at positions in m; of the shape of ``position_m``.
+
+        It is linear between knots and held beyond the ends.
+        """
         return np.asarray(np.interp(position_m, self.position_m, self.error_m))
 
     def wave(self, turn_m: float) -> LeadWave | None:
@@ -123,7 +126,7 @@ def lead_map(
         kinks of a 3 um wobble ring the first mode where they pass at its frequency.
     turn_m : float
         Pitch of the screw.
-    per_turn_m : sequence of ndarray, optional
+    per_turn_m : sequence of ndarray, shapes (n,), optional
         What cogging and friction per turn make of table minus motor in each run, in m. It is of
         the run's speed: 40 nm of it left in the table become 400 nm where they pass the first mode.
 

@@ -143,7 +143,7 @@ class Expected:
 
     @property
     def residual_m(self) -> FloatArray:
-        """e_r of the motion in m, mean taken out."""
+        """e_r of the motion in m, mean taken out, shape (n,) from where the run counts."""
         after = self.after
         found = after.table_position_m - after.motor_position_m + self.added_m - self.static.mean_m
         return np.asarray(found[self.begins :] - np.mean(found[self.begins :]))
@@ -214,7 +214,10 @@ def run_with_law(
     latency_cycles: int = 1,
     table_m: FloatArray | None = None,
 ) -> tuple[LawSignals, LoopSignals]:
-    """What a law sends along a command and the loop with it, once both agree about the rests."""
+    """What a law sends along a command and the loop with it, once both agree about the rests.
+
+    ``commanded_m`` and the tables' correction ``table_m``, both in m, have shape (n,).
+    """
     table = 0.0 if table_m is None else table_m
 
     def run(output_Nm: FloatArray | None) -> tuple[LawSignals, LoopSignals]:

@@ -267,6 +267,7 @@ def cogging_orders(
     """Orders per turn that stand out of the motor's residual at steady speed, the first the most.
 
     Orders below three are left to friction per turn; both directions must show an order.
+    ``rests`` are what no model explains of each capture's motor position, in m, shape (n,) each.
     """
     scores = [
         _order_scores(capture, rest, turn_m, direction)

@@ -121,7 +121,7 @@ def tied_with(
     *,
     gap_um: float,
 ) -> tuple[str, ...]:
-    """Look-alikes that the data cannot tell from the winner."""
+    """Look-alikes that the data cannot tell from the winner; ``rows`` of shape (blocks,)."""
     tied = [
         other.effect
         for other in contenders

@@ -195,7 +195,7 @@ def _unbounded(prior: Prior) -> Prior:
 
 
 def robust_covariance(gram: Gram, solution: Solution) -> FloatArray:
-    """Sandwich covariance from the scores of the blocks, never below that of the weights.
+    """Sandwich covariance from scores of blocks, shape (s, s), never below that of the weights.
 
     Source
     ------
@@ -214,7 +214,7 @@ def robust_covariance(gram: Gram, solution: Solution) -> FloatArray:
 
 
 def jackknife_spread(gram: Gram) -> FloatArray:
-    """Standard deviation of every parameter from leaving out one part of the data at a time.
+    """Standard deviation of each parameter from leaving out a part of the data, shape (k,).
 
     What a model lacks pulls its parameters differently in different runs; scores of blocks, which
     sum to zero at the optimum, do not show it. Widened so that 1.96 of it is a 95 % interval of

@@ -77,7 +77,7 @@ def _hats(values: FloatArray, span: tuple[float, float]) -> FloatArray:
 def spans_of(
     records: Sequence[Record], positions_m: Sequence[FloatArray]
 ) -> dict[str, tuple[float, float]]:
-    """Range of every coordinate over all records."""
+    """Range of every coordinate over all records; ``positions_m`` of shape (n,) per record."""
     ranges: dict[str, list[FloatArray]] = {
         k: [] for k in ("position", "speed", "acceleration", "time")
     }

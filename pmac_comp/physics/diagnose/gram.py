@@ -98,7 +98,7 @@ class Gram:
 
     @cached_property
     def total(self) -> FloatArray:
-        """Products summed over the fitting blocks."""
+        """Products summed over the fitting blocks, shape (k + 1, k + 1)."""
         return np.asarray(self.blocks[self.fitting].sum(axis=0))
 
     def with_bounds(self, prior: Prior) -> "Gram":

@@ -176,7 +176,10 @@ def distance_since_reversal_m(position_m: FloatArray, *, dead_m: float = 2e-6) -
 
 
 def reversal_indices(position_m: FloatArray, *, dead_m: float = 2e-6) -> IntArray:
-    """Sample numbers of the turning points that are followed by more than ``dead_m`` of travel."""
+    """Sample numbers of turning points followed by more than ``dead_m`` of travel, shape (turns,).
+
+    ``position_m`` has shape (n,).
+    """
     turns: list[int] = []
     extreme, direction = 0, 0
     for i in np.flatnonzero(np.abs(np.diff(position_m, prepend=position_m[0])) > 0.0).tolist():

@@ -80,7 +80,7 @@ def ambient_m2(workbench: Workbench, model: DriveModel) -> float:
 
 
 def repeats_m(record: Record, reading_m: FloatArray) -> FloatArray:
-    """Differences of a reading less its command between repeats of a command, without gaps, in m.
+    """Differences of reading less command between repeats of the command in m, shape (k,), no gaps.
 
     A period need not be a whole number of samples: of the lags at which the command comes back, the
     one nearest to a whole number is taken, and what was measured is interpolated there.
@@ -98,7 +98,10 @@ def repeats_m(record: Record, reading_m: FloatArray) -> FloatArray:
 
 
 def fractional_period(command_m: FloatArray) -> float:
-    """Samples after which a command repeats, nearest to a whole number; 0 if it does not."""
+    """Samples after which a command, shape (n,), repeats; 0 if it does not.
+
+    Of several such lags the one nearest to a whole number.
+    """
     best, least = 0.0, np.inf
     small = _minima(_difference(command_m), 0.2 * float(command_m.var()))
     for lag in small[small <= _LARGEST_PERIOD_FRAC * command_m.size][:_MOST_LAGS].tolist():
@@ -129,7 +132,10 @@ def _refined(command_m: FloatArray, lag: float) -> float:
 
 
 def broadband_power(series: FloatArray) -> float:
-    """Power of a series without its lowest lines and without what stands out of each band."""
+    """Power of a series, shape (n,), in the square of its unit.
+
+    Its lowest lines and what stands out of each band are left out.
+    """
     window = np.hanning(series.size)
     lines = np.abs(np.fft.rfft((series - series.mean()) * window)) ** 2
     lines *= 2.0 / (series.size * float(np.sum(window**2)))
@@ -238,7 +244,7 @@ def repeatability_m(record: Record) -> float:
 
 
 def period_samples(command_m: FloatArray) -> int:
-    """Samples after which a command repeats to 10 nm over half its motion, 0 if it does not.
+    """Samples after which a command, shape (n,), repeats to 10 nm over half its motion, else 0.
 
     Source
     ------

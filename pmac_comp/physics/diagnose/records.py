@@ -68,7 +68,7 @@ class Recent:
         self._responses = ((model, quantise, response), *self._responses[: _MOST_RECENT - 1])
 
     def columns(self, model: DriveModel, step_frac: float) -> NDArray[np.float32] | None:
-        """Columns of all own directions of this model at this step, if they are among the last."""
+        """Columns of all own directions of a model at a step, shape (m, channels, k), if kept."""
         return next((c for m, s, c in self._columns if m is model and s == step_frac), None)
 
     def keep_columns(
@@ -167,7 +167,7 @@ class Record:
         return np.asarray(self.valid[: count * self.factor].reshape(count, -1).all(axis=1))
 
     def coarsen(self, values: FloatArray) -> FloatArray:
-        """Block means over ``factor`` samples along the first axis."""
+        """Means over ``factor`` samples along the first axis: shape (n, ...) to (m, ...)."""
         count = values.shape[0] // self.factor
         shape = (count, self.factor, *values.shape[1:])
         return np.asarray(values[: count * self.factor].reshape(shape).mean(axis=1))
@@ -181,7 +181,7 @@ class Record:
         substeps: int | None = None,
         quantise: bool = False,
     ) -> Response:
-        """Closed-loop simulation of this record's command on the servo grid."""
+        """Closed loop with this record's command on the servo grid; probes of shape (n,)."""
         whole = probe_torque_Nm is None and probe_force_N is None and substeps is None
         known = self.recent.response(model, quantise=quantise) if whole else None
         if known is not None:
@@ -349,7 +349,7 @@ def _refuse_useless(capture: Capture, name: str) -> None:
 def simulate_all(
     records: Sequence[Record], models: Sequence[DriveModel], executor: Executor
 ) -> list[list[FloatArray]]:
-    """Coarse channels for every model and record: ``result[model][record]``, on both cores."""
+    """Coarse channels, ``result[model][record]`` of shape (m, channels), on both cores."""
     futures = [[executor.submit(r.simulated_m, m) for r in records] for m in models]
     return [[f.result() for f in row] for row in futures]
 

@@ -82,7 +82,7 @@ def _fitted(workbench: Workbench, model: DriveModel, simulated: list[FloatArray]
 
 
 def empty_gram(workbench: Workbench, simulated: Sequence[FloatArray]) -> Gram:
-    """Gram matrices of the residual alone."""
+    """Gram matrices of the residual alone; ``simulated`` of shape (m, channels) per record."""
     none: Columns = [np.zeros((*s.shape, 0), dtype=np.float32) for s in simulated]
     return workbench.gram(workbench.residuals(simulated), none, prior_of([]))
 

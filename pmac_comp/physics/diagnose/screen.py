@@ -266,7 +266,9 @@ def _with_flexible(prior: Prior, count: int) -> Prior:
 
 
 def noise_like(workbench: Workbench, point: Fitted, seen: Look) -> list[FloatArray]:
-    """What neither a candidate nor a flexible rival can explain: the best picture of the noise.
+    """What neither a candidate nor a flexible rival explains, shape (m, channels) per record.
+
+    It is the best picture of the noise.
 
     Weights that forgive slow motion let many columns leave more of it than there ever was; taken
     for noise, that would be forgiven all the more. Then columns are fitted by plain squares.

@@ -138,7 +138,10 @@ def _in_sequence(records: Sequence[Record]) -> tuple[Mapping[int, float], ...]:
 
 
 def frequency_peaks(records: Sequence[Record], torque_Nm: Sequence[FloatArray]) -> list[float]:
-    """Frequencies in Hz at which the torque residual peaks, phases counted from time zero."""
+    """Frequencies in Hz at which the torque residual, shape (n,) per record, peaks.
+
+    Phases are counted from time zero.
+    """
     power = np.zeros(_FREQUENCIES_Hz.size)
     for record, residual in zip(records, torque_Nm, strict=True):
         time, values = _blocks(record, residual)

@@ -135,7 +135,7 @@ def _lagged(
 
 
 def rows_with_past(usable: BoolArray, order: int) -> BoolArray:
-    """Which samples are usable together with the ``order`` samples before them."""
+    """Which samples, shape (n,), are usable together with the ``order`` samples before them."""
     bad = np.convolve(~usable, np.ones(order + 1))[: usable.size] > 0.5
     bad[:order] = True
     return ~bad
@@ -197,7 +197,10 @@ def effective_size(series: FloatArray, *, max_lag: int | None = None) -> float:
 
 
 def block_means(values: FloatArray, block: int) -> FloatArray:
-    """Means of consecutive blocks; the rest that does not fill a block is left out."""
+    """Means of consecutive blocks of a series of shape (n,), shape (n // block,).
+
+    The rest that does not fill a block is left out.
+    """
     count = values.size // block
     return np.asarray(values[: count * block].reshape(count, block).mean(axis=1))
 
@@ -282,7 +285,7 @@ def rotation_p(
 
 
 def studentised(differences: FloatArray) -> float:
-    """Mean over its standard error; infinite when all differences agree."""
+    """Mean of differences, shape (n,), over its standard error; infinite when all agree."""
     n = differences.size
     if n < 2:
         return 0.0

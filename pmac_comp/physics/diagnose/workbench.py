@@ -169,7 +169,7 @@ class Workbench:
 
     @property
     def counted(self) -> tuple[BoolArray, ...]:
-        """Coarse samples of every record that evidence may come from."""
+        """Coarse samples that evidence may come from, shape (m,) per record."""
         unruly = None if self.noise is None else self.noise.unruly
         usable = tuple(r.usable for r in self.records)
         if unruly is None:
@@ -229,11 +229,11 @@ class Workbench:
         return replace(self, noise=noise)
 
     def simulate(self, models: Sequence[DriveModel]) -> list[list[FloatArray]]:
-        """Coarse channels of every model and record."""
+        """Coarse channels of every model and record, shape (m, channels) each."""
         return simulate_all(self.records, models, self.executor)
 
     def residuals(self, simulated: Sequence[FloatArray]) -> list[FloatArray]:
-        """Measured minus simulated on the coarse grid."""
+        """Measured minus simulated on the coarse grid, shape (m, channels) per record."""
         return [r.coarse_measured_m - s for r, s in zip(self.records, simulated, strict=True)]
 
     def columns(
@@ -292,7 +292,8 @@ class Workbench:
         """Scalar products per block; blocks never mix fitted and judging samples.
 
         Blocks are ``block_s`` long unless told otherwise: products of the columns of all
-        candidates are large and serve as sums over whole stretches.
+        candidates are large and serve as sums over whole stretches. Of each record ``residuals``
+        has shape (m, channels) and ``columns`` (m, channels, k).
         """
         noise = self.known_noise
         jobs = [
@@ -330,7 +331,7 @@ class Workbench:
     def noise_from(
         self, noise_like: Sequence[FloatArray], floor_m: FloatArray, *, foretold: bool = True
     ) -> Noise:
-        """Whitener and robust weights from what a flexible refit leaves.
+        """Whitener and robust weights from what a flexible refit leaves, shape (m, channels) each.
 
         Unless ``foretold``, only of the samples that were fitted: many columns may leave anything
         on others.
@@ -352,13 +353,13 @@ class Workbench:
         return replace(self.noise, whitener=whitener, robust=weights)
 
     def floor_m(self, description: Bench) -> FloatArray:
-        """Least innovation per channel: a tenth of what one coarse sample resolves."""
+        """Least innovation in m, shape (channels,): a tenth of what one coarse sample resolves."""
         steps = [description.motor_resolution_m, description.scale_resolution_m or 0.0]
         coarse = 0.1 / np.sqrt(12.0 * self.records[0].factor)
         return np.asarray(np.maximum(coarse * np.array(steps[: self.channels]), 1e-10))
 
     def rounded(self, model: DriveModel) -> list[FloatArray]:
-        """What the sensors' steps do inside the loop on the coarse grid, per record."""
+        """What the sensors' steps do inside the loop, shape (m, channels) per record."""
         sharp = self.simulate([model])[0]
 
         def work(i: int) -> FloatArray:
@@ -369,7 +370,7 @@ class Workbench:
         return list(self.executor.map(work, range(len(self.records))))
 
     def unruly(self, model: DriveModel, rounded: Sequence[FloatArray]) -> tuple[BoolArray, ...]:
-        """Where rounding moves the axis by counts of its encoder and far more than elsewhere.
+        """Where rounding moves the axis by counts, far more than elsewhere; shape (m,) per record.
 
         An axis at rest within its friction creeps as its integrator counts one fraction of a step
         or another, and leaves late or early: micrometres that no effect explains and that the true
@@ -390,7 +391,7 @@ class Workbench:
         return found
 
     def doubtful(self, model: DriveModel) -> tuple[FloatArray, ...]:
-        """What a slightly softer onset of friction would change, per record and place.
+        """What a softer onset of friction would change, shape (m, channels, places) per record.
 
         No friction sets in at once; how it does within the first tenth of a micrometre, less than
         the encoders see, decides a few hundredths of a micrometre around every reversal.
@@ -410,7 +411,7 @@ class Workbench:
     def left_by(
         self, residuals: Sequence[FloatArray], columns: Columns, solution: Solution
     ) -> list[FloatArray]:
-        """Residuals less what a linearised refit explains."""
+        """Residuals less what a linearised refit explains, shape (m, channels) per record."""
         return [
             r - combined(c, solution.indices, solution.step)
             for r, c in zip(residuals, columns, strict=True)
@@ -438,7 +439,7 @@ def _fine(coarse: BoolArray, record: Record) -> BoolArray:
 
 
 def split(fit: Sequence[Record], judge: Sequence[Record]) -> tuple[BoolArray, ...]:
-    """Which coarse samples are fitted.
+    """Which coarse samples are fitted, shape (m,) per record.
 
     With judging captures all samples of the others are fitted. Without any, two stretches of each
     capture are held back, a sixth of it long, so that every motion is judged and what grows with

@@ -51,7 +51,7 @@ class Uncertainty:
 
 
 def uncertainty_of(problem: Problem, theta: FloatArray, final: Normal) -> Uncertainty:
-    """How sure the scaled parameters are, prior included.
+    """How sure the scaled parameters ``theta``, shape (p,), are, prior included.
 
     A parameter that no maker's tolerance holds keeps at least the interval that it has without
     tempering: weights that follow the scatter of blocks promise more than the usual ones, and what

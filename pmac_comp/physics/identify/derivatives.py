@@ -71,7 +71,7 @@ def central_difference(values: FloatArray, period_s: float) -> FloatArray:
 
 
 def usable_rows(valid: BoolArray, border: int = BORDER_SAMPLES) -> BoolArray:
-    """Rows at least ``border`` samples away from either end and from any invalid sample."""
+    """Rows at least ``border`` samples away from either end and any invalid sample, shape (n,)."""
     bad = np.concatenate(([0], np.cumsum(~valid)))
     index = np.arange(valid.size)
     low = np.clip(index - border, 0, valid.size)

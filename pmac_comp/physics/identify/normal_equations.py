@@ -20,7 +20,27 @@ BLOCK_s = 0.4
 
 @dataclass(frozen=True)
 class Normal:
-    """Whitened normal equations with the nuisances projected out."""
+    """Whitened normal equations of p parameters, b blocks and q nuisances, these projected out.
+
+    Parameters
+    ----------
+    hessian, gradient : ndarray, shapes (p, p) and (p,)
+        J'J and J'r of the whitened slopes J and residuals r.
+    cost : float
+        Weighted sum of squares.
+    scores, block_hessians : ndarray, shapes (b, p) and (b, p, p)
+        What each block of time gives to both.
+    prior_scores : ndarray, shape (p, p)
+        S'KS of the prior information K of the nuisances and what they take of the slopes, S.
+    runs : ndarray of int, shape (b,)
+        Number of the record of each block.
+    nuisance : ndarray, shape (q,)
+        Nuisances that fit best.
+    steady : tuple of ndarray, shapes (p, p) and (p,), or None
+        Hessian and gradient of the steady rows alone.
+    untempered : Normal or None
+        The same before ``covariance.tempered``.
+    """
 
     hessian: FloatArray
     gradient: FloatArray
@@ -44,6 +64,7 @@ def normal_equations(
 ) -> Normal:
     """Weighted equations of residuals and derivatives at one place.
 
+    ``residuals`` has shape (m, c) per record, ``slopes`` the same per parameter and record.
     Without ``scatter`` only what a step needs: nothing of blocks of time and steady rows.
     """
     parts = []
@@ -128,7 +149,7 @@ def _block_scores(
 
 
 def white_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
-    """Weights per record and channel that take residuals for white noise."""
+    """Weights per record and channel; residuals, shape (m, c) each, are taken for white noise."""
     return [
         [
             white(max(_robust_std(residual[record.valid, c]), problem.floors[name]))
@@ -139,7 +160,7 @@ def white_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Wh
 
 
 def coloured_filters(problem: Problem, residuals: list[FloatArray]) -> list[list[Whitener]]:
-    """Weights per record and channel that whiten residuals."""
+    """Weights per record and channel that whiten residuals, shape (m, c) per record."""
     return [
         [
             fit_whitener(residual[:, c], record.valid, problem.floors[name])
@@ -157,12 +178,12 @@ def _robust_std(values: FloatArray) -> float:
 
 
 def prior_cost(problem: Problem, theta: FloatArray) -> float:
-    """Squared distance from the prior, in its standard deviations."""
+    """Squared distance of ``theta``, shape (p,), from the prior, in its standard deviations."""
     return float(problem.weight @ (theta - problem.centre) ** 2)
 
 
 def cost_at(problem: Problem, theta: FloatArray, filters: list[list[Whitener]]) -> float:
-    """Misfit with prior at a place; infinite where the loop is unstable."""
+    """Misfit with prior at ``theta``, shape (p,); infinite where the loop is unstable."""
     try:
         residuals = problem.residuals(theta)
     except NonFinite:
@@ -215,7 +236,7 @@ def _whitened_residuals(
 def without_nuisances(
     problem: Problem, residuals: Sequence[FloatArray], eta: FloatArray
 ) -> list[FloatArray]:
-    """Residuals less the nuisances, per record."""
+    """Residuals less the nuisances ``eta``, shape (q,); shape (m, c) per record."""
     cleaned = []
     for i, record in enumerate(problem.records):
         left = residuals[i].copy()

@@ -128,7 +128,7 @@ def refine(
     Parameters
     ----------
     records, nuisance : sequences
-        Prepared captures and their nuisance columns at the full rate.
+        Prepared captures and their nuisance columns at the full rate, shape (n, q) each.
     model : DriveModel
         Start; its effects stay.
     bench : Bench

@@ -74,7 +74,7 @@ class Problem:
         return self.scales * np.where(self._roots, 2.0 * theta, 1.0)
 
     def model_at(self, theta: FloatArray) -> DriveModel:
-        """Model with scaled parameters."""
+        """Model with scaled parameters, shape (p,)."""
         values = self.values_at(theta)
         return self.model.with_parameters(
             {spec.name: float(value) for spec, value in zip(self.specs, values, strict=True)}
@@ -87,11 +87,14 @@ class Problem:
         return low, self.theta_of([spec.upper for spec in self.specs])
 
     def bounded(self, theta: FloatArray) -> FloatArray:
-        """Scaled parameters within their bounds."""
+        """Scaled parameters within their bounds, shape (p,)."""
         return np.clip(theta, *self.bounds)
 
     def residuals(self, theta: FloatArray) -> list[FloatArray]:
-        """Measured minus simulated channels per record; kept until another place is asked for."""
+        """Measured minus simulated channels, shape (m, c) per record, at ``theta``, shape (p,).
+
+        They are kept until another place is asked for.
+        """
         place = theta.tobytes()
         if place not in self.latest:
             found = self.many([theta], self.model.substeps)[0]
@@ -123,7 +126,7 @@ class Problem:
         return [np.where(m, b, a) for a, b, m in zip(smooth, rough, rounded, strict=True)]
 
     def many(self, thetas: Sequence[FloatArray], substeps: int) -> list[list[FloatArray]]:
-        """Residuals at several places, all simulated at once."""
+        """Residuals, shape (m, c), per place, shape (p,), and record, all simulated at once."""
         models = [self.model_at(theta) for theta in thetas]
         jobs = [(record, model, substeps) for model in models for record in self.records]
         done = list(self.executor.map(_simulated_triple, jobs))
@@ -154,7 +157,10 @@ def problem_of(
     steady: Sequence[BoolArray] | None,
     coarse: int,
 ) -> Problem:
-    """Problem of records, a start, and the parameters that may move."""
+    """Problem of records, a start, and the parameters that may move.
+
+    ``nuisance`` has shape (n, q) per record, ``steady`` shape (m,).
+    """
     wanted = None if names is None else set(names)
     specs = tuple(
         spec
@@ -203,7 +209,7 @@ def _simulated_triple(job: tuple[Record, DriveModel, int]) -> FloatArray:
 def jacobian(
     problem: Problem, theta: FloatArray
 ) -> tuple[list[FloatArray], list[list[FloatArray]]]:
-    """Residuals at theta and their one-sided differences, per parameter and record.
+    """Residuals at theta and their one-sided differences per parameter, shape (m, c) per record.
 
     A step that misses 1 nm of the motion misses the same of both ends of a difference.
     """

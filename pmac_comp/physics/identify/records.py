@@ -226,7 +226,7 @@ def _low_pass(factor: int) -> FloatArray:
 def nuisances(
     records: Sequence[Record], bench: Bench, *, static_map: bool
 ) -> tuple[list[FloatArray], StaticMap | None]:
-    """Regressors of the table channel that carry no drive parameter, full rate, (n, q) each.
+    """Regressors of the table channel without drive parameters, full rate, shape (n, q) each.
 
     The first columns are the scale offsets of the captures, then the channel skew
     (see ``nuisance_prior``); then, with ``static_map``, the lead error as hat functions of the
@@ -264,7 +264,7 @@ def nuisance_prior(n_records: int, n_columns: int) -> FloatArray:
 
 
 def map_from(shape: StaticMap, coefficients: FloatArray) -> StaticMap:
-    """Static map with the fitted coefficients of ``nuisances`` (without the offsets)."""
+    """Static map of the coefficients of ``nuisances`` without the offsets, shape (q,)."""
     k = shape.knots_m.size - 1
     h = shape.orders_per_rev.size
     values = np.concatenate(([0.0], coefficients[:k]))

@@ -92,7 +92,13 @@ def regress(
 def check_excitation(
     names: Sequence[str], columns: FloatArray, advice: Mapping[str, str]
 ) -> FloatArray:
-    """Singular values of the scaled columns; raises NotIdentifiable where they do not suffice."""
+    """Singular values, shape (p,), of scaled columns, shape (n, p).
+
+    Raises
+    ------
+    NotIdentifiable
+        They do not suffice to tell the parameters apart.
+    """
     n, p = columns.shape
     if n < 5 * p:
         raise NotIdentifiable(

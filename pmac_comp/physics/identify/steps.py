@@ -19,7 +19,7 @@ _DAMPING_TRIES = 6
 def damped_step(
     problem: Problem, theta: FloatArray, at: Normal, filters: list[list[Whitener]]
 ) -> tuple[FloatArray, float, float]:
-    """Next point, the step in standard deviations, and the share of the misfit that it takes."""
+    """Next point, shape (p,), the step in standard deviations, and its share of the misfit."""
     prior = np.diag(problem.weight)
     gradient = at.gradient - problem.weight * (theta - problem.centre)
     here = at.cost + prior_cost(problem, theta)
@@ -38,7 +38,10 @@ def damped_step(
 
 
 def plain_step(problem: Problem, theta: FloatArray, at: Normal) -> tuple[FloatArray, float]:
-    """Undamped step: the misfit to rounded simulations is too rough for a line search."""
+    """Next point, shape (p,), and the undamped step to it in standard deviations.
+
+    The misfit to rounded simulations is too rough for a line search.
+    """
     matrix = at.hessian + np.diag(problem.weight)
     gradient = at.gradient - problem.weight * (theta - problem.centre)
     new = problem.bounded(theta + _bounded_step(problem, theta, matrix, gradient))

@@ -71,7 +71,9 @@ class Trial:
         held_out: Sequence[BoolArray] | None,
         stages: Stages,
     ) -> Identification | None:
-        """A fit; None where the captures do not carry it.
+        """A fit without the samples ``held_out``, shape (n,) per capture.
+
+        None where the captures do not carry it.
 
         Where a start for all parameters turns out too far off for the last stage, it goes through
         the earlier ones.
@@ -93,7 +95,10 @@ class Trial:
         *,
         warm: bool = True,
     ) -> Identification:
-        """A fit with the captures and the tools of this trial; raises as ``identify`` does."""
+        """A fit with the captures and the tools of this trial; raises as ``identify`` does.
+
+        ``held_out`` has shape (n,) per capture.
+        """
         return identify(
             self.captures,
             self.bench,
@@ -138,6 +143,8 @@ def _alternate(capture: Capture) -> BoolArray:
 def is_better(new: FloatArray, old: FloatArray, errors: float) -> bool:
     """Whether blocks are better by so many standard errors of the mean, and by a useful amount.
 
+    ``new`` and ``old`` are mean squares of table minus motor and of torque, shape (b, 2).
+
     Either in what they gain, or in the share of its own that each block gains: where a few blocks
     hold most of the misfit, as those with a reversal do, they also make most of the scatter, and
     the first alone would call a misfit that falls to a fifth in nearly every block unclear. Or in
@@ -171,5 +178,5 @@ def channel_sizes(mean_squares: FloatArray) -> FloatArray:
 
 
 def rms_um(mean_squares: FloatArray) -> float:
-    """Rms of table minus motor over blocks, um; 0 without blocks."""
+    """Rms of table minus motor in um, of mean squares of shape (b, c); 0 without blocks."""
     return UM_PER_M * float(np.sqrt(np.mean(mean_squares[:, 0]))) if mean_squares.size else 0.0

@@ -192,7 +192,7 @@ def _solid_screw_inertia_kgm2(bench: Bench) -> float:
 def apply_chain(
     vector: FloatArray, values: Values, bench: Bench, shares: Shares = USUAL_SHARES
 ) -> None:
-    """Set chain, actuator, sensors and controller in a kernel vector.
+    """Set chain, actuator, sensors and controller in a kernel vector, shape (N_SLOTS,).
 
     ``values`` holds the ``chain.*`` parameters without the prefix.
     """
@@ -302,7 +302,7 @@ def _apply_pmac(vector: FloatArray, bench: Bench) -> None:
 
 
 def apply_quantisation(vector: FloatArray, bench: Bench) -> None:
-    """Switch on the steps of encoder, scale and torque output."""
+    """Switch on the steps of encoder, scale and torque in a kernel vector, shape (N_SLOTS,)."""
     vector[s.MOTOR_STEP] = bench.motor_resolution_m
     vector[s.TABLE_STEP] = bench.scale_resolution_m or 0.0
     if bench.controller.kind == "pmac":

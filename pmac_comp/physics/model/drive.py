@@ -278,12 +278,12 @@ class Response:
 
     @property
     def mechanical_error_m(self) -> FloatArray:
-        """Table minus motor in m."""
+        """Table minus motor in m, shape (n,)."""
         return self.table_position_m - self.motor_position_m
 
     @property
     def control_error_m(self) -> FloatArray:
-        """Motor minus desired position in m."""
+        """Motor minus desired position in m, shape (n,)."""
         return self.motor_position_m - self.desired_position_m
 
 
@@ -385,7 +385,7 @@ def simulate_many(
     Parameters
     ----------
     models, commands : sequences of equal length; a single command serves all models.
-        What to simulate.
+        What to simulate; commands in m, shape (n,) each, may differ in length.
     executor : concurrent.futures.Executor or None
         Where to run; None uses threads (the kernel releases the interpreter lock).
     options : mapping, sequence of mappings or None

@@ -89,7 +89,7 @@ class Effect:
 
 
 def no_slots(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
-    """``apply`` of an effect that only has table terms."""
+    """``apply`` of an effect of table terms alone: a vector of shape (N_SLOTS,) as it was."""
 
 
 def split_name(name: str) -> tuple[str, str]:

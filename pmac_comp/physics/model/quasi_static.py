@@ -219,7 +219,7 @@ def regression_coefficients(model: DriveModel) -> RegressionCoefficients:
 
 
 def modes_Hz(model: DriveModel, table_position_m: float, *, motor_held: bool = False) -> FloatArray:
-    """Natural frequencies of the undamped chain in Hz, ascending, without the rigid one.
+    """Natural frequencies of the undamped chain in Hz, ascending, shape (3,), no rigid one.
 
     Parameters
     ----------

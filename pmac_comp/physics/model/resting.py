@@ -139,6 +139,8 @@ def _beside_law_Nm(
 def first_under_way(bench: Bench, desired_m: FloatArray, start: Start, period_s: float) -> int:
     """The sample from which on a run has left behind where in a gap or a stick it began.
 
+    ``desired_m`` has shape (n,).
+
     One that begins in motion has a chain wound up and a loop under way as well, nobody knows how.
     """
     away = np.abs(desired_m - desired_m[0])

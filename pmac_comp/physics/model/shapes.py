@@ -35,7 +35,7 @@ def harmonic_Nm(
 
 
 def fill_harmonic(vector: FloatArray, first: int, amplitude: float, values: Values) -> None:
-    """Amplitude, order and phase in three slots of the kernel vector from ``first`` on."""
+    """Set amplitude, order and phase in a kernel vector, shape (N_SLOTS,), from ``first`` on."""
     vector[first] = amplitude
     vector[first + 1] = values["order_per_rev"]
     vector[first + 2] = values["phase_rad"]

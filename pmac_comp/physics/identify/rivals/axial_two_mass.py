@@ -11,7 +11,7 @@ _ROUNDS = 2
 
 
 def error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """``e = -(m2 x2'' + b2 x2' + c e') / k`` with constant k."""
+    """``e = -(m2 x2'' + b2 x2' + c e') / k`` with constant k, in m, shape (n,)."""
     mass, friction, damping = theta
     error = -mass * signals.a_m_per_s2 - friction * signals.v_m_per_s
     for _ in range(_ROUNDS):

@@ -139,7 +139,8 @@ def fit_rival(
 ) -> FittedRival:
     """Rival with the parameters that leave the least mechanical error of the captures.
 
-    A constant per capture (the scale offset) is not part of the error.
+    A constant per capture (the scale offset) is not part of the error. ``start`` has a value for
+    each of the rival's parameters, shape (p,).
     """
     runs = [signals_of(capture, bench, static_map) for capture in captures]
     scales = np.array([scale for _, scale in rival.parameters])

@@ -8,7 +8,7 @@ from pmac_comp.physics.identify.rivals.base import Rival, Signals
 
 
 def error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """``e = -(c0 + c1 x) (T - J theta'' - B theta' - T_c s) / rho``."""
+    """``e = -(c0 + c1 x) (T - J theta'' - B theta' - T_c s) / rho`` in m, shape (n,)."""
     c0, c1, inertia, viscous, coulomb = theta
     rho = bench.lead_m_per_rad
     drag_Nm = inertia * signals.a_m_per_s2 / rho + viscous * signals.v_m_per_s / rho

@@ -10,14 +10,14 @@ from pmac_comp.physics.identify.rivals.base import Rival, Signals
 
 
 def without_error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """``e = -(c0 + x / EA) (M a + B v + F s)`` with the stated mass."""
+    """``e = -(c0 + x / EA) (M a + B v + F s)`` in m, with the stated mass, shape (n,)."""
     c0, viscous, coulomb = theta
     compliance = c0 + signals.x_m / bench.screw_rigidity_N
     return np.asarray(-compliance * _force_N(signals, bench, viscous, coulomb))
 
 
 def with_error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """The same with the thrust's torque ``rho F``, the nut's drag and the screw's inertia."""
+    """The same with the thrust's torque ``rho F``, nut drag and screw inertia, shape (n,)."""
     c0, viscous, coulomb, nut_Nm = theta
     rho, x = bench.lead_m_per_rad, signals.x_m
     twist = 1.0 / _torsional_stiffness(bench) + x / bench.torsional_rigidity_Nm2

@@ -10,7 +10,7 @@ _LEAST_SPEED_m_per_s = 1e-5
 
 
 def error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """``e = -(1 + kappa x) [alpha a + beta v + gamma tanh(v / v_0)]``."""
+    """``e = -(1 + kappa x) [alpha a + beta v + gamma tanh(v / v_0)]`` in m, shape (n,)."""
     alpha, beta, gamma, kappa, speed = theta
     v_0 = max(abs(float(speed)), _LEAST_SPEED_m_per_s)
     elastic = alpha * signals.a_m_per_s2 + beta * signals.v_m_per_s

@@ -10,7 +10,7 @@ _ROUNDS = 2
 
 
 def error_m(signals: Signals, theta: FloatArray, bench: Bench) -> FloatArray:
-    """Wind-up ``J_2 theta_2'' / k`` of the load inertia, at the table."""
+    """Wind-up ``J_2 theta_2'' / k`` of the load inertia, at the table in m, shape (n,)."""
     error = -theta[0] * signals.a_m_per_s2
     for _ in range(_ROUNDS):  # acceleration of the load, not of the motor
         error = -theta[0] * table_acceleration(signals, error)

@@ -10,13 +10,13 @@ from pmac_comp.physics.model.parameters import parameter
 
 
 def apply_bristle(vector: FloatArray, site: int, distance: float, ratio: float) -> None:
-    """Break distance of a site and the bristle damping that belongs to it."""
+    """Set break distance and bristle damping of a site in a kernel vector, shape (N_SLOTS,)."""
     vector[site + s.BREAK] = distance
     apply_bristle_damping(vector, site, distance, ratio)
 
 
 def apply_bristle_damping(vector: FloatArray, site: int, distance: float, ratio: float) -> None:
-    """Damping of the bristles of a site from its ratio to the critical one."""
+    """Set bristle damping by its ratio to the critical one in a vector of shape (N_SLOTS,)."""
     level = vector[site + s.LEVEL]
     if vector[s.RIGID] > 0.5:
         lead = vector[s.LEAD]
