@@ -3,6 +3,7 @@
 import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -11,6 +12,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 import numpy as np  # isort: skip
 
@@ -19,6 +21,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.difference import Curve
+from pmac_comp.workflow.motions import short_motion
 from pmac_comp.workflow.outcome import ErrorSignals
 from pmac_comp.workflow.ringing import ringing_signal
 from pmac_comp.workflow.static_check import StaticOutcome
@@ -158,7 +161,7 @@ def learning_figure(left_um: Sequence[float], learnable_um: Sequence[float]) -> 
     return svg(draw, 7.2, 2.8)
 
 
-def summary_bars(
+def summary_marks(
     rows: Sequence[tuple[str, float, float, float | None]], floor_um: float, what: str
 ) -> str:
     """Error before and after per motion with the promise as a mark.
@@ -169,28 +172,33 @@ def summary_bars(
     def draw(figure: Figure) -> None:
         axis: Axes = figure.subplots()
         place = np.arange(len(rows))
-        axis.barh(place - 0.2, [r[1] for r in rows], 0.36, color=BEFORE, label="before")
-        axis.barh(place + 0.2, [r[2] for r in rows], 0.36, color=AFTER, label="after")
+        before, after = (np.array([row[k] for row in rows]) for k in (1, 2))
+        axis.hlines(place, after, before, color=BEFORE, lw=1.0, alpha=0.4)
+        axis.plot(before, place, "o", color=BEFORE, ms=6, label="before")
+        axis.plot(after, place, "o", color=AFTER, ms=6, label="after")
         marked = [(p, r[3]) for p, r in zip(place, rows, strict=True) if r[3] is not None]
         if marked:
             axis.plot(
                 [m[1] for m in marked],
-                [m[0] + 0.2 for m in marked],
+                [m[0] for m in marked],
                 "|",
                 color=PROMISE,
-                ms=22,
+                ms=18,
                 mew=2,
                 label="promised by the model",
             )
         if floor_um > 0.0:
             axis.axvline(floor_um, color="#23231f", ls=":", lw=1.2, label="sensors' steps alone")
-        axis.set_yticks(place, [r[0] for r in rows])
-        axis.invert_yaxis()
+        axis.set_xscale("log")  # what is left is a hundredth of what was there
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_yticks(place, [fill(short_motion(r[0]), 30) for r in rows])
+        axis.set_ylim(len(rows) - 0.5, -0.5)
         axis.set_xlabel(f"{what} error (um rms)")
-        axis.grid(visible=False, axis="y")
-        figure.legend(loc="outside upper right", ncols=2, markerscale=0.5)
+        figure.legend(loc="outside upper right", ncols=4, markerscale=0.6)
 
-    return svg(draw, 7.2, 1.1 + 0.5 * len(rows))
+    return svg(draw, 7.2, 1.1 + 0.42 * len(rows))
 
 
 def ranking(groups: Sequence[tuple[str, Sequence[tuple[str, float]]]]) -> str:

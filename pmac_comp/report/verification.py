@@ -121,7 +121,7 @@ def _summary(verification: Verification) -> tuple[str, str]:
         for m in verification.motions
     ]
     # The floor is that of table against motor, whose steps a total error has not.
-    image = figures.summary_bars(bars, 0.0 if is_total else verification.floor_um, what)
+    image = figures.summary_marks(bars, 0.0 if is_total else verification.floor_um, what)
     promised = any(bar[3] is not None for bar in bars)
     return image, (
         f"{what.capitalize()} error per motion, measured."

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -263,6 +263,25 @@ def relaxing(motion: Motion) -> tuple[Motion, int]:
 def motion_rows(motions: Sequence[Motion]) -> list[tuple[Any, ...]]:
     """Rows of a table of motions."""
     return [motion.row() for motion in motions]
+
+
+_LEADING: Final = ("amplitude_mm", "frequency_Hz", "distance_mm", "speed_mm_per_s",
+                   "acceleration_m_per_s2")  # fmt: skip
+_IN_WORDS: Final = {"mm_per_s": "mm/s", "m_per_s2": "m/s2", "mm": "mm", "Hz": "Hz", "ms": "ms"}
+
+
+def short_motion(name: str) -> str:
+    """A motion that ``parse_motion`` takes in fewer words: ``sine 10 mm, 0.5 Hz``; others as is."""
+    kind, _, rest = name.partition(":")
+    pairs = [part.partition("=") for part in rest.split(",")]
+    if kind not in KEYS or not all(key in KEYS[kind] for key, _, _ in pairs):
+        return name
+    said = []
+    for key, _, value in pairs:
+        end = next((end for end in _IN_WORDS if key.endswith(f"_{end}")), "")
+        what = "" if key in _LEADING else key.removesuffix(f"_{end}").replace("_", " ")
+        said.append(" ".join(filter(None, (what, value, _IN_WORDS.get(end)))))
+    return f"{kind} {', '.join(said)}"
 
 
 def time_needed(runs: Sequence[tuple[int, Motion]]) -> str:

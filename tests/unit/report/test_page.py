@@ -37,7 +37,7 @@ def test_page_fetches_nothing() -> None:
 
 
 def test_figure_text_is_escaped_by_the_figure() -> None:
-    image = figures.summary_bars([("<b>&name", 1.0, 0.1, None)], 0.05, "mechanical")
+    image = figures.summary_marks([("<b>&name", 1.0, 0.1, None)], 0.05, "mechanical")
     assert "<b>" not in image
     assert "&lt;b&gt;&amp;name" in image
 

@@ -20,7 +20,7 @@ N, PERIOD_s = 3000, 1e-3
 
 @pytest.fixture(autouse=True)
 def _without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("summary_bars", "error_traces", "spectra", "lead_figure", "learning_figure"):
+    for name in ("summary_marks", "error_traces", "spectra", "lead_figure", "learning_figure"):
         monkeypatch.setattr(figures, name, lambda *_: "<svg></svg>")
 
 

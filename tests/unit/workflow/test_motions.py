@@ -22,6 +22,7 @@ from pmac_comp.workflow.motions import (
     check_motion,
     parse_motion,
     relaxing,
+    short_motion,
 )
 from pmac_comp.workflow.pvt import pvt_program
 
@@ -272,3 +273,20 @@ def test_a_key_wants_a_finite_number(value: str) -> None:
     with pytest.raises(ConfigError, match="is not key=number") as refused:
         parse_motion(f"sine:amplitude_mm=10,frequency_Hz={value}", load_bench("paper"))
     assert refused.value.code == "PC-MOV-005"
+
+
+@pytest.mark.parametrize(
+    ("name", "short"),
+    [
+        ("sine:amplitude_mm=10,frequency_Hz=0.5", "sine 10 mm, 0.5 Hz"),
+        (
+            "trapezoid:distance_mm=50,speed_mm_per_s=100,acceleration_m_per_s2=1,s_curve_ms=15",
+            "trapezoid 50 mm, 100 mm/s, 1 m/s2, s curve 15 ms",
+        ),
+        ("sine:amplitude_mm=10,cycles=3", "sine 10 mm, cycles 3"),
+        ("sine 10 mm 2 Hz", "sine 10 mm 2 Hz"),
+        ("of a file:x=3", "of a file:x=3"),
+    ],
+)
+def test_a_motion_has_a_short_name_for_figures(name: str, short: str) -> None:
+    assert short_motion(name) == short
