@@ -222,13 +222,23 @@ class Card:
         """Whether the motor's coordinate system runs a program that is not in feed hold."""
         return any(s.running and not s.holding and motor in s.axes for s in self.systems.values())
 
-    def leave_hold_point(self, motor: int) -> bool:
-        """Whether a motor about to be moved is in feed hold; its trajectory is then kept."""
-        for system in self.systems.values():
-            if system.running and system.holding and motor in system.axes:
-                system.hold_point.leave(motor)
-                return True
-        return False
+    def leave_hold_point(self, motor: int) -> None:
+        """A motor is about to be moved: in feed hold its trajectory is kept for the program.
+
+        Without a program what was left of a jog is dropped, it goes on from where it stands.
+        """
+        system = self.systems[self.servo.coordinate_system(motor)]
+        if not system.holding:
+            return
+        if system.running and motor in system.axes:
+            system.hold_point.leave(motor)
+        elif self.is_held(motor) and self.servo.is_moving(motor):
+            self.servo.queue.place(motor, self.servo.queue.state(motor)[0])
+
+    def is_held(self, motor: int) -> bool:
+        """Whether the motor's coordinate system is in feed hold and its time base has run out."""
+        system = self.systems[self.servo.coordinate_system(motor)]
+        return system.holding and int(self.memory.x[system.base + r.C_TIMEBASE]) == 0
 
     def any_program_runs(self) -> bool:
         """Whether any motion program runs."""

@@ -194,16 +194,18 @@ class CoordinateSystem(AxisPositions):
                 raise CardError(11)
 
     def _resume(self) -> None:
-        for motor in self.motors:
-            if self.card.servo.is_open_loop(motor):
-                raise CardError(12)
-        self.hold_point.return_to()
+        """R or S after H: the time base comes back, whether or not a program runs (p. 391)."""
+        if self.running:
+            for motor in self.motors:
+                if self.card.servo.is_open_loop(motor):
+                    raise CardError(12)
+            self.hold_point.return_to()
         self.holding = False
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
 
     def hold(self) -> None:
-        """H: the time base slews to zero."""
-        self.holding = self.running
+        """H: the time base slews to zero, until R, S or A."""
+        self.holding = True
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 1
 
     def quit(self) -> None:

@@ -208,7 +208,7 @@ class Interpreter:
         self._run_all(single=True)
 
     def _try_run(self, system: CoordinateSystem, *, single: bool) -> None:
-        if not system.axes:
+        if not system.axes and not system.holding:
             return
         with suppress(CardError):  # a control character has no way to answer with an error
             system.run(single=single)

@@ -66,7 +66,7 @@ def _movable(context: LineContext) -> int:
 
 def _started(context: LineContext, motor: int) -> None:
     """A jog or search has been planned: in feed hold it does not wait for the time base."""
-    if context.card.leave_hold_point(motor):
+    if context.card.is_held(motor):
         context.card.servo.queue.ignore_time_base(motor)
 
 

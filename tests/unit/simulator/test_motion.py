@@ -399,3 +399,53 @@ def test_the_executing_move_is_named_by_its_own_line(card: Card, ask: Ask) -> No
     assert ask("PE") == ask("PC")
     assert ask("B1R") == ""
     assert ask("PE") == ask("PC"), "nothing of the run before"
+
+
+@pytest.mark.parametrize(("stop", "go"), [("H", "R"), ("H", "S"), ("H", "B1R"), ("^O", "^R")])
+def test_feed_hold_without_a_program_is_released(card: Card, ask: Ask, stop: str, go: str) -> None:
+    # SRM p. 391: R restores operation after H even if no program was running.
+    def give(command: str) -> None:
+        if command.startswith("^"):
+            card.interpreter.control_character(ord(command[1]) - 0x40)
+        else:
+            assert ask(command) == ""
+
+    prepare(ask, "LINEAR INC TA20 TS0 TM100", "P60=P60+1", "X100")
+    ask("I5195=200000 I5194=200000 P60=0")
+    card.run_cycles(20)
+    give(stop)
+    assert ask("&1%") == "0"
+    card.run_cycles(200)
+    give(go)
+    card.run_cycles(200)
+    assert ask("&1%") == "100"
+    assert ask("P60") == "0"  # nothing was started
+    assert ask("&2%") == "100"
+    assert ask("&1B1R") == ""
+    card.run_cycles(2000)
+    assert float(ask("#1P")) == pytest.approx(100, abs=2)
+
+
+def test_feed_hold_stops_a_jog_and_lets_the_motor_be_jogged(card: Card, ask: Ask) -> None:
+    prepare(ask, "X1")
+    ask("I5195=200000 I5194=200000 I122=10")
+    card.run_cycles(20)
+    ask("#1J=5000")
+    card.run_cycles(400)
+    ask("&1H")
+    card.run_cycles(200)
+    held = read_long(card.memory.x, card.memory.y, 0x88)
+    card.run_cycles(100)
+    assert read_long(card.memory.x, card.memory.y, 0x88) == held
+    assert ask("&1R") == ""
+    card.run_cycles(2000)
+    assert float(ask("#1P")) == pytest.approx(5000, abs=2)
+    ask("#1J=0")
+    card.run_cycles(400)
+    ask("&1H")
+    card.run_cycles(200)
+    held = read_long(card.memory.x, card.memory.y, 0x88)
+    assert ask("#1J:100") == ""
+    position = record(card, 2000)
+    assert position[-1] == pytest.approx(held / 3072 + 100, abs=0.01)
+    assert np.abs(np.diff(position)).max() < 10 * card.servo.cycle_ms
