@@ -379,7 +379,7 @@ class CoordinateSystem(AxisPositions):
         empty = self.card.rotary.program(self.number)
         if empty is not None:
             self.replace_program(empty)
-        self.wait_until(lambda: bool(self.card.rotary.buffers[self.number].lines))
+        self.wait_until(lambda: self.card.rotary.goes_on(self.number))
 
     def replace_program(self, program: Program) -> None:
         """Go on with another program at the same level (next rotary line)."""

@@ -209,7 +209,7 @@ CS1_FIRST_FEED_AXIS: Final = 1 << 7
 CS2_MODE0: Final = 1 << 0
 CS2_MODE1: Final = 1 << 1
 CS2_MODE4: Final = 1 << 4
-CS2_ROTARY_REQUEST: Final = 1 << 16
+CS2_ROTARY_FULL: Final = 1 << 16
 CS2_RUNTIME_ERROR: Final = 1 << 22
 CS3_RESUME_ERROR: Final = 1 << 2
 

@@ -1,6 +1,7 @@
 """Rotary buffers: program lines that are executed while more of them are sent.
 
-Source: Turbo PMAC Software Reference Manual p. 311, 381, 388; thresholds I16 and I17 p. 45.
+Source: Turbo PMAC Software Reference Manual p. 311, 316, 381, 388, 441; thresholds I16 and I17 p.
+45-46, 286.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.assembler import assemble
 from pmac_comp.simulator.language.statements import MOTION, Statement
-from pmac_comp.simulator.programs import Program
+from pmac_comp.simulator.programs import Program, end_line
 from pmac_comp.simulator.user_memory import GATHER, allocate_down, buffer_exists, lowest_defined
 
 if TYPE_CHECKING:
@@ -44,9 +45,9 @@ class RotaryBuffers:
         self._line: list[Statement] = []
 
     def define(self, cs: int, size: int) -> None:
-        """DEFINE ROTARY: reserve memory for the addressed coordinate system."""
+        """DEFINE ROTARY: reserve memory; the highest coordinate system comes first (p. 311)."""
         memory = self.card.memory
-        if cs in self.buffers or buffer_exists(memory, GATHER):
+        if any(n <= cs for n in self.buffers) or buffer_exists(memory, GATHER):
             raise CardError(3)
         start = allocate_down(memory, size)
         if start is None:
@@ -66,10 +67,13 @@ class RotaryBuffers:
         memory.x[r.ROTARY_POINTERS + cs - 1] = 0
         memory.y[r.ROTARY_POINTERS + cs - 1] = 0
         del self.buffers[cs]
+        self._show_full(self.card.systems[cs], full=False)
 
     def delete_all(self) -> None:
         """Forget all rotary buffers."""
         self.owner = None
+        for cs in self.buffers:
+            self._show_full(self.card.systems[cs], full=False)
         self.buffers.clear()
         memory = self.card.memory
         memory.x[r.ROTARY_POINTERS : r.ROTARY_POINTERS + 16] = 0
@@ -97,6 +101,7 @@ class RotaryBuffers:
         """CLEAR: drop the lines that wait."""
         if cs in self.buffers:
             self.buffers[cs].lines.clear()
+            self.report_fill(self.card.systems[cs])
 
     def enter(self, cs: int, statement: Statement) -> None:
         """Collect a statement of the line being entered."""
@@ -108,10 +113,12 @@ class RotaryBuffers:
         self._line.append(statement)
 
     def end_line(self, cs: int) -> None:
-        """The line is whole: it may be executed."""
-        if self._line and cs in self.buffers:
-            self.buffers[cs].lines.append(self._line)
-            self._line = []
+        """The line is whole and may be executed; ERR009 for IF or WHILE without its action."""
+        line, self._line = self._line, []
+        if line and cs in self.buffers:
+            end_line(line)
+            assemble(line, MOTION)
+            self.buffers[cs].lines.append(line)
             self.report_fill(self.card.systems[cs])
             self.card.wake(cs)
 
@@ -138,7 +145,6 @@ class RotaryBuffers:
             if self.owner is None:
                 return False
             system.idle()
-            self._request(system, wants=True)
             return True
         program = Program(MOTION, 0, buffer.lines.popleft())
         program.assembled = assemble(program.statements, MOTION)
@@ -147,17 +153,22 @@ class RotaryBuffers:
         return True
 
     def report_fill(self, system: CoordinateSystem) -> None:
-        """Request bit: on below I16 lines, off above I17 (p. 45-46)."""
+        """Bit of a full buffer: 1 from I17 lines on, 0 again below I16 (p. 45-46, 286)."""
         lines = len(self.buffers[system.number].lines)
-        if lines < self.card.variables.int_i(16):
-            self._request(system, wants=True)
-        elif lines > self.card.variables.int_i(17):
-            self._request(system, wants=False)
+        if lines >= self.card.variables.int_i(17):
+            self._show_full(system, full=True)
+        elif lines < self.card.variables.int_i(16):
+            self._show_full(system, full=False)
 
-    def _request(self, system: CoordinateSystem, *, wants: bool) -> None:
+    def _show_full(self, system: CoordinateSystem, *, full: bool) -> None:
         words, cell = self.card.memory.y, system.base + r.C_STATUS2_ADDRESS
-        word = int(words[cell]) & ~r.CS2_ROTARY_REQUEST
-        words[cell] = word | (r.CS2_ROTARY_REQUEST if wants else 0)
+        word = int(words[cell]) & ~r.CS2_ROTARY_FULL
+        words[cell] = word | (r.CS2_ROTARY_FULL if full else 0)
+
+    def goes_on(self, cs: int) -> bool:
+        """Whether an empty running buffer need not be waited for: a line came, or it was closed."""
+        buffer = self.buffers.get(cs)
+        return buffer is None or self.owner is None or bool(buffer.lines)
 
     def lines_left(self, cs: int) -> int:
         """PR: lines that wait, valid while the buffer is open."""

@@ -367,11 +367,65 @@ def test_rotary_buffer_runs_lines_as_they_come(card: Card, ask: Ask) -> None:
     ask("X-50")
     card.run_cycles(1000)
     assert float(ask("#1P")) == pytest.approx(150, abs=2)
+    assert int(ask("&1??")[:6], 16) & 1
     assert ask("CLOSE") == ""
     card.run_cycles(100)
-    assert ask("&1Q") == ""
-    card.run_cycles(100)
+    assert not int(ask("&1??")[:6], 16) & 1  # as though it had been closed before it ran empty
     assert ask("DELETE ROT") == ""
+
+
+def test_full_rotary_buffer_is_told_by_its_bit(card: Card, ask: Ask) -> None:
+    # SRM p. 45-46, 286: 1 from I17 lines on, 0 again below I16.
+    def is_full() -> bool:
+        return bool(int(ask("&1??")[6:12], 16) >> 16 & 1)
+
+    prepare(ask, "X1")
+    ask("I16=2 I17=4")
+    ask("&1DEFINE ROT 200 B0")
+    ask("OPEN ROT LINEAR INC TA20 TS0 TM200")
+    for line, full in (("X100", False), ("X100", False), ("X100", True), ("X100", True)):
+        assert ask(line) == ""
+        assert is_full() == full
+    assert ask("&1R") == ""  # the first line and two moves are calculated
+    assert (ask("PR"), is_full()) == ("2", True)
+    card.run_cycles(100)
+    assert (ask("PR"), is_full()) == ("1", False)
+    for _ in range(4):
+        ask("X100")
+    assert is_full()
+    ask("CLEAR")
+    assert not is_full()
+    for _ in range(4):
+        ask("X100")
+    ask("CLOSE A")
+    assert is_full()
+    assert ask("DELETE ROT") == ""
+    assert not is_full()
+
+
+def test_rotary_buffers_go_from_the_highest_system_down(ask: Ask) -> None:
+    # SRM p. 311, 316.
+    assert ask("&2DEFINE ROT 10") == ""
+    assert ask("&3DEFINE ROT 10") == "ERR003"
+    assert ask("&1DEFINE ROT 10") == ""
+    assert ask("&2DELETE ROT") == "ERR003"
+    assert ask("&1DELETE ROT &2DELETE ROT") == ""
+
+
+def test_conditions_of_a_rotary_program_stand_in_one_line(card: Card, ask: Ask) -> None:
+    # SRM p. 441: only single-line IF and WHILE.
+    prepare(ask, "X1")
+    ask("P60..61=0")
+    ask("&1DEFINE ROT 200 B0")
+    ask("OPEN ROT")
+    for line in ("IF(P60=0)", "WHILE(P60<3)", "ENDIF", "ENDWHILE"):
+        assert ask(line) == "ERR009", line
+    assert ask("PR") == "0"
+    assert ask("IF(P60=0)P61=1") == ""
+    assert ask("WHILE(P60<3)P60=P60+1") == ""
+    assert ask("R") == ""
+    card.run_cycles(100)
+    assert ask("CLOSE P60 P61") == "3 1"
 
 
 def test_position_rename_and_pmatch(card: Card, ask: Ask) -> None:
