@@ -1,7 +1,7 @@
 """Coordinate systems: the pointer to a motion program, running and stopping it, what is ahead.
 
-A program is calculated ahead of the motion: whenever a move starts, the next one is calculated, so
-one complete move waits behind the executing one (blended LINEAR moves need one more).
+A program is calculated ahead of the motion: two moves wait behind the executing one, which blended
+LINEAR moves need; the second is taken back when the program is told to stop (``last_move``).
 Source: Turbo PMAC Software Reference Manual p. 391-393 (run), 405-485 (statements).
 """
 
@@ -18,6 +18,7 @@ from pmac_comp.simulator.axis_positions import AxisPositions
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.hold_point import HoldPoint
 from pmac_comp.simulator.language.statements import MOTION, Statement
+from pmac_comp.simulator.last_move import KINDS, Calculation, LastMove
 from pmac_comp.simulator.machine import Context
 from pmac_comp.simulator.motion_planner import Planner, Segments
 from pmac_comp.simulator.motion_statements import execute
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _MOVES = ("move", "dwell", "delay", "home")  # what may stand between two jumps back (p. 433)
 _CALCULATION_BUDGET = 50_000
-_AHEAD = 1  # moves that wait behind the executing one
+_AHEAD = 1  # pieces of motion that may wait when the next move is calculated
 _MOST_TAG = 1 << 30
 # Run-time error codes of Y:+$14 (p. 505).
 _ERROR_LABEL, _ERROR_STACK, _ERROR_COUNTER = 6, 5, 3
@@ -81,7 +82,9 @@ class CoordinateSystem(AxisPositions):
         self.velocities: dict[str, float] = {}
         self.waiting: Callable[[], bool] | None = None
         self._tags = 0
-        self._queued: list[int] = []
+        self.queued: list[int] = []  # tags of what is calculated and has not started
+        self._last: LastMove | None = None
+        self._again: LastMove | None = None  # was taken back: where the program goes on
         self.assignments: list[tuple[int, str, float]] = []
         self._at_start: dict[int, list[tuple[int, str, float]]] = {}
         self._calculating = False
@@ -103,6 +106,7 @@ class CoordinateSystem(AxisPositions):
         frame = self.frame_of(program)
         frame.context.state[vm.S_PC] = program.assembled.labels[label]
         self.frames = [frame]
+        self._again = None
         self.hold_point.forget()
         self.pointer = (number, label)
         self._load_defaults()
@@ -154,7 +158,7 @@ class CoordinateSystem(AxisPositions):
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
         self._quitted, self.fresh, self.returned = False, True, False
-        self._queued, self._executing = [], None
+        self.queued, self._executing, self._last = [], None, None
         self.set_status()
         self.card.background_needed()
         self.calculate()
@@ -209,11 +213,31 @@ class CoordinateSystem(AxisPositions):
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 1
 
     def quit(self) -> None:
-        """Q: no further move is calculated."""
+        """Q: no further move is calculated, and at most one follows the executing one (p. 388)."""
         if self.running and not self.stopping:
+            self._take_back()
             self.stopping = self._quitted = True
             self.waiting = None
             self.settle()
+
+    def _take_back(self) -> None:
+        """Take back the last calculated move if it is the second behind the executing one."""
+        last, self._last = self._last, None
+        if last is None or self.single or self._executing is None or self.hold_point.is_left:
+            return
+        behind = [tag for tag in self.queued if tag not in last.tags]
+        if not behind or len(behind) == len(self.queued):
+            return
+        for motor, count in last.segments.items():
+            self.card.servo.queue.drop_last(motor, count)
+        for tag in last.tags:
+            self._places.pop(tag, None)
+            self.assignments = self._at_start.pop(tag, []) + self.assignments
+        self.queued, self._dwell_end = behind, 0
+        self.planner, self.targets = last.planner, dict(last.targets)
+        self.write_targets()
+        self._set_prejog()
+        self._again = last
 
     def stop_now(self) -> None:
         """Abort or fault: the program stops where it is, trajectories are replaced outside."""
@@ -223,7 +247,7 @@ class CoordinateSystem(AxisPositions):
         self.waiting = None
         self.planner = None
         self.hold_units([])
-        self._queued, self._at_start, self.assignments = [], {}, []
+        self.queued, self._at_start, self.assignments = [], {}, []
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
         self.set_status()
 
@@ -269,10 +293,10 @@ class CoordinateSystem(AxisPositions):
 
     def segment_started(self, motor: int, tag: int) -> None:
         """A tagged segment has started: its assignments act and the next move is calculated."""
-        if not self.motors or motor != self.motors[0] or tag not in self._queued:
+        if not self.motors or motor != self.motors[0] or tag not in self.queued:
             return
-        while self._queued:
-            passed = self._queued.pop(0)
+        while self.queued:
+            passed = self.queued.pop(0)
             self._executing = self._places.pop(passed, self._executing)
             for number, op, value in self._at_start.pop(passed, []):
                 self._assign(number, op, value)
@@ -307,7 +331,7 @@ class CoordinateSystem(AxisPositions):
             self.hold_point.stopped(self.motors)
         self.running = self.stopping = self.single = False
         self.planner = None
-        self._queued = []
+        self.queued = []
         self.set_status()
 
     def calculate(self) -> None:
@@ -329,21 +353,21 @@ class CoordinateSystem(AxisPositions):
             self.running
             and not self.stopping
             and self.waiting is None
-            and len(self._queued) <= _AHEAD
+            and len(self.queued) <= _AHEAD
         )
 
     def _step(self, budget: int) -> int:
         frame = self.frames[-1]
         if frame.program.assembled is None:
             raise CardError(16)
+        again, self._again = self._again, None
+        if again is not None and again.frame is frame:
+            self._carry_out(frame, again.statement, again.arguments)
+            return 1
         status = self.card.machine.run(frame.program.assembled.compiled, frame.context, budget)
         used = max(int(frame.context.state[vm.S_STEPS]), 1)
         for index, arguments in frame.context.take_events():
-            statement = frame.program.statements[index]
-            self._statement = index
-            execute(self, statement, arguments)
-            if statement.kind in _MOVES:
-                self._forget_jumps()
+            self._carry_out(frame, index, arguments)
         if status == vm.FINISHED:
             self._finished()
         elif status == vm.FAULT:
@@ -353,6 +377,18 @@ class CoordinateSystem(AxisPositions):
             self.settle()
             self.wait_until(lambda: True)
         return used
+
+    def _carry_out(self, frame: Frame, index: int, arguments: tuple[float, ...]) -> None:
+        statement = frame.program.statements[index]
+        self._statement = index
+        if statement.kind in KINDS and self.planner is not None:
+            calculation = Calculation(self, self.planner)
+            execute(self, statement, arguments)
+            self._last = calculation.done(self, frame, index, arguments)
+        else:
+            execute(self, statement, arguments)
+        if statement.kind in _MOVES:
+            self._forget_jumps()
 
     def _forget_jumps(self) -> None:
         for frame in self.frames:
@@ -433,7 +469,7 @@ class CoordinateSystem(AxisPositions):
             self.card.servo.set_prejog(motor, units / self.unit(motor))
 
     def _remember(self, tag: int) -> None:
-        self._queued.append(tag)
+        self.queued.append(tag)
         frame = self.frames[-1]
         self._places[tag] = (frame.program, self._statement)
         if self.assignments:
@@ -451,7 +487,7 @@ class CoordinateSystem(AxisPositions):
 
     def await_start(self, tag: int) -> None:
         """Expect a piece of motion that is queued and is no move."""
-        self._queued.append(tag)
+        self.queued.append(tag)
 
     def _dwell_is_over(self) -> bool:
         return not self._dwell_end or not any(self.card.servo.is_moving(m) for m in self.motors)
@@ -466,6 +502,8 @@ class CoordinateSystem(AxisPositions):
         assembled = frame.program.assembled
         if assembled is None:
             raise CardError(3)
+        if self._again is not None and self._again.frame is frame:
+            return frame.program.number, frame.program.offset_of(self._again.statement)
         index = assembled.statement_at(int(frame.context.state[vm.S_PC]))
         return frame.program.number, frame.program.offset_of(max(index, 0))
 

@@ -56,6 +56,14 @@ class Planner:
         self._controls: dict[int, list[float]] = {}
         self._spline_cycles = 0.0
 
+    def copy(self) -> Planner:
+        """The same plan, to go back to."""
+        twin = Planner(self.position)
+        twin._pending, twin._lead_in = self._pending, self._lead_in
+        twin._controls = {motor: list(c) for motor, c in self._controls.items()}
+        twin._spline_cycles = self._spline_cycles
+        return twin
+
     @property
     def motors(self) -> tuple[int, ...]:
         """Motors that are planned for."""

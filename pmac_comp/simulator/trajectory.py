@@ -101,6 +101,10 @@ class MotionQueue:
         self.clear(motor)
         self.push(motor, segments)
 
+    def drop_last(self, motor: int, count: int) -> None:
+        """Take back the segments that were appended last and have not started."""
+        self.index[motor, I_COUNT] -= count
+
     def clear(self, motor: int) -> None:
         """Drop all segments: the motor stands where it is now commanded."""
         self.index[motor, I_HEAD] = 0
@@ -137,7 +141,7 @@ class MotionQueue:
         self.index[motor, I_WATCH] = least
 
     def executing_tag(self, motor: int) -> int:
-        """Tag of the segment that executes now, 0 if none."""
+        """Tag of the latest tagged segment while anything executes, 0 if there was none."""
         return int(self.index[motor, I_TAG]) if self.index[motor, I_COUNT] else 0
 
     def state(self, motor: int) -> tuple[float, float]:
@@ -211,8 +215,9 @@ def advance(
             return events
         time = spare
         row = segments[motor, index[motor, I_HEAD]]
-        index[motor, I_TAG] = int(row[Q_TAG])
-        if index[motor, I_TAG] != 0:
+        if int(row[Q_TAG]) != 0:
+            # Untagged pieces keep it: a first one may be over in the step in which it started.
+            index[motor, I_TAG] = int(row[Q_TAG])
             events |= 65536
     cursor[motor, C_TIME] = time
     cursor[motor, C_POSITION] = _position(row, time)

@@ -503,3 +503,45 @@ def test_feed_hold_stops_a_jog_and_lets_the_motor_be_jogged(card: Card, ask: Ask
     position = record(card, 2000)
     assert position[-1] == pytest.approx(held / 3072 + 100, abs=0.01)
     assert np.abs(np.diff(position)).max() < 10 * card.servo.cycle_ms
+
+
+@pytest.mark.parametrize("mode", ["LINEAR", "SPLINE1", "PVT500", "RAPID"])
+@pytest.mark.parametrize("stop", ["Q", "S", "/"])
+def test_quit_lets_one_move_follow_at_most(card: Card, ask: Ask, mode: str, stop: str) -> None:
+    # SRM p. 388: at the end of the executing move, or of the one that is already calculated.
+    moves = [f"X{k}000" + (":0" if mode == "PVT500" else "") for k in range(1, 9)]
+    prepare(ask, f"{mode} ABS TA100 TS0 TM500", *(f"{x} P60=P60+1 M500=={x[1]}" for x in moves))
+    ask("M500->Y:$10F0,0,8")
+    ask("I190=1 I116=4 I122=4 P60=0 M500=0")
+    run(card, ask, 500)
+    assert 0 < float(ask("#1P")) < 1000
+    assert ask(f"&1{stop}") == ""
+    position = record(card, 4500)
+    assert position[-1] == pytest.approx(2000, abs=0.01)
+    assert ask("LIST PC").split(":", 2)[-1].startswith("X3000")
+    assert np.abs(np.diff(position)).max() < 4.1 * card.servo.cycle_ms
+    ask("#1J:300")
+    card.run_cycles(2000)
+    assert ask("&1R") == "ERR017"
+    ask("#1J=")
+    card.run_cycles(2000)
+    assert ask("&1R") == ""
+    position = record(card, 12000)
+    assert position[-1] == pytest.approx(8000, abs=0.01)
+    assert ask("P60 M500") == "8 7"
+
+
+def test_quit_takes_a_dwell_back_that_is_no_more_to_come(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR ABS TA100 TS0 TM500", "X1000", "X2000", "DWELL800", "P61=1", "X3000")
+    ask("P61=0")
+    run(card, ask, 500)
+    ask("&1Q")
+    position = record(card, 3000)
+    assert position[-1] == pytest.approx(2000, abs=0.01)
+    assert ask("P61 LIST PC").split(":")[-1] == "DWE800"
+    assert not int(ask("&1??")[:6], 16) & 1
+    assert ask("&1R") == ""
+    card.run_cycles(1600)
+    assert ask("P61") == "0"
+    assert record(card, 3000)[-1] == pytest.approx(3000, abs=0.01)
+    assert ask("P61") == "1"
