@@ -76,7 +76,7 @@ class CoordinateSystem(AxisPositions):
         self.hold_point = HoldPoint(card, number)
         self.returned = False  # everything is calculated, the last moves may still be executing
         self._dwell_end = 0  # tag of the end of the dwell that stops the calculation, 0 if none
-        self._quitted = False
+        self.quitted = False
         self.fresh = False  # the next move is the first after a stop: I11
         self.planner: Planner | None = None
         self.velocities: dict[str, float] = {}
@@ -110,6 +110,7 @@ class CoordinateSystem(AxisPositions):
         self.hold_point.forget()
         self.pointer = (number, label)
         self._load_defaults()
+        self.set_status()
 
     def frame_of(self, program: Program) -> Frame:
         """A level of execution at the beginning of a program."""
@@ -157,7 +158,7 @@ class CoordinateSystem(AxisPositions):
         self.hold_units(self.motors)
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
-        self._quitted, self.fresh, self.returned = False, True, False
+        self.quitted, self.fresh, self.returned = False, True, False
         self.queued, self._executing, self._last = [], None, None
         self.set_status()
         self.card.background_needed()
@@ -216,7 +217,8 @@ class CoordinateSystem(AxisPositions):
         """Q: no further move is calculated, and at most one follows the executing one (p. 388)."""
         if self.running and not self.stopping:
             self._take_back()
-            self.stopping = self._quitted = True
+            self.stopping = self.quitted = True
+            self.set_status()
             self.waiting = None
             self.settle()
 
@@ -327,7 +329,7 @@ class CoordinateSystem(AxisPositions):
 
     def _ended(self) -> None:
         self.hold_units([])
-        if self._quitted:
+        if self.quitted:
             self.hold_point.stopped(self.motors)
         self.running = self.stopping = self.single = False
         self.planner = None

@@ -43,7 +43,13 @@ def write_program(system: CoordinateSystem) -> None:
     memory = system.card.memory
     word1 = _mode_word(system)
     if system.running and not system.returned:  # p. 285: 0 once RETURN is reached
-        word1 |= r.CS1_RUNNING | (r.CS1_SINGLE_STEP if system.single else r.CS1_CONTINUOUS)
+        word1 |= r.CS1_RUNNING
+        if not system.single:
+            word1 |= r.CS1_CONTINUOUS
+        if system.single or system.quitted:
+            word1 |= r.CS1_SINGLE_STEP
+        elif not system.isx(92):
+            word1 |= r.CS1_CONTINUOUS_REQUEST
     memory.x[system.base + r.C_STATUS13] = word1
     word2 = int(memory.y[system.base + r.C_STATUS2_ADDRESS])
     word2 &= ~(r.CS2_MODE0 | r.CS2_MODE1 | r.CS2_MODE4)
@@ -53,8 +59,10 @@ def write_program(system: CoordinateSystem) -> None:
 
 
 def _mode_word(system: CoordinateSystem) -> int:
-    """Word 1 of the status without what runs: feedrate axes, incremental axes (p. 284)."""
+    """Word 1 of the status without what runs: feedrate axes, incremental axes, TM (p. 284-285)."""
     word = r.CS1_RADIUS_INCREMENTAL
+    if system.modal.tm_ms is not None:
+        word |= r.CS1_TIMED
     for place, letter in enumerate(AXES):
         if letter in system.modal.feed_axes:
             word |= r.CS1_FIRST_FEED_AXIS << (2 * place)

@@ -68,8 +68,8 @@ for _kind, _name in (("linear", "linear"), ("rapid", "rapid"), ("spline1", "spli
 
 @_does("pvt")
 def _pvt(system: CoordinateSystem, _statement: Statement, arguments: Arguments) -> None:
-    _mode(system, "pvt")
     system.modal.tm_ms = arguments[0]
+    _mode(system, "pvt")
 
 
 @_does("abs")
@@ -93,6 +93,7 @@ def _feed_axes(system: CoordinateSystem, statement: Statement, _arguments: Argum
 @_does("tm")
 def _move_time(system: CoordinateSystem, _statement: Statement, arguments: Arguments) -> None:
     system.modal.tm_ms, system.modal.feed = arguments[0], None
+    system.set_status()
 
 
 @_does("feed")
@@ -100,6 +101,7 @@ def _feed(system: CoordinateSystem, _statement: Statement, arguments: Arguments)
     limit = system.isx(98)
     feed = min(arguments[0], limit) if limit > 0.0 else arguments[0]
     system.modal.feed, system.modal.tm_ms = feed, None
+    system.set_status()
 
 
 def _whole_ms(time_ms: float) -> float:

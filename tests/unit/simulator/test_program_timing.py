@@ -115,3 +115,40 @@ def test_abort_and_run_is_forgotten_when_the_motor_is_killed(card: Card, ask: As
     ask("#1K")
     run_ms(card, 500.0)
     assert ask("P60") == "1"
+
+
+def test_status_tells_how_a_program_runs(card: Card, ask: Ask) -> None:
+    # SRM p. 284-285: bit 4 R was given, 3 TM and not F, 2 blended, 1 S or Q, 0 running.
+    enter(
+        ask,
+        "OPEN PROG 6 CLEAR",
+        "LINEAR ABS TA50 TS0 TM200",
+        "X1",
+        "X2",
+        "X3",
+        "X4",
+        "X5",
+        "F5",
+        "X7",
+        "X9",
+        "CLOSE",
+    )
+    ask("B6R")
+    assert ask("??")[:6] == "A8003D"
+    run_ms(card, 100.0)
+    ask("Q")
+    assert ask("??")[4:6] == "2F"
+    run_ms(card, 2000.0)
+    assert ask("??")[4:6] == "28"
+    ask("S")
+    assert ask("??")[4:6] == "2B"
+    run_ms(card, 2000.0)
+    ask("R")
+    run_ms(card, 300.0)
+    assert ask("??")[4:6] == "35"  # by feedrate now
+    ask("A")
+    run_ms(card, 3000.0)
+    ask("I5192=1 B6R")
+    assert ask("??")[4:6] == "2D"
+    ask("A B6")
+    assert ask("??")[4:6] == "20"
