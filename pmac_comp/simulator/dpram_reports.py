@@ -123,17 +123,17 @@ class DpramReports:
             return int(read_long(m.x, m.y, base + offset))
 
         actual, bias, table = long(r.M_ACTUAL), long(r.M_BIAS), long(r.M_COMPENSATION)
-        master = long(r.M_MASTER)
+        master, backlash = long(r.M_MASTER), self._card.servo.backlash(motor)
         hidden = master if int(m.x[base + r.M_STATUS1]) & r.S1_FOLLOWING_OFFSET else 0
         cell = MOTOR_DATA + _MOTOR_CELLS * (motor - 1)
-        self._long(cell, long(r.M_COMMANDED) + master - table - actual)
+        self._long(cell, long(r.M_COMMANDED) + master - table - actual - backlash)
         self._word(cell + 2, int(read_word_signed(m.x, base + r.M_COMMAND)))
         self._word(cell + 3, int(read_word_signed(m.x, base + r.M_STATUS1)))
         self._word(cell + 4, int(read_word_signed(m.y, base + r.M_STATUS2)))
         self._long(cell + 5, bias)
         self._word(cell + 7, long(r.M_VELOCITY_FILTERED))
         self._long(cell + 8, master)
-        self._long(cell + 10, actual + bias + table - hidden)
+        self._long(cell + 10, actual + backlash + bias + table - hidden)
 
     # --- global and coordinate systems ----------------------------------------------------------
 

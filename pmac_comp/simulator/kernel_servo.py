@@ -578,7 +578,7 @@ def _timers(x: Space, y: Space) -> None:
 def _open_loop(words: Words, motor: Motor, cursor: FloatArray, position: int, offset: int) -> float:
     """A motor whose loop is open: desired follows actual, the law forgets, X:+$2E goes out."""
     x, y, base, k = words.x, words.y, motor.base, motor.k
-    command = position - offset
+    command = position - offset + int(k[K_BACKLASH])  # what is taken up stays so
     write_long(x, y, base + reg.M_COMMANDED, command)
     write_long(x, y, base + reg.M_PREVIOUS_NET, position)
     write_long(x, y, base + reg.M_FOLLOWING_ERROR, 0)
@@ -856,6 +856,9 @@ def _net_command(words: Words, motor: Motor, wanted: float, backlash: float) -> 
     net = wanted
     if d[D_BACKLASH_RATE] > 0.0:
         net -= _backlash(words, motor, net, backlash)
+    elif k[K_BACKLASH] != 0.0:
+        k[K_BACKLASH] = 0.0
+        words.y[motor.base + reg.M_IXX86] = 0
     if d[D_FILTER] > 0.0:
         k[K_FILTERED] += (1.0 - d[D_FILTER]) * (net - k[K_FILTERED])
         net = math.floor(k[K_FILTERED] + 0.5)

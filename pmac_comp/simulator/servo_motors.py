@@ -96,12 +96,20 @@ class Motors:
         return self._long(motor, reg.M_COMMANDED) / self.unit(motor)
 
     def position(self, motor: int) -> float:
-        """What P reports, in counts (p. 382): actual + bias + register - master (offset mode)."""
+        """What P reports, in counts (p. 382): actual + bias + register - master (offset mode).
+
+        Backlash that is taken up does not show (p. 148).
+        """
         total = self._long(motor, reg.M_ACTUAL) + self._long(motor, reg.M_BIAS)
+        total += self.backlash(motor)
         total += self._long(motor, reg.M_COMPENSATION)
         if self._status1(motor) & reg.S1_FOLLOWING_OFFSET:
             total -= self._long(motor, reg.M_MASTER)
         return total / self.unit(motor)
+
+    def backlash(self, motor: int) -> int:
+        """Backlash that is taken up now, in units."""
+        return int(self.motor_memory[motor, ks.K_BACKLASH])
 
     def velocity(self, motor: int) -> float:
         """What V reports, in counts per servo interrupt."""
@@ -128,10 +136,10 @@ class Motors:
         write_long(self.memory.x, self.memory.y, address, saturated_long(value))
 
     def _offset(self, motor: int) -> int:
-        """What is added to the commanded position: master and compensation, in units."""
+        """What is added to the commanded position: master, compensation, backlash; in units."""
         register = self._long(motor, reg.M_COMPENSATION)
         sign = int(ks.COMPENSATION_REGISTER_SIGN)
-        return self._long(motor, reg.M_MASTER) + sign * register
+        return self._long(motor, reg.M_MASTER) + sign * register - self.backlash(motor)
 
     def _float(self, motor: int, offset: int) -> float:
         memory = self.memory
@@ -164,7 +172,9 @@ class Motors:
             self._write(motor, reg.M_COMMANDED, command)
             self._write(motor, reg.M_PREVIOUS_NET, self._long(motor, reg.M_ACTUAL))
             self.queue.place(motor, float(command))
+            backlash = self.motor_memory[motor, ks.K_BACKLASH]
             self.motor_memory[motor, :] = 0.0
+            self.motor_memory[motor, ks.K_BACKLASH] = backlash
             self.motor_memory[motor, ks.K_FILTERED] = self._long(motor, reg.M_ACTUAL)
             self.motor_memory[motor, ks.K_BACKLASH_EXTREME] = command
             memory.x[base + reg.M_FILTER_RESULT] = 0
@@ -324,7 +334,10 @@ class Motors:
         """$*: kill, forget home and bias, actual position becomes zero."""
         self.kill(motor)
         base = reg.motor_base(motor)
-        self.memory.y[base + reg.M_STATUS2] &= ~reg.S2_HOME_COMPLETE & 0xFFFFFF
+        gone = reg.S2_HOME_COMPLETE | reg.S2_BACKLASH_DIRECTION
+        self.memory.y[base + reg.M_STATUS2] &= ~gone & 0xFFFFFF
+        self.memory.y[base + reg.M_IXX86] = 0
+        self.motor_memory[motor, ks.K_BACKLASH] = 0.0
         self._write(motor, reg.M_BIAS, 0)
         self.shift_zero(motor, self._long(motor, reg.M_ACTUAL))
         return 0
@@ -402,7 +415,7 @@ class Motors:
         memory.y[base + reg.M_TRIGGER_CAPTURE] = round(captured / unit) & 0xFFFFFF
         if int(memory.x[base + reg.M_STATUS1]) & reg.S1_HOME_SEARCH:
             offset = read_word_signed(memory.x, base + reg.M_IXX26_IXX80) / 16.0
-            target = captured + offset * unit
+            target = captured + self.backlash(motor) + offset * unit
             memory.x[base + reg.M_STATUS1] &= ~reg.S1_HOME_SEARCH & 0xFFFFFF
             memory.y[base + reg.M_STATUS2] |= reg.S2_HOME_COMPLETE
             memory.y[base + reg.M_HOME_CAPTURE] = round(captured / unit) & 0xFFFFFF

@@ -110,3 +110,15 @@ def test_background_reports(moving: Card, ask: Ask) -> None:
     before = moving.memory.read_bytes(0x674, 0x90)
     moving.run_cycles(60)
     assert moving.memory.read_bytes(0x674, 0x90) == before
+
+
+def test_backlash_shows_in_no_report_of_position(moving: Card, ask: Ask) -> None:
+    ask_motors(moving, 1)
+    ask("I185=100 I186=1600 I187=16 I47=1 I48=1 #1J=1000")
+    moving.run_cycles(2000)
+    ask("#1J=500")
+    moving.run_cycles(2000)
+    assert int(moving.memory.y[0x80 + 0x61]) == 1600
+    assert float(ask("#1P")) == pytest.approx(500, abs=2)
+    assert long(moving, 0x9C) / UNIT == pytest.approx(500, abs=2)
+    assert abs(long(moving, 0x74) / UNIT) < 2

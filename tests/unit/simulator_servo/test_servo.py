@@ -374,9 +374,28 @@ def test_backlash_is_taken_up_after_a_reversal(enabled):
     assert status2(enabled) & reg.S2_BACKLASH_DIRECTION
     assert encoder_ct(enabled) == pytest.approx(forward - 1000 - 20, abs=1)
     assert int(enabled.memory.y[0x80 + reg.M_IXX86]) == 16 * 20
+    # SRM p. 148: the reported position does not show it, nor does opening and closing the loop.
+    assert enabled.position(1) == pytest.approx(1000, abs=1)
+    enabled.kill(1)
+    enabled.run(20)
+    assert enabled.position(1) == pytest.approx(1000, abs=1)
+    enabled.enable(1)
+    enabled.run(500)
+    assert enabled.position(1) == pytest.approx(1000, abs=1)
+    assert encoder_ct(enabled) == pytest.approx(forward - 1000 - 20, abs=1)
+    enabled.jog_to(1, "^", 0.0)
+    enabled.run(500)
+    assert enabled.position(1) == pytest.approx(1000, abs=1)
     enabled.jog_to(1, "=", 2000.0)
     enabled.run(1500)
     assert encoder_ct(enabled) == pytest.approx(forward, abs=1)
+    enabled.jog_to(1, "=", 1000.0)
+    enabled.run(1500)
+    enabled.kill(1)
+    enabled.reset_position(1)
+    enabled.run(5)
+    assert enabled.position(1) == pytest.approx(0, abs=1)
+    assert enabled.position(1) == enabled.commanded(1)
 
 
 def test_offset_and_friction_feedforward_reach_the_output(enabled):
