@@ -156,6 +156,8 @@ def _rapid(
         limits = system.card.rapid_limits(motor)
         plans[motor] = traj.jog_to(planner.position[motor], 0.0, limits, end, flags=traj.TIMED)
     longest = max((_total(p) for p in plans.values()), default=0.0)
+    if not math.isfinite(longest):  # a speed of zero: all stand until the program is aborted
+        plans = {m: [traj.Segment(longest, (planner.position[m],), traj.TIMED)] for m in ends}
     for motor, plan in plans.items():
         stretched = _stretched(plan, longest)
         if not stretched:

@@ -346,9 +346,17 @@ def jog_to(
     *,
     flags: int = JOGGING | TIMED,
 ) -> list[Segment]:
-    """Jog from a present state (units, units per cycle) that ends at rest exactly on ``target``."""
+    """Jog from a present state (units, units per cycle) that ends at rest exactly on ``target``.
+
+    A speed of zero leads nowhere: the motor stops and stands.
+    """
     segments = _hold(position, velocity, limits.delay_cycles, flags)
     where = _end(segments, position, velocity)[0]
+    if limits.speed == 0.0 and (velocity or where != target):
+        # At no speed the target is never reached: the motor stands until another command.
+        segments += change_of_velocity(where, velocity, 0.0, limits, flags=flags)
+        where = _end(segments, position, velocity)[0]
+        return [*segments, Segment(INDEFINITE, (where,), flags)]
     cruise, cruise_cycles = _cruise(velocity, target - where, limits)
     segments += change_of_velocity(where, velocity, cruise, limits, flags=flags)
     where = _end(segments, position, velocity)[0]
@@ -373,7 +381,7 @@ def _cruise(v0: float, distance: float, limits: JogLimits) -> tuple[float, float
         return first + second
 
     top = limits.speed
-    if top <= 0.0:
+    if top == 0.0:
         return 0.0, 0.0
     if distance >= ramps(top):
         return top, (distance - ramps(top)) / top

@@ -545,3 +545,26 @@ def test_quit_takes_a_dwell_back_that_is_no_more_to_come(card: Card, ask: Ask) -
     assert ask("P61") == "0"
     assert record(card, 3000)[-1] == pytest.approx(3000, abs=0.01)
     assert ask("P61") == "1"
+
+
+def test_a_speed_of_zero_leads_nowhere(card: Card, ask: Ask) -> None:
+    prepare(ask, "RAPID ABS X50000", "X1")
+    card.run_cycles(20)
+    ask("I122=0 #1J=50000")
+    position = record(card, 3000)
+    assert np.abs(position - position[0]).max() < 1
+    ask("#1J/ I122=10 #1J+")
+    card.run_cycles(500)
+    ask("I122=0 #1J=50000")
+    position = record(card, 2000)
+    assert np.abs(np.diff(position)).max() < 10.1 * card.servo.cycle_ms
+    assert position[-1] == position[-100]
+    ask("#1J/")
+    card.run_cycles(200)
+    ask(f"#1J={position[-1]:.0f}")
+    ask("#1J/ I190=1 I116=0 B1R")
+    position = record(card, 3000)
+    assert np.abs(position - position[0]).max() < 1
+    assert ask("A") == ""
+    card.run_cycles(100)
+    assert not card.servo.is_moving(1)
