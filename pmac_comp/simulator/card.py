@@ -149,15 +149,28 @@ class Card:
             chunk = left
             if self._has_background():
                 chunk = min(left, self._next_background - self._elapsed)
+            waiting = [s for s in self.systems.values() if s.running and s.at_interrupt]
+            to_interrupt = self._cycles_to_interrupt() if waiting else left
+            chunk = min(chunk, to_interrupt)
             done = self.servo.run(min(chunk, self.reports.cycles_to_next()))
             self._elapsed += done
             left -= done
             self.reports.passed(done)
+            if done == to_interrupt:
+                for system in waiting:
+                    if system.at_interrupt:
+                        system.tick()
             if self._elapsed >= self._next_background:
                 self._background()
                 late = self._elapsed - self._next_background
                 self._next_background += ks.BACKGROUND_CYCLES * (late // ks.BACKGROUND_CYCLES + 1)
         self.refresh_status()
+
+    def _cycles_to_interrupt(self) -> int:
+        """Servo cycles until the next real-time interrupt is over."""
+        memory = self.memory
+        left = int(memory.y[r.SERVO_COUNTER]) - int(memory.x[r.SERVO_COUNTER]) & 0xFFFFFF
+        return max(1, min(left, int(memory.y[r.RTI_PERIOD]) + 1))
 
     def _has_background(self) -> bool:
         return (
@@ -180,7 +193,8 @@ class Card:
         self.interpreter.background()
         for system in self.systems.values():
             if system.running:
-                system.tick()
+                if not system.at_interrupt:
+                    system.tick()
             elif system.restarting:
                 self._restart(system)
             if system.axes:

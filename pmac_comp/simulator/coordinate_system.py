@@ -35,6 +35,10 @@ _MOST_TAG = 1 << 30
 _ERROR_LABEL, _ERROR_STACK, _ERROR_COUNTER = 6, 5, 3
 
 
+def _at_once() -> bool:
+    return True
+
+
 # Program and bytecode position.
 Place = tuple[Program, int]  # and the index of a statement
 
@@ -81,6 +85,7 @@ class CoordinateSystem(AxisPositions):
         self.planner: Planner | None = None
         self.velocities: dict[str, float] = {}
         self.waiting: Callable[[], bool] | None = None
+        self.at_interrupt = False  # what waits is looked at in the next real-time interrupt
         self._tags = 0
         self.queued: list[int] = []  # tags of what is calculated and has not started
         self._last: LastMove | None = None
@@ -159,6 +164,7 @@ class CoordinateSystem(AxisPositions):
         self.velocities = {}
         self.running, self.single, self.stopping = True, single, False
         self.quitted, self.fresh, self.returned = False, True, False
+        self.at_interrupt = False
         self.queued, self._executing, self._last = [], None, None
         self.set_status()
         self.card.background_needed()
@@ -316,9 +322,10 @@ class CoordinateSystem(AxisPositions):
         variables.write("M", number, value if op == "==" else float(result[op]))
 
     def tick(self) -> None:
-        """Background: what waits for a condition, and the end of the program."""
+        """Background or interrupt: what waits for a condition, and the end of the program."""
         if not self.running or self.hold_point.is_left:
             return
+        self.at_interrupt = False
         if self.waiting is not None:
             if not self.waiting():
                 return
@@ -377,7 +384,7 @@ class CoordinateSystem(AxisPositions):
         elif status == vm.JUMPED_BACK:
             # Two jumps back without a move end blending (p. 433).
             self.settle()
-            self.wait_until(lambda: True)
+            self.wait_for_interrupt()
         return used
 
     def _carry_out(self, frame: Frame, index: int, arguments: tuple[float, ...]) -> None:
@@ -436,8 +443,12 @@ class CoordinateSystem(AxisPositions):
 
     def wait_until(self, true: Callable[[], bool]) -> None:
         """Calculate nothing before a condition holds; the background looks."""
-        self.waiting = true
+        self.waiting, self.at_interrupt = true, False
         self.card.background_needed()
+
+    def wait_for_interrupt(self) -> None:
+        """Calculate nothing before the next real-time interrupt, every I8+1 cycles (p. 433)."""
+        self.waiting, self.at_interrupt = _at_once, True
 
     def rematch(self) -> None:
         """Go on from where the motors are: something else than a move has moved them."""

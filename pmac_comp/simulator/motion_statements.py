@@ -142,7 +142,7 @@ def _stop(system: CoordinateSystem, _statement: Statement, _arguments: Arguments
 def _wait(system: CoordinateSystem, _statement: Statement, _arguments: Arguments) -> None:
     # The condition is tested again at the next chance; the move timer stops meanwhile.
     system.settle()
-    system.wait_until(lambda: True)
+    system.wait_for_interrupt()
 
 
 @_does("block_start")
