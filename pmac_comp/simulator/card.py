@@ -89,6 +89,7 @@ class Card:
         faults: bool = False,
     ) -> None:
         self.bench = bench
+        self.resets = 0
         self.faults = faults
         self.link_faults = LinkFaults()
         self.dpram = dpram if dpram is not None else bench.controller.dpram
@@ -109,7 +110,7 @@ class Card:
         self.dpram_ascii = DpramAscii(self)
         self.systems = {n: CoordinateSystem(self, n) for n in range(1, r.COORDINATE_SYSTEMS + 1)}
         self.flash = Flash(flash)
-        self.clock_shift_s = 0.0  # of TIME= and TODAY=, until the next reset
+        self.clock_shift_s = 0.0  # of TIME and TODAY against the time of the card
         self.ip_address = bytes((192, 6, 94, 5))
         self._elapsed = 0
         self._next_background = ks.BACKGROUND_CYCLES
@@ -345,6 +346,7 @@ class Card:
 
     def reset(self, *, factory: bool = False) -> None:
         """Power-up (``$$$``), or ``$$$***`` which goes to factory values in memory only."""
+        self.resets += 1
         if factory:
             power_up.factory_reset(self)
             self.dpram_ascii.power_up()
@@ -352,7 +354,7 @@ class Card:
         for system in self.systems.values():
             system.axes.clear()
         self.memory.clear()
-        self.clock_shift_s = 0.0
+        self.clock_shift_s = -self.time_s  # there is no clock option (p. 397)
         self.interpreter.reset()
         self.programs.clear_all()
         self.rotary.delete_all()

@@ -50,6 +50,7 @@ class Port:
         self.modal = Modal()
         self._reader = LineReader()
         self._last_line = b""
+        self._resets = card.resets  # that the addressing knows of
 
     def line(self, text: str | bytes) -> bytes:
         """Answer to one command line, framed by I3, I4 and I6."""
@@ -80,6 +81,7 @@ class Port:
     def execute(self, raw: bytes, lines: list[str]) -> tuple[int | None, bool]:
         """Execute a line into `lines`; its error and whether it ends without acknowledgement."""
         self._last_line = raw
+        self._after_reset()
         try:
             constant = _CONSTANT.fullmatch(raw)
             if constant is not None and self._assign_constant(constant):
@@ -92,6 +94,12 @@ class Port:
         except CardError as refusal:
             return refusal.code, False
         return None, context.silent_end
+
+    def _after_reset(self) -> None:
+        """After power-up every port addresses #1 and &1 again (p. 276-277)."""
+        if self._resets != self.card.resets:
+            self._resets = self.card.resets
+            self.modal.power_up()
 
     def _assign_constant(self, match: re.Match[bytes]) -> bool:
         """Carry out ``P5=7`` unless it belongs into an open buffer; False if it does."""
@@ -132,6 +140,7 @@ class Port:
             return bytes([command_sum(event.line_so_far)])
         if code in (_CANCEL, _CONTROL_T):
             return b"\x18" if self.card.variables.int_i(63) else b""
+        self._after_reset()
         self.card.refresh_status()
         text = self.card.status.report(code, self.modal.group)
         if text is not None:

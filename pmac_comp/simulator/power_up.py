@@ -53,6 +53,7 @@ def restore(card: Card) -> bool:
         True if the image is damaged: the card then has its factory values.
     """
     damaged = False
+    card.programs.password, card.programs.unlocked = "", True  # unless it was saved
     try:
         image = card.flash.load()
     except FlashDamaged:
@@ -138,10 +139,14 @@ def _power_up_motors(card: Card) -> None:
 
 def factory_reset(card: Card) -> None:
     """``$$$***``: factory values in memory; flash keeps what it has."""
+    memory = card.memory
     for system in card.systems.values():
+        memory.y[system.base + r.C_STATUS2_ADDRESS] = memory.y[system.base + r.C_STATUS13] = 0
         system.power_up()
     for motor in card.servo.active_motors():
         card.servo.kill(motor)
+    for base in map(r.motor_base, range(1, r.MOTORS + 1)):
+        memory.y[base + r.M_STATUS2] = memory.y[base + r.M_IXX86] = 0
     card.variables.set_factory_values()
     card.programs.clear_all()
     card.programs.password, card.programs.unlocked = "", True

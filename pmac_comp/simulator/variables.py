@@ -23,6 +23,7 @@ _FORMATS = {"U": vm.M_UNSIGNED, "S": vm.M_SIGNED, "D": vm.M_BCD, "C": vm.M_COMPL
 _FORMAT_NAMES = {code: name for name, code in _FORMATS.items()}
 _WHOLE_CELL = {"D": vm.M_D, "L": vm.M_L, "DP": vm.M_DP, "F": vm.M_F}
 _WHOLE_NAMES = {code: name for name, code in _WHOLE_CELL.items()}
+_NIBBLE = 4  # all fields but single bits begin at a multiple of this
 
 
 class Variables:
@@ -216,6 +217,8 @@ def _pack_field(parts: list[str]) -> int:
     else:
         offset, width, rest = first, 1, parts[1:]
     if len(rest) > 1 or width not in FIELD_WIDTHS or offset + width > 24:
+        raise CardError(3)
+    if width > 1 and offset % _NIBBLE:  # p. 360
         raise CardError(3)
     form = rest[0] if rest else "U"
     if form not in _FORMATS:

@@ -79,6 +79,10 @@ class Modal:
     cs: int = 1
     group: int = 0
 
+    def power_up(self) -> None:
+        """Address motor 1, coordinate system 1 and the first group."""
+        self.motor, self.cs, self.group = 1, 1, 0
+
 
 @dataclass
 class LineContext:

@@ -134,12 +134,14 @@ def _open_loop(context: LineContext) -> None:
 @command("$$$***")
 def _factory(context: LineContext) -> None:
     context.card.reset(factory=True)
+    context.modal.power_up()
     context.silent_end = True
 
 
 @command("$$$")
 def _reset(context: LineContext) -> None:
     context.card.reset()
+    context.modal.power_up()
     context.silent_end = True
 
 

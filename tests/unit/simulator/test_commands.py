@@ -84,6 +84,9 @@ def test_answer(ask: Ask, line: str, answer: str) -> None:
         ("@5", 3),
         ("M1->Z:$5", 3),
         ("M1->X:$5,20,8", 3),
+        ("M1->X:$10F0,3,8,D", 3),  # only single bits begin anywhere (SRM p. 360)
+        ("M1->Y:$10F0,2,20", 3),
+        ("M1->Y:$10F0,1,4", 3),
         ("DEFINE LOOKAHEAD 100,100", 3),
         ("OPEN FORWARD", 3),
         ("OPEN BIN ROT", 3),

@@ -119,3 +119,41 @@ def test_factory_reset_keeps_definitions_and_drops_programs(ask: Ask) -> None:
     assert ask("&2#1->") == "100X+5"
     assert ask("LIST PROG 5") == "ERR003"
     assert ask("#1LIST COMP") == "ERR003"
+
+
+def test_reset_addresses_the_first_motor_and_system_again_on_every_port(
+    card: Card, ask: Ask
+) -> None:
+    # SRM p. 276-277.
+    other = card.port()
+    other.line("#5&6##2")
+    ask("#3&2##1")
+    ask("$$$")
+    assert ask("#&##") == "1 1 0"
+    assert other.line("#&##") == b"1\r1\r0\r\x06"
+    ask("#3&2")
+    ask("$$$***")
+    ask("I3=2 I4=0")
+    assert ask("#&") == "1 1"
+
+
+def test_reset_starts_the_clock_and_forgets_an_unsaved_password(card: Card, ask: Ask) -> None:
+    card.run_cycles(round(5.5 / card.bench.servo_period_s))
+    assert ask("TIME") == "00:00:05"
+    ask("TIME=12:00:00 PASSWORD=x")
+    ask("$$$")
+    assert ask("TIME") == "00:00:00"
+    ask("OPEN PLC 4 CLEAR P1=1 CLOSE")
+    assert ask("LIST PLC 4") == "P1=1 RET"
+
+
+def test_factory_reset_clears_the_status_of_motors_and_systems(card: Card, ask: Ask) -> None:
+    fresh = ask("#1?")
+    ask("#1->X #1J/ #1HMZ")
+    card.run_cycles(100)
+    assert int(ask("#1?")[6:], 16) & 1 << 14
+    ask("$$$***")
+    ask("I3=2 I4=0")
+    word = int(ask("#1?")[6:], 16)
+    assert word == 0x078000  # the axis definition stays (p. 273-274)
+    assert fresh[6:] == "000000"
