@@ -183,13 +183,16 @@ def test_f17_a_recovery_that_loses_its_lease_says_what_stands(
 ) -> None:
     torn = Torn(bench)
     lease = f"P{bench.context.block.first + 78}=0"
+    confirmed = 0
     for at in thinned(range(torn.requests()), 9, exhaustive=exhaustive):
         error = torn.recover_disturbed(at, lambda: void(bench.side_port()(lease)))
         if error is not None and error.context.get("confirmed"):
             # Not everything need be as before where the tables are.
             meant = {"old": (ControllerState.OLD, ControllerState.DISABLED)}
             assert error.left in meant.get(acts(bench), (ControllerState.DISABLED,))
+            confirmed += 1
         count_runs(1)
+    assert confirmed
 
 
 def test_f17_tables_switched_off_while_they_come_back_are_not_called_old(

@@ -60,7 +60,7 @@ def test_f01_law_is_old_or_new_at_every_cut(
     total = bench.tap.sent
     assert in_use(bench) == NEW
     points = all_of(range(total)) if exhaustive else range(0, total, 29)
-    seen = set()
+    seen, confirmed = set(), 0
     for n in points:
         put_back(bench, start)
         bench.tap.sent = 0
@@ -77,9 +77,11 @@ def test_f01_law_is_old_or_new_at_every_cut(
         state = ControllerState.NEW if found == NEW else ControllerState.OLD
         if error.context.get("confirmed"):
             assert error.left is state
+            confirmed += 1
         seen.add(state)
         bench.link.command("P7078=0")
     assert ControllerState.OLD in seen
+    assert confirmed
     count_runs(len(points))
 
 

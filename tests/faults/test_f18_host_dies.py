@@ -65,16 +65,18 @@ def test_f02_a_lost_answer_beside_the_guard_is_not_called_certain(
         bench.on_request = lambda _n: ends.append(bench.tap.received)
 
     assert rig.upload_with(note) is None
-    switched_off = 0
+    switched_off = confirmed = 0
     for n in ends:
         error = rig.upload_with(lambda b, n=n: b.tap.schedule([Fault(kind, Way.RECEIVE, n)]))
         rig.bench.clock.sleep_s(0.1)
         if error is not None and error.context["confirmed"]:
             assert error.left is rig.state, n
+            confirmed += 1
         switched_off += rig.bench.p(WRITING) == 1 and not rig.bench.i51
         assert rig.recover() in {ControllerState.OLD, ControllerState.NEW}
         count_runs(1)
     assert switched_off
+    assert confirmed
 
 
 def test_f18_half_written_tables_stay_off_a_moving_axis(tmp_path: Path, count_runs: Count) -> None:

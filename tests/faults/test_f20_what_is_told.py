@@ -91,7 +91,7 @@ def test_f20_a_reset_amid_an_upload_is_told(tmp_path: Path, stands: str, count_r
 
     bench.reconnect()
     change()
-    runs = 0
+    runs = gone = 0
     for k in range(8, last - 1, 3):
         left.put_back()
         bench.reconnect()
@@ -104,9 +104,12 @@ def test_f20_a_reset_amid_an_upload_is_told(tmp_path: Path, stands: str, count_r
         error = error_of(change)
         sure = error is not None and bool(error.context.get("confirmed"))
         runs += error is not None
+        gone += standing(bench) != before
         if error is not None and sure and error.left is ControllerState.OLD:
             assert standing(bench) == before, (k, error.code, error.message)
     assert runs > 3
+    # The upload brings back the tables that it replaces; a program beside them went with the reset.
+    assert (gone > 3) is (stands == "program")
     count_runs(runs)
 
 

@@ -63,7 +63,7 @@ def test_f38_full_disk_at_every_sync(
     disk = FullDisk(monkeypatch)
     disk.for_good = for_good
     assert rig.run() is None
-    total = disk.count
+    total, confirmed = disk.count, 0
     for n in range(0, total, 1 if exhaustive else max(1, total // 5)):
         rig.restart()
         disk.left = n
@@ -76,8 +76,10 @@ def test_f38_full_disk_at_every_sync(
             assert rig.bench.i51 == 0  # by the guard PLC
         elif error.context.get("confirmed"):
             rig.judge(error.left)
+        confirmed += bool(error.context.get("confirmed"))
         rig.recover(resume=bool(n % 2))
         count_runs(1)
+    assert confirmed
 
 
 @pytest.mark.parametrize("for_good", [True, False])
@@ -88,7 +90,7 @@ def test_f38_full_disk_at_every_sync_of_an_upload_of_tables(
     disk = FullDisk(monkeypatch)
     disk.for_good = for_good
     assert rig.upload_with(lambda _b: None) is None
-    total = disk.count
+    total, confirmed = disk.count, 0
 
     def fill(n: int) -> None:
         disk.left = n
@@ -99,8 +101,10 @@ def test_f38_full_disk_at_every_sync_of_an_upload_of_tables(
         assert isinstance(error, StorageFull), (n, error)
         if error.context["confirmed"]:
             assert error.left is rig.state, n
+            confirmed += 1
         assert rig.recover(resume=bool(n % 2)) in {ControllerState.OLD, ControllerState.NEW}
         count_runs(1)
+    assert confirmed == total
 
 
 @pytest.mark.parametrize("how", ["refused", "silent"])
