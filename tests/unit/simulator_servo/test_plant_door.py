@@ -113,9 +113,9 @@ def test_compiled_functions_that_its_author_ran_are_found_again(tmp_path, monkey
     code = "import my_compiled_axis as a; print(a.advanced(0.0, 2.0))"
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
     plant = load_plant(str(tmp_path / "my_compiled_axis.py"), BENCH)
-    assert plant.step(2.0)[0] == pytest.approx(1e-9)
+    assert plant.step(2.0)[0] == pytest.approx(1e-9, rel=1e-6, abs=0.0)
     again = load_plant(str(tmp_path / "my_compiled_axis.py"), BENCH)  # as a changed file would be
-    assert again.step(2.0)[0] == pytest.approx(1e-9)
+    assert again.step(2.0)[0] == pytest.approx(1e-9, rel=1e-6, abs=0.0)
 
 
 def test_compiled_functions_are_found_whatever_the_file_was_called_when_they_were_kept(
@@ -131,7 +131,7 @@ def test_compiled_functions_are_found_whatever_the_file_was_called_when_they_wer
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     monkeypatch.syspath_prepend(tmp_path)
-    assert load_plant(str(file), BENCH).step(2.0)[0] == pytest.approx(1e-9)
+    assert load_plant(str(file), BENCH).step(2.0)[0] == pytest.approx(1e-9, rel=1e-6, abs=0.0)
     assert sys.modules["my_other_axis"].__file__ == str(file)
 
 
