@@ -90,6 +90,9 @@ class Card:
     ) -> None:
         self.bench = bench
         self.resets = 0
+        self.saves_aside = False  # the time of a SAVE passes with the rest, as whoever serves it
+        self.saves = 0
+        self._saved_at = 0
         self.faults = faults
         self.link_faults = LinkFaults()
         self.dpram = dpram if dpram is not None else bench.controller.dpram
@@ -347,6 +350,9 @@ class Card:
     def reset(self, *, factory: bool = False) -> None:
         """Power-up (``$$$``), or ``$$$***`` which goes to factory values in memory only."""
         self.resets += 1
+        if self.is_saving:
+            self._saved_at = self._elapsed
+            self._next_background = self._elapsed + ks.BACKGROUND_CYCLES
         if factory:
             power_up.factory_reset(self)
             self.dpram_ascii.power_up()
@@ -368,11 +374,23 @@ class Card:
             self.memory.x[r.GLOBAL_STATUS] |= r.G1_FLASH_ERROR | r.G1_CHECKSUM
 
     def save(self) -> None:
-        """SAVE: write the flash image; no background task runs meanwhile (p. 394)."""
+        """SAVE: write the flash image; no background task runs meanwhile (p. 394).
+
+        The time it takes passes here, unless a server lets it pass and acknowledges afterwards.
+        """
         self.flash.store(power_up.saved_image(self))
         pause = round(SAVE_TIME_s / self.bench.servo_period_s)
+        self.saves += 1
+        self._saved_at = self._elapsed + pause
+        self._next_background = self._saved_at + ks.BACKGROUND_CYCLES
+        if self.saves_aside:
+            return
         done = 0
         while done < pause:
             done += self.servo.run(pause - done)
         self._elapsed += pause
-        self._next_background = self._elapsed + ks.BACKGROUND_CYCLES
+
+    @property
+    def is_saving(self) -> bool:
+        """Whether a SAVE goes on, which is to be acknowledged when it is over."""
+        return self._elapsed < self._saved_at

@@ -12,6 +12,7 @@ import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, cast
 
 from pmac_comp.simulator.card import Card
@@ -23,7 +24,47 @@ HALF_REQUEST_TIMEOUT_s = 30.0
 _SLICE_s = 0.005  # longest time one client is served before others have their turn
 _PTY_READ = 4096
 
+_SAVE_LOOK_s = 0.005  # between two looks whether a SAVE is over
+
 Session = EthernetSession | AsciiSession
+
+
+class SaveWatch:
+    """Holds an answer back until the SAVE that belongs to it is over (p. 394).
+
+    Parameters
+    ----------
+    card : Card
+        The card.
+    """
+
+    def __init__(self, card: Card) -> None:
+        self._card = card
+        self._known = card.saves
+        self._timer: asyncio.TimerHandle | None = None
+
+    def look(self) -> None:
+        """A command is about to be carried out."""
+        self._known = self._card.saves
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether one has begun with that command."""
+        return self._card.saves != self._known and self._card.is_saving
+
+    def then(self, act: Callable[[], None]) -> None:
+        """Act when it is over."""
+        if self._card.is_saving:
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(_SAVE_LOOK_s, self.then, act)
+        else:
+            self._timer = None
+            act()
+
+    def cancel(self) -> None:
+        """Nobody waits any more."""
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 class StreamClient(asyncio.Protocol):
@@ -57,6 +98,7 @@ class StreamClient(asyncio.Protocol):
         self.timer: asyncio.TimerHandle | None = None
         self.late: asyncio.TimerHandle | None = None
         self.work: deque[Iterator[bytes]] = deque()
+        self.save = SaveWatch(card)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the client, or turn it away when there are too many."""
@@ -85,10 +127,15 @@ class StreamClient(asyncio.Protocol):
             return
         until_s = loop.time() + _SLICE_s
         while self.work:
+            self.save.look()
             answer = next(self.work[0], None)
             if answer is None:
                 self.work.popleft()
                 continue
+            if self.save.has_begun:
+                transport.pause_reading()
+                self.save.then(partial(self._send_late, answer))
+                return
             delay_s = self.card.link_faults.delay_s
             if delay_s and answer:
                 transport.pause_reading()
@@ -111,7 +158,7 @@ class StreamClient(asyncio.Protocol):
         self._watch_half_request()
 
     def _send_late(self, answer: bytes) -> None:
-        """Send an answer that a commanded fault held back, then go on."""
+        """Send an answer that SAVE or a commanded fault held back, then go on."""
         if self.transport is not None:
             self.transport.write(answer)
             self._serve()
@@ -139,6 +186,7 @@ class StreamClient(asyncio.Protocol):
         """Forget the client."""
         del exc
         self.work.clear()
+        self.save.cancel()
         for handle in (self.timer, self.late):
             if handle is not None:
                 handle.cancel()
@@ -162,6 +210,7 @@ class DatagramPort(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: Any) -> None:
         """Answer one datagram; what is no request is dropped."""
         session = self.sessions.pop(addr, None) or EthernetSession(self.card)
+        save = SaveWatch(self.card)
         answers = session.datagram(data)
         if session.closed:
             return
@@ -172,7 +221,9 @@ class DatagramPort(asyncio.DatagramProtocol):
         if self.transport is not None:
             wait_s = self.card.link_faults.delay_s
             for answer in answers:
-                if wait_s:
+                if save.has_begun:
+                    save.then(partial(self.transport.sendto, answer, addr))
+                elif wait_s:
                     loop = asyncio.get_running_loop()
                     loop.call_later(wait_s, self.transport.sendto, answer, addr)
                 else:
@@ -191,6 +242,8 @@ class PseudoTerminal:
         os.set_blocking(self.master, False)
         self.path = os.ttyname(self.slave)
         self.unsent = bytearray()
+        self._save = SaveWatch(card)
+        self._held: bytearray | None = None  # answers from that to SAVE on, while it goes on
 
     def readable(self) -> None:
         """Take characters from the line."""
@@ -198,7 +251,20 @@ class PseudoTerminal:
             data = os.read(self.master, _PTY_READ)
         except (BlockingIOError, OSError):
             return
-        self.send(self.session.receive(data))
+        self._save.look()
+        answer = self.session.receive(data)
+        if self._held is not None:
+            self._held += answer
+        elif self._save.has_begun:
+            self._held = bytearray(answer)
+            self._save.then(self._release)
+        else:
+            self.send(answer)
+
+    def _release(self) -> None:
+        held, self._held = self._held, None
+        if held:
+            self.send(bytes(held))
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line; what nobody reads is dropped beyond the limit."""
@@ -211,6 +277,7 @@ class PseudoTerminal:
 
     def close(self) -> None:
         """Give the line back."""
+        self._save.cancel()
         self.session.close()
         os.close(self.master)
         os.close(self.slave)

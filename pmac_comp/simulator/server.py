@@ -117,6 +117,8 @@ class SimulatorServer:
             self.card, options.factor, options.pace, after_chunk=self._announce, tell=self.tell
         )
         self._schedule_force()
+        # A host in this process waits for the answer while it grants no time.
+        self.card.saves_aside = options.pace is None
         warm_up(self.card)
         async with contextlib.AsyncExitStack() as stack:
             try:
