@@ -130,3 +130,18 @@ def test_in_process_the_time_passes_at_once(card: Card) -> None:
     assert port.line("SAVE") == ACK
     assert card.time_s - before_s == pytest.approx(SAVE_TIME_s, abs=1e-3)
     assert not card.is_saving
+
+
+def test_a_save_that_a_program_commands_stops_the_background_too(card: Card) -> None:
+    port = card.port()
+    card.saves_aside = True
+    for line in ("I5=2", 'OPEN PLC 1 CLEAR P9=P9+1 IF(P9=3) CMD"SAVE" ENDIF CLOSE', "ENABLE PLC 1"):
+        assert port.line(line) == ACK
+    while not card.is_saving:
+        card.run_cycles(1)
+    scans = port.line("P9")
+    card.run_cycles(round(0.9 * SAVE_TIME_s / card.bench.servo_period_s))
+    assert (card.is_saving, port.line("P9")) == (True, scans)
+    card.run_cycles(round(0.2 * SAVE_TIME_s / card.bench.servo_period_s))
+    assert not card.is_saving
+    assert port.line("P9") != scans
