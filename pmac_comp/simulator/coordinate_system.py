@@ -211,6 +211,8 @@ class CoordinateSystem(AxisPositions):
                 if self.card.servo.is_open_loop(motor):
                     raise CardError(12)
             self.hold_point.return_to()
+            if self.quitted:
+                self._wind_up()
         self.holding = False
         self.card.memory.y[self.base + r.C_TIMEBASE_SOURCE] = 0
 
@@ -222,16 +224,21 @@ class CoordinateSystem(AxisPositions):
     def quit(self) -> None:
         """Q: no further move is calculated, and at most one follows the executing one (p. 388)."""
         if self.running and not self.stopping:
-            self._take_back()
             self.stopping = self.quitted = True
             self.set_status()
             self.waiting = None
-            self.settle()
+            if not self.hold_point.is_left:
+                self._wind_up()
+
+    def _wind_up(self) -> None:
+        """After Q: what is planned comes to a stop, where the motors are on their way."""
+        self._take_back()
+        self.settle()
 
     def _take_back(self) -> None:
         """Take back the last calculated move if it is the second behind the executing one."""
         last, self._last = self._last, None
-        if last is None or self.single or self._executing is None or self.hold_point.is_left:
+        if last is None or self.single or self._executing is None:
             return
         behind = [tag for tag in self.queued if tag not in last.tags]
         if not behind or len(behind) == len(self.queued):

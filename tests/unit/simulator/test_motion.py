@@ -568,3 +568,24 @@ def test_a_speed_of_zero_leads_nowhere(card: Card, ask: Ask) -> None:
     assert ask("A") == ""
     card.run_cycles(100)
     assert not card.servo.is_moving(1)
+
+
+def test_quit_in_feed_hold_waits_for_the_motor_that_was_jogged_away(card: Card, ask: Ask) -> None:
+    prepare(ask, "LINEAR ABS TA100 TS0 TM500", "X1000", "X2000", "X3000", "X4000")
+    ask("I5195=200000 I5194=200000 I122=10")
+    run(card, ask, 500)
+    ask("&1H")
+    card.run_cycles(300)
+    assert ask("#1J:300") == ""
+    card.run_cycles(1500)
+    assert ask("&1Q") == ""
+    position = record(card, 300)
+    assert position[-1] == position[0]
+    assert ask("#1J=") == ""
+    card.run_cycles(1500)
+    assert ask("&1R") == ""
+    position = record(card, 5000)
+    assert np.abs(np.diff(position)).max() < 3
+    assert position[-1] == pytest.approx(2000, abs=0.01)
+    assert ask("&1R") == ""
+    assert record(card, 5000)[-1] == pytest.approx(4000, abs=0.01)
