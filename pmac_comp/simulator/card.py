@@ -168,7 +168,9 @@ class Card:
                 self._background()
                 late = self._elapsed - self._next_background
                 if late >= 0:  # no command in it was SAVE
-                    self._next_background += ks.BACKGROUND_CYCLES * (late // ks.BACKGROUND_CYCLES + 1)
+                    self._next_background += ks.BACKGROUND_CYCLES * (
+                        late // ks.BACKGROUND_CYCLES + 1
+                    )
         self.refresh_status()
 
     def _cycles_to_interrupt(self) -> int:
