@@ -6,7 +6,7 @@ Control characters are written ``^K``. Imports the commander and, for a Power PM
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
-from pmac_comp.base.errors import CommandRefused
+from pmac_comp.base.errors import CommandRefused, ReplyTimeout
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.machine.wire.errors import error_meaning, error_text
@@ -49,6 +49,10 @@ def terminal_of(commander: Commander) -> Ask:
         refused = False
         try:
             shown = commander.command(line)
+        except ReplyTimeout:
+            if not line.strip().startswith("$$$"):
+                raise
+            shown = ["(no card acknowledges a reset; it may take some seconds)"]
         except CommandRefused as error:
             refused = True
             shown = [str(text) for text in _list(error.context["lines"])]

@@ -12,6 +12,7 @@ from pmac_comp.base.errors import (
     LinkLost,
     LocalProtocolError,
     RemoteProtocolError,
+    ReplyTimeout,
 )
 from pmac_comp.machine.client.batches import buffer_batches, line_batches, merged_runs
 from pmac_comp.machine.client.commander import Commander
@@ -288,6 +289,24 @@ def test_a_terminal_shows_refusals_and_goes_on():
     assert ask("^K") == []
     assert ask("  ") == []
     assert card.controls == [11]
+
+
+@pytest.mark.parametrize("line", ["$$$", "$$$***", "SAVE"])
+def test_a_terminal_waits_for_no_acknowledge_of_a_reset(monkeypatch, line):
+    """No card gives one (SRM p. 273); a command that is not answered is an error as before."""
+    commander = conversation()
+
+    def silent(_line):
+        raise ReplyTimeout("the card did not answer in time")
+
+    monkeypatch.setattr(commander, "command", silent)
+    if line == "SAVE":
+        with pytest.raises(ReplyTimeout):
+            terminal_of(commander)(line)
+        return
+    answer = terminal_of(commander)(line)
+    assert not answer.is_refusal
+    assert "acknowledges" in answer[0]
 
 
 def test_limits_are_reached_and_not_passed():
