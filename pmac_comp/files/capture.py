@@ -32,6 +32,12 @@ _COLUMNS: dict[str, tuple[str, str, float]] = {
     "torque_command_Nm": ("torque_command_Nm", "N m", 1.0),
     "desired_position_mm": ("desired_position_m", "mm", 1.0 / MM_PER_M),
 }
+# Endings of further columns, the longer ones first.
+_UNITS = {
+    "mm_per_s": "mm/s", "m_per_s2": "m/s2", "m_per_s": "m/s", "rad_per_s": "rad/s", "mm": "mm",
+    "um": "um", "m": "m", "s": "s", "ms": "ms", "us": "us", "Hz": "Hz", "Nm": "N m", "N": "N",
+    "ct": "ct", "V": "V", "A": "A", "C": "degC", "bar": "bar", "rad": "rad", "deg": "deg",
+}  # fmt: skip
 _REQUIRED = ("time_s", "commanded_position_mm", "motor_position_mm")
 _VALID = "valid"
 PREDICTED = "predicted by a model, not measured"  # what such a capture says under ``source``
@@ -260,6 +266,17 @@ def write_capture(path: Path | str, capture: Capture) -> None:
         ) from error
 
 
+def predicted_remarks(captures: Iterable[Capture]) -> tuple[str, ...]:
+    """That captures are no measurements but predictions of a model, where some are."""
+    found = [capture.attributes.get("source") == PREDICTED for capture in captures]
+    if not any(found):
+        return ()
+    return (
+        f"{sum(found)} of {len(found)} captures are predictions of a model, not measurements: no "
+        "figure made from them says anything of the axis",
+    )
+
+
 def holds_runs(path: Path) -> bool:
     """Whether a file holds a run that no computation brings back: a capture that is no prediction.
 
@@ -340,7 +357,10 @@ def _to_columns(capture: Capture) -> tuple[dict[str, FloatArray], dict[str, str]
 
 
 def _unit_of(name: str) -> str:
-    return name.rsplit("_", 1)[-1] if "_" in name else "1"
+    """Unit that a column of others has by its name; empty where it tells none that is known."""
+    found = next((unit for end, unit in _UNITS.items() if name.endswith(f"_{end}")), "")
+    is_rate = "_per_" in name and "/" not in found
+    return "" if is_rate else found
 
 
 def _read_hdf5(path: Path) -> Capture:

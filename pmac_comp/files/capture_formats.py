@@ -7,7 +7,7 @@ Imports ``base`` only; h5py and scipy are loaded on use.
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +134,7 @@ def read_csv(path: Path) -> tuple[dict[str, FloatArray], dict[str, Attribute]]:
             code="PC-CAP-016",
             hint="Export with commas between columns and a point in numbers.",
         )
+    _require_names(names)
     rows = _number_rows(lines[1:], len(names))
     return {name: rows[:, i].copy() for i, name in enumerate(names)}, attributes
 
@@ -142,6 +143,19 @@ def _csv_attributes(lines: list[str]) -> dict[str, Attribute]:
     parts = [line[1:].partition("=") for line in lines]
     # A spreadsheet fills each line up to the width of the table.
     return {key.strip(): value.rstrip(",").strip() for key, _, value in parts}
+
+
+def _require_names(names: Collection[str]) -> None:
+    """Refuse columns that no HDF5 file could hold: without a name, a dot, with a slash."""
+    wrong = [name for name in names if not name or name == "." or "/" in name]
+    if wrong:
+        raise CaptureError(
+            f"a column is named {wrong[0]!r}."
+            if wrong[0]
+            else "a column has no name, as an index of pandas.",
+            code="PC-CAP-021",
+            hint="Name each column, without a slash (pandas: to_csv(index=False)).",
+        )
 
 
 def _csv_names(lines: list[str]) -> list[str]:
@@ -177,12 +191,20 @@ def write_csv(path: Path, columns: Columns, attributes: Mapping[str, Attribute])
     out = io.StringIO()
     out.write(",".join(columns) + "\n")
     table = np.column_stack(list(columns.values()))
-    # 0.1 nm in mm and 0.1 ns in s: far below any resolution, so a round trip loses nothing.
-    np.savetxt(
-        out, table, delimiter=",", fmt=["%.10g" if n != "time_s" else "%.10f" for n in columns]
-    )
+    np.savetxt(out, table, delimiter=",", fmt=[_digits(name) for name in columns])
     write_attributes(path, out.getvalue(), attributes)
     atomic_write_text(path, out.getvalue())
+
+
+def _digits(name: str) -> str:
+    """Format of a column: a round trip loses nothing.
+
+    0.1 nm in mm and 0.1 ns in s are far below any resolution; of columns of others (a time of day,
+    a count) it is not known.
+    """
+    if name == "time_s":
+        return "%.10f"
+    return "%.10g" if name.endswith(("_mm", "_Nm")) else "%.16g"
 
 
 def read_mat(path: Path) -> dict[str, Any]:

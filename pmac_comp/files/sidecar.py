@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Final
 
 from pmac_comp.base.atomic import atomic_write_text
+from pmac_comp.base.errors import CaptureError
 
 Attribute = str | float | int
 _SUFFIX: Final = ".attributes.json"
+_KEYS: Final = {"about", "sha256", "attributes"}
 
 
 def sidecar_of(path: Path) -> Path:
@@ -26,13 +28,33 @@ def write_attributes(path: Path, content: str, attributes: Mapping[str, Attribut
     """Attributes of a CSV capture that is about to be written with ``content``.
 
     OSError leaves an earlier pair of files as it was, or its attributes without a file they are of.
+
+    Raises
+    ------
+    CaptureError
+        A file of that name is none of ours.
     """
+    if sidecar_of(path).exists() and not is_sidecar(sidecar_of(path)):
+        raise CaptureError(
+            f"There is a file {sidecar_of(path)} that holds no attributes of a capture; what is "
+            "known of this one would be written over it.",
+            code="PC-CAP-020",
+            hint="Name another file for the result, or move that one. Nothing was written.",
+        )
     kept = {
         "about": f"attributes of {path.name}, as long as its SHA-256 is this",
         "sha256": hashlib.sha256(content.encode("utf-8")).hexdigest(),
         "attributes": dict(attributes),
     }
     atomic_write_text(sidecar_of(path), json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
+
+
+def is_sidecar(path: Path) -> bool:
+    """Whether a file holds the attributes of a CSV capture."""
+    try:
+        return bool(json.loads(path.read_text(encoding="utf-8")).keys() == _KEYS)
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 def read_attributes(path: Path) -> dict[str, Attribute]:

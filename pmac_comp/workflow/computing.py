@@ -16,7 +16,7 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import Capture, predicted_remarks
 from pmac_comp.machine.controller.comp_table import CT16_PER_CT
 from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
@@ -377,6 +377,7 @@ def compensate_files(
         "file": out,
         "summary": summary,
         "remarks": [
+            *predicted_remarks([*slow_runs, *runs]),
             *cuts,
             *sums,
             *table_remarks(loaded, compensation),

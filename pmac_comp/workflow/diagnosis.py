@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, file_digest, read_capture
+from pmac_comp.files.capture import PREDICTED, Capture, file_digest, read_capture
 from pmac_comp.files.model_file import ModelFile, write_model, written_for
 from pmac_comp.workflow.identification import acted_in, load_model, user_effects
 from pmac_comp.workflow.same_axis import (
@@ -51,6 +51,8 @@ class DiagnosisOutcome:
     def findings(self) -> list[str]:
         """What was found beside the effects, in sentences."""
         remarks = [self.remark] if self.remark else []
+        if PREDICTED in self.sources:
+            remarks.append("Some captures are predictions of a model, not measurements.")
         return remarks + [f"Finding: {finding.text}." for finding in self.diagnosis.findings]
 
     def commands(self) -> list[str]:

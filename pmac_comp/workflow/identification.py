@@ -17,6 +17,7 @@ from pmac_comp.files.capture import (
     PREDICTED,
     Capture,
     file_digest,
+    predicted_remarks,
     read_capture,
     told_by,
     write_capture,
@@ -80,7 +81,7 @@ class IdentificationOutcome:
 
     def statements(self) -> tuple[str, ...]:
         """Identifiability in words."""
-        return tuple(self.identification.statements)
+        return (*predicted_remarks(self.captures), *self.identification.statements)
 
     def as_result(self) -> dict[str, Any]:
         """Mapping for ``--json``."""
@@ -90,7 +91,7 @@ class IdentificationOutcome:
             "figures": dict(self.identification.figures),
             "method": self.identification.method,
             "sources": told_by(self.captures, "source"),  # a simulation is never called measured
-            "statements": list(self.identification.statements),
+            "statements": list(self.statements()),
         }
 
 

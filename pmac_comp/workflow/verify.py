@@ -17,7 +17,7 @@ from pmac_comp.base.documents import document
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.files.capture import PREDICTED, Capture, predicted_remarks, write_capture
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
@@ -104,7 +104,12 @@ def verify_files(
     compensation = None if law is None else read_compensation(law)
     runs = _by_name(after, sides[1])
     told = check_acted(runs, compensation, str(law), loaded)
-    remarks = (*told, *_unknown_remarks(runs), *([_NO_FILE] if law is None else []))
+    remarks = (
+        *predicted_remarks([*sides[0], *sides[1]]),
+        *told,
+        *_unknown_remarks(runs),
+        *([_NO_FILE] if law is None else []),
+    )
     static, ringing = _special(loaded, sides)
     first, second = ([c for c in side if not _is_special(c)] for side in sides)
     if not first and not second and (static is not None or ringing is not None):
@@ -168,7 +173,8 @@ def _is_special(capture: Capture) -> bool:
 
 
 def _is_simulated(capture: Capture) -> bool:
-    return "simulated" in str(capture.attributes.get("source", ""))
+    source = str(capture.attributes.get("source", ""))
+    return "simulated" in source or source == PREDICTED
 
 
 def _special(

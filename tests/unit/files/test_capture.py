@@ -1,6 +1,7 @@
 """Captures: round trips, and every way in which a file can be bad."""
 
 import csv
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -11,9 +12,11 @@ from pmac_comp.files.capture import (
     PREDICTED,
     Capture,
     holds_runs,
+    predicted_remarks,
     read_capture,
     write_capture,
 )
+from pmac_comp.files.kinds import kind_to_keep
 from pmac_comp.files.sidecar import sidecar_of
 
 PERIOD_s = 3707733 / 8388608 / 1e3
@@ -69,6 +72,37 @@ def test_attributes_beside_a_csv_count_for_its_content_only(tmp_path, beside):
     assert holds_runs(tmp_path / "run.csv")
 
 
+def test_a_file_of_others_beside_a_csv_is_not_replaced(tmp_path):
+    sidecar_of(tmp_path / "run.csv").write_text('{"mine": 1}')
+    with pytest.raises(CaptureError, match="holds no attributes"):
+        write_capture(tmp_path / "run.csv", _capture())
+    assert sidecar_of(tmp_path / "run.csv").read_text() == '{"mine": 1}'
+    assert not (tmp_path / "run.csv").exists()
+    write_capture(tmp_path / "b.csv", _capture())
+    write_capture(tmp_path / "b.csv", _capture())
+    assert kind_to_keep(sidecar_of(tmp_path / "b.csv")) == "file of attributes of a capture"
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+def test_columns_of_others_keep_their_digits_and_no_unit_is_made_up(tmp_path, suffix):
+    unix_s = 1764268803.444506 + np.arange(50) * PERIOD_s
+    extra = {"unix_s": unix_s, "feed_mm_per_s": unix_s, "flow_per_s": unix_s, "pump_on": unix_s}
+    write_capture(tmp_path / f"run{suffix}", replace(_capture(50), extra=extra))
+    back = read_capture(tmp_path / f"run{suffix}")
+    for values in back.extra.values():
+        np.testing.assert_allclose(values, unix_s, rtol=0.0, atol=1e-6)
+    if suffix == ".h5":
+        with h5py.File(tmp_path / "run.h5") as file:
+            units = {name: str(file[name].attrs["units"]) for name in extra}
+        assert units == {"unix_s": "s", "feed_mm_per_s": "mm/s", "flow_per_s": "", "pump_on": ""}
+
+
+def test_predictions_among_captures_are_named():
+    assert predicted_remarks([_capture()]) == ()
+    (told,) = predicted_remarks([_capture(), _capture().with_attributes(source=PREDICTED)])
+    assert told.startswith("1 of 2 captures are predictions of a model, not measurements")
+
+
 def test_hdf5_columns_carry_the_names_and_units_of_csv_files(tmp_path):
     write_capture(tmp_path / "run.h5", _capture())
     with h5py.File(tmp_path / "run.h5") as file:
@@ -102,6 +136,8 @@ def test_motor_only_captures_are_captures(tmp_path):
         ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n1,1\n", CaptureError, "row 2"),
         ("", CaptureError, "header"),
         ("time_s,commanded_position_mm,motor_position_mm\n0,0,0\n", CaptureError, "1 samples"),
+        (",time_s,commanded_position_mm,motor_position_mm\n0,0,0,0\n", CaptureError, "no name"),
+        ("time_s,commanded_position_mm,motor_position_mm,m/s\n0,0,0,0\n", CaptureError, "'m/s'"),
         ("time_s,time_s,motor_position_mm\n0,0,0\n", CaptureError, "twice"),
         ("time_s;commanded_position_mm;motor_position_mm\n0;0;0\n", CaptureError, "commas"),
     ],
