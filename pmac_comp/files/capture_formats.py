@@ -199,12 +199,12 @@ def write_csv(path: Path, columns: Columns, attributes: Mapping[str, Attribute])
 def _digits(name: str) -> str:
     """Format of a column: a round trip loses nothing.
 
-    0.1 nm in mm and 0.1 ns in s are far below any resolution; of columns of others (a time of day,
-    a count) it is not known.
+    A millionth of a nm and 0.1 ns are far below any resolution, also of what is made of differences
+    of readings; of columns of others (a time of day, a count) it is not known.
     """
     if name == "time_s":
         return "%.10f"
-    return "%.10g" if name.endswith(("_mm", "_Nm")) else "%.16g"
+    return "%.13g" if name.endswith(("_mm", "_Nm")) else "%.16g"
 
 
 def read_mat(path: Path) -> dict[str, Any]:

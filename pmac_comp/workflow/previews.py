@@ -13,6 +13,8 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller import recovery, rollback, waiting
 from pmac_comp.machine.controller.alike import left_open_alike
+from pmac_comp.machine.controller.manifest import Action
+from pmac_comp.machine.controller.table_recovery import last_upload
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.campaigns import (
@@ -160,7 +162,11 @@ def what_is_open(axis: Axis, journal: Path) -> dict[str, Any]:
     context = context_to_look(axis, journal)
     decision = table_status(axis.link, context).decision
     found = waiting.left_open(context)
-    nothing = "; ".join(filter(None, ("nothing was left open", left_open_alike(context))))
+    off = ""
+    ours = not found and last_upload(context) and not waiting.number_since_ours(axis.link, context)
+    if ours and decision.action is Action.RESUME:
+        off = "its tables are switched off and would act again"
+    nothing = "; ".join(filter(None, ("nothing was left open", off, left_open_alike(context))))
     refusals = recovery.recovery_refusals(axis.link, context)
     return {
         "would_settle": list(found),

@@ -213,16 +213,31 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
     """Comparisons in between; afterwards compensation and motor are as they were found.
 
     After an error the axis is only stopped (``Axis.run`` did that): nobody knows what a further
-    command would meet.
+    command would meet, and who has stopped it does not want it to move to where tables may be
+    switched. The error then says what acted before.
     """
     killed = motors.read_motor(axis.link, axis.motor).status.is_killed
     armed, tables = acting(axis, context)
-    yield
+    try:
+        yield
+    except BaseException as error:
+        error.add_note(_acted_before(armed=armed, tables=tables))
+        raise
     if (armed, tables) != acting(axis, context):
         switch(axis, context, compensation, on=armed)
         switch_tables(axis, on=tables)
     if killed:
         axis.kill()
+
+
+def _acted_before(*, armed: bool, tables: bool) -> str:
+    acted = [text for text, did in (("the law was armed", armed), ("tables acted", tables)) if did]
+    if not acted:
+        return "Before it no compensation acted."
+    return (
+        f"Before it {' and '.join(acted)}; one `pmac-comp upload` of the same compensation, with "
+        "the motor enabled, brings that back."
+    )
 
 
 def acting(axis: Axis, context: Context) -> tuple[bool, bool]:

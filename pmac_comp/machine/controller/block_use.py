@@ -16,11 +16,11 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest
+from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest, ManifestState
 from pmac_comp.machine.controller.numbers import plain
 from pmac_comp.machine.controller.open_servos import motors_in_open_servo
-from pmac_comp.machine.controller.settings import MOTORS
-from pmac_comp.machine.controller.variables import VARIABLES, answers, read_range
+from pmac_comp.machine.controller.settings import MOTORS, plc_runs
+from pmac_comp.machine.controller.variables import VARIABLES, answers, read_one, read_range
 from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
@@ -51,9 +51,9 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
         for k, value in enumerate(values)
         if value != 0.0 and k not in left_out
     }
-    other = _overlapping(link, block)  # of whatever marks this block has: both would be at work
-    if other is not None:
-        return [_overlap_refusal(block, other)]
+    others = _others(link, block)  # of whatever marks this block has: both would be at work
+    if others:
+        return [_overlap_refusal(block, others[0][0])]
     if marked or not used:
         return []
     told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
@@ -70,22 +70,56 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
     ]
 
 
-def _overlapping(link: Link, block: LawBlock) -> int | None:
-    """First variable of a block of ours that begins elsewhere and reaches into this one.
+def law_over_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
+    """Refusal to write anything into a block that the law of another bench file reaches into.
 
-    It is known by a law, with its motor, or by a whole manifest of tables.
+    A manifest or a lease there would take the place of coefficients by which a law that may be
+    armed sends torque.
+    """
+    return [_law_refusal(block, first) for first, is_law in _others(link, block) if is_law]
+
+
+def _others(link: Link, block: LawBlock) -> list[tuple[int, bool]]:
+    """First variables of blocks of ours that begin elsewhere and reach into this one.
+
+    Each is known by a law, with its motor (True), or by a whole manifest of tables (False).
     """
     low = max(0, block.first - BLOCK_SIZE + 1)
     high = min(VARIABLES, block.first + 2 * BLOCK_SIZE)
     values = read_range(link, "P", low, high - 1)
     signatures, manifest = {SIGNATURE_PLC, SIGNATURE_SERVO}, int(Index.MANIFEST)
+    found: list[tuple[int, bool]] = []
     for k in range(min(high - low, 2 * BLOCK_SIZE - 1)):
         motor = values[k + Index.MOTOR] if k + Index.MOTOR < len(values) else 0.0
-        has_law = values[k] in signatures and 1 <= motor <= MOTORS
-        has_tables = Manifest.told_by(values[k + manifest : k + manifest + MANIFEST_SIZE])
-        if (has_law or has_tables) and low + k != block.first:
-            return low + k
-    return None
+        is_law = values[k] in signatures and 1 <= motor <= MOTORS and low + k != block.first
+        has_law = is_law and _runs(link, values[k], int(motor))
+        tables = Manifest.from_values(values[k + manifest : k + manifest + MANIFEST_SIZE])
+        # After a removal a manifest of no entries is left, which hinders nobody.
+        in_use = tables is not None and (
+            tables.n_entries > 0 or tables.state is ManifestState.WRITING
+        )
+        if (has_law or in_use) and low + k != block.first:
+            found.append((low + k, has_law))
+    return found
+
+
+def _runs(link: Link, signature: float, motor: int) -> bool:
+    """Whether what could run a law does; one that was taken off leaves its signature behind."""
+    if signature == SIGNATURE_PLC:
+        return plc_runs(link, 0)
+    return bool(int(read_one(link, f"I{motor}59")) & 1)
+
+
+def _law_refusal(block: LawBlock, other: int) -> SafetyRefusal:
+    last = BLOCK_SIZE - 1
+    return SafetyRefusal(
+        f"The law of another bench file of this card, P{other}..{other + last}, reaches into the "
+        f"p_block P{block.first}..{block.first + last}: what is written there would change the "
+        "torque that it sends.",
+        code="PC-COM-012",
+        hint="Take that law off with its bench file ([controller] p_block from "
+        f"P{other}): `pmac-comp remove`; or choose a block apart from it.",
+    )
 
 
 def _overlap_refusal(block: LawBlock, other: int) -> SafetyRefusal:

@@ -205,7 +205,11 @@ def recover_tables(
         )
         crc = status.tables.crc
         return UploadResult(status.decision.state, "table", crc, crc, notes=(note,))
-    return _brought_about(link, context, last, status, resume=resume, alone=alone)
+    was_switched_off = status.decision.action is Action.RESUME and not last.journal.is_open
+    result = _brought_about(link, context, last, status, resume=resume, alone=alone)
+    if was_switched_off and result.verdict is ControllerState.NEW:
+        return replace(result, notes=(*result.notes, "its tables were switched off and act again"))
+    return result
 
 
 def _brought_about(

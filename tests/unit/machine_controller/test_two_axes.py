@@ -339,3 +339,32 @@ def test_a_block_that_overlaps_that_of_another_axis_is_not_to_be_zeroed(
     bench.link.command("P7600=3")
     (told,) = block_use.block_refusals(bench.link, LawBlock(7500))
     assert "'P7500..7689=0'" in told.hint
+
+
+@pytest.mark.parametrize("first_p", [7100, 6900])
+def test_nothing_is_written_into_a_block_that_the_law_of_another_reaches_into(
+    tmp_path: Path, first_p: int
+) -> None:
+    """A removal wrote its manifest over coefficients of an armed law: the motor ran away."""
+    bench = CardBench(tmp_path)
+    put_table(bench, axis_of(bench, "second", first_p), 3)
+    assert block_use.law_over_refusals(bench.link, LawBlock(7000)) == []
+    law_install.install_law(bench.link, bench.context, 1)
+    (told,) = block_use.law_over_refusals(bench.link, LawBlock(first_p))
+    assert told.code == "PC-COM-012"
+    assert "p_block from P7000" in told.hint
+    assert block_use.law_over_refusals(bench.link, LawBlock(7000)) == []
+    assert block_use.law_over_refusals(bench.link, LawBlock(7200)) == []
+    law_install.remove_law(bench.link, bench.context)
+    assert block_use.law_over_refusals(bench.link, LawBlock(first_p)) == []
+
+
+def test_a_block_whose_tables_are_gone_hinders_nobody(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    other = axis_of(bench, "second", 7100)
+    put_table(bench, other, 3)
+    (told,) = block_use.block_refusals(bench.link, LawBlock(7000))
+    assert told.code == "PC-COM-011"
+    remove_tables(bench.link, other, [(TableKind.COMP, 3)])
+    assert not [r for r in block_use.block_refusals(bench.link, LawBlock(7000)) if
+                r.code == "PC-COM-011"]  # fmt: skip
