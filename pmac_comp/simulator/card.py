@@ -246,7 +246,8 @@ class Card:
     def leave_hold_point(self, motor: int) -> None:
         """A motor is about to be moved: in feed hold its trajectory is kept for the program.
 
-        Without a program what was left of a jog is dropped, it goes on from where it stands.
+        Without a program what was left of a jog is dropped, it goes on from where it stands; one
+        that was commanded in the hold moves, and goes on with its velocity.
         """
         system = self.systems[self.servo.coordinate_system(motor)]
         if not system.holding:
@@ -254,7 +255,9 @@ class Card:
         if system.running and motor in system.axes:
             system.hold_point.leave(motor)
         elif self.is_held(motor) and self.servo.is_moving(motor):
-            self.servo.queue.place(motor, self.servo.queue.state(motor)[0])
+            queue = self.servo.queue
+            if not queue.ignores_time_base(motor):
+                queue.place(motor, queue.state(motor)[0])
 
     def is_held(self, motor: int) -> bool:
         """Whether the motor's coordinate system is in feed hold and its time base has run out."""

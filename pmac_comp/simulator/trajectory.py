@@ -132,6 +132,13 @@ class MotionQueue:
             row = self.segments[motor, (int(self.index[motor, I_HEAD]) + i) % DEPTH]
             row[Q_FLAGS] = int(row[Q_FLAGS]) | REAL_TIME
 
+    def ignores_time_base(self, motor: int) -> bool:
+        """Whether what executes now runs at 100 % in feed hold too."""
+        if not self.pending(motor):
+            return False
+        row = self.segments[motor, int(self.index[motor, I_HEAD])]
+        return bool(int(row[Q_FLAGS]) & REAL_TIME)
+
     def pending(self, motor: int) -> int:
         """Number of segments that are executing or waiting."""
         return int(self.index[motor, I_COUNT])

@@ -589,3 +589,21 @@ def test_quit_in_feed_hold_waits_for_the_motor_that_was_jogged_away(card: Card, 
     assert position[-1] == pytest.approx(2000, abs=0.01)
     assert ask("&1R") == ""
     assert record(card, 5000)[-1] == pytest.approx(4000, abs=0.01)
+
+
+@pytest.mark.parametrize("then", ["#1J/", "#1J=0", "#1J-"])
+def test_a_jog_commanded_in_feed_hold_ends_without_a_step(card: Card, ask: Ask, then: str) -> None:
+    """Its velocity fell to nothing within a cycle."""
+    prepare(ask)
+    ask("I120=100 I121=0 I122=32")
+    card.run_cycles(20)
+    assert ask("&1H") == ""
+    card.run_cycles(3000)
+    assert ask("#1J+") == ""
+    moved = record(card, 600)
+    speed = moved[-1] - moved[-2]
+    assert speed > 5.0
+    assert ask(then) == ""
+    after = np.diff(record(card, 600))
+    assert np.max(np.abs(np.diff(after, prepend=speed))) < 0.1 * speed
+    assert after[-1] < 0.5 * speed
