@@ -156,7 +156,15 @@ def _save(
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
     except PmacCompError as error:
         what = "upload" if left is ControllerState.NEW else "rollback"
-        if not link_is_lost(error) and _is_reset(axis, context):
+        reset = False if link_is_lost(error) else _is_reset(axis, context)
+        if reset is None:
+            mark_left(error, left, confirmed=False)
+            error.add_note(
+                f"The {what} itself stands until the next reset; whether SAVE came to its end was "
+                "not seen: `pmac-comp status` tells what stands."
+            )
+            raise
+        if reset:
             mark_left(error, ControllerState.DISABLED, confirmed=False)
             error.add_note(f"The controller was reset: of the {what} what was not saved is gone.")
             raise
@@ -167,13 +175,16 @@ def _save(
         raise
 
 
-def _is_reset(axis: Axis, context: Context) -> bool:
-    """Whether the number is gone that the last upload, or its rollback, left on the controller."""
+def _is_reset(axis: Axis, context: Context) -> bool | None:
+    """Whether the number is gone that the last upload, or its rollback, left on the controller.
+
+    None where the controller does not answer, as while it still saves.
+    """
     last = parts.uploads(context)[-1]
     try:
         return waiting.was_reset(read_change(axis.link, context), last)
     except PmacCompError:
-        return True
+        return None
 
 
 def _after_failure(error: PmacCompError, url: str, bench: str, journal: Path) -> str:
