@@ -68,8 +68,9 @@ class Plcs:
 
     def enable_all(self) -> None:
         """Power-up: every PLC in memory is enabled; I5 decides whether it runs (p. 39)."""
-        for number in self.card.programs.plcs:
-            self.switch("ENABLE", number)
+        for number, program in self.card.programs.plcs.items():
+            if program.statements:
+                self.switch("ENABLE", number)
 
     def opened(self, number: int) -> None:
         """OPEN PLC: disabled, and forgotten where it stood."""

@@ -251,7 +251,7 @@ class ProgramStore:
         for number in range(32):
             flags = int(m.y[r.PLC_TABLE + number]) & (PLC_DISABLED | PLC_OPEN)
             plc = self.plcs.get(number)
-            if plc is None:
+            if plc is None or not (plc.statements or flags & PLC_OPEN):
                 m.y[r.PLC_TABLE + number] = PLC_DISABLED
                 m.x[r.PLC_TABLE + number] = 0
                 continue

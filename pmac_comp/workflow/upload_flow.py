@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
+from pmac_comp.base.errors import ChangeInterrupted, ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors, parts, recovery, rollback, temporary, waiting
@@ -156,6 +156,10 @@ def _save(
         save_checked(axis.link, context, _PROGRAMS.get(route, ()))
     except PmacCompError as error:
         what = "upload" if left is ControllerState.NEW else "rollback"
+        if isinstance(error, ChangeInterrupted) and error.left is not None:
+            mark_left(error, left, confirmed=True)  # the end that was asked for came behind SAVE
+            error.add_note(f"The {what} stands, and was saved to flash.")
+            raise
         reset = False if link_is_lost(error) else _is_reset(axis, context)
         if reset is None:
             mark_left(error, left, confirmed=False)

@@ -202,3 +202,15 @@ def test_password_protects_programs(ask: Ask) -> None:
     assert ask("PASSWORD=geheim") == "ERR002"
     assert ask("PASSWORD=Geheim") == ""
     assert ask("LIST PLC 4") == "P1=1 RET"
+
+
+def test_a_plc_that_holds_nothing_is_none_after_a_reset(card: Card, ask: Ask) -> None:
+    """Its bit 22 was 0, as of one that runs."""
+    for line in ("OPEN PLC 3 CLEAR", "P1=1", "CLOSE", "OPEN PLC 3 CLEAR"):
+        ask(line)
+    assert int(ask("RHY$3103"), 16) >> 23 == 1
+    ask("CLOSE")
+    ask("SAVE")
+    card.reset()
+    card.run_cycles(50)
+    assert (ask("RHY$3103"), ask("LIST PLC 3")) == ("400000", "ERR003")

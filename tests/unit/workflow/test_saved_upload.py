@@ -2,9 +2,11 @@
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -46,6 +48,29 @@ def test_rollback_reaches_the_flash_on_demand_only(
     told = upload_flow.rollback_upload("sim://", "paper", store / "third", persist=True)
     assert (told["verdict"], told["saved"]) == ("OLD", True)
     assert after_reset(axis, card) == 0
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_an_upload_stopped_in_its_save_was_saved_if_that_ended(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, ended: bool
+) -> None:
+    """It was told as lost in a reset that never was."""
+    monkeypatch.setattr(upload_flow, "open_axis", lambda _url, _bench: nullcontext(axis))
+    new = tmp_path / "c.json"
+    write_compensation(new, Compensation("table", CompensationLaw(), lead_map(20.0)))
+    saved = upload_flow.save_checked
+
+    def stopped(*given: Any) -> None:
+        if ended:
+            saved(*given)
+        raise ChangeInterrupted("Stopped.", left=ControllerState.NEW if ended else None)
+
+    monkeypatch.setattr(upload_flow, "save_checked", stopped)
+    with pytest.raises(ChangeInterrupted) as left:
+        upload_flow.upload_file("sim://", "paper", new, tmp_path / "journal", persist=True)
+    assert (left.value.left, left.value.context["confirmed"]) == (ControllerState.NEW, True)
+    assert any("was saved" in note for note in left.value.__notes__) is ended
+    assert not any("reset:" in note for note in left.value.__notes__)
 
 
 HOMED, NOT_STARTED = "2", "4"
