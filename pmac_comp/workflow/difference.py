@@ -24,9 +24,11 @@ from pmac_comp.machine.controller.comp_table import (
 )
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
+from pmac_comp.machine.controller.programs import is_present
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
 from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.owners import is_of_axis
@@ -134,7 +136,7 @@ def difference_on(axis: Axis, context: Context, compensation: Compensation) -> D
         rows += law_rows(axis, bank, after)
         curves += _law_curves(axis, (bank, head.clamp_ct), (after, clamp))
     if compensation.route in MOTION_ROUTES:
-        curves += [_motion_curve(compensation, bench, old)]
+        curves += [_motion_curve(axis, compensation, old)]
     return Difference(tuple(rows), tuple(curves))
 
 
@@ -309,13 +311,24 @@ def _law_curves(
     ]
 
 
-def _motion_curve(compensation: Compensation, bench: Bench, old: list[Table]) -> Curve:
-    """Correction of the known motion over time; what an earlier cam gave is shown beside it."""
-    drawn = draw_motion(compensation, bench)
+def _stands(axis: Axis, compensation: Compensation, old: list[Table]) -> bool:
+    """Whether exactly this known motion is on the card, with the table of its cam."""
+    if compensation.route == "program":
+        return is_present(axis.link, draw_motion(compensation, axis.bench).program)
+    cam = render_cam(compensation, axis.bench)
+    return cam.table.table in old and is_present(axis.link, cam.program)
+
+
+def _motion_curve(axis: Axis, compensation: Compensation, old: list[Table]) -> Curve:
+    """Correction of the known motion over time; what an earlier cam gave is shown beside it.
+
+    What an earlier program drew is not told by its lines: beside another one it counts from none.
+    """
+    bench, drawn = axis.bench, draw_motion(compensation, axis.bench)
     new = (drawn.drawn.position_m - drawn.motion.position_m) * UM_PER_M
-    before = np.zeros(new.size)
+    before = new.copy() if _stands(axis, compensation, old) else np.zeros(new.size)
     cam = next((t for t in old if t.motor == bench.controller.cam_motor_number), None)
-    if isinstance(cam, CompTable) and compensation.route == "cam":
+    if isinstance(cam, CompTable) and compensation.route == "cam" and not before.any():
         place = np.arange(new.size) / max(1, new.size - 1) * cam.span_ct
         before = cam.correction_ct(place) * bench.motor_resolution_m * UM_PER_M
     time_s = drawn.motion.trajectory.time_s

@@ -348,8 +348,11 @@ def keep_learned(
     path = out / _LEARNED
     stands = learned.start if learned.began_learned else "the model's own"
     write_compensation(path, found)
+    lag = ""
+    if compensation.aim is Aim.MECHANICAL:
+        lag = " (it takes the lag of the loop away too: learning goes by the total error)"
     return (
-        f"what was learned is in {path}; on the controller {stands} stands as before, and "
+        f"what was learned is in {path}{lag}; on the controller {stands} stands as before, and "
         f"`pmac-comp upload {shlex.quote(url)} {shlex.quote(str(path))} --bench "
         f"{shlex.quote(bench)}` puts what was learned in its place"
     )

@@ -15,6 +15,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, time_motor_variables
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.difference import difference_on
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.removal import remove_from, standing_on
 from pmac_comp.workflow.upload_plan import preview
@@ -132,3 +133,15 @@ def test_a_rollback_does_not_bring_a_motion_back_over_that_of_another_axis(
     axis.link.write_buffer(["I51=0", "#8DELETE COMP", "OPEN PROG 705 CLEAR", "CLOSE"])
     axis.link.write_buffer(["UNDEFINE ALL"])
     assert upload_flow.rollback_upload(URL, "paper", tmp_path)["verdict"] == "OLD"
+
+
+@pytest.mark.parametrize("route", ["cam", "program"])
+def test_a_known_motion_that_stands_already_changes_nothing(
+    axis: Axis, tmp_path: Path, route: str
+) -> None:
+    """The plan told its whole correction as the largest change."""
+    motion = replace(cam_of(BUMP), route=route)
+    context = context_of(axis, tmp_path)
+    assert difference_on(axis, context, motion).largest_change_um > 1.0
+    deploy(axis, motion, context)
+    assert difference_on(axis, context, motion).largest_change_um == 0.0
