@@ -271,7 +271,8 @@ def remove(
     plan = plan_removal(url, bench)
     parts = [*plan["would_remove"], *plan["motion"]]
     if dry_run or not parts:
-        output.finish(plan, json_target, lambda: output.echo_all(parts or ["nothing to remove"]))
+        told = [*(parts or ["nothing to remove"]), *plan["stays"]]
+        output.finish(plan, json_target, lambda: output.echo_all(told))
         return
     if json_target != "-":
         output.echo_all(parts)

@@ -17,6 +17,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.guard_install import guard_settings
 from pmac_comp.machine.controller.identity import read_identity
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_checks import law_elsewhere
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import read_clock, read_lease
 from pmac_comp.machine.controller.link import Link
@@ -73,6 +74,9 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         head = law_state.read_law_head(axis.link, block)
         form = law_state.running_form(axis.link, head)
         law = _law_text(axis.link, block, form, head)
+        other = law_elsewhere(axis.link, context, axis.motor) if form is LawForm.NONE else None
+        if other is not None:
+            law += f" of this bench file; PLC 0 is the law of the p_block from P{other}"
         elsewhere = waiting.open_elsewhere(axis.link, context)
         flash = flash_refusals(read_head(axis.link, context))
         guard = _guard_text(axis.link, context)

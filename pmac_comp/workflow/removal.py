@@ -25,6 +25,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.definition_use import definitions_in_use
 from pmac_comp.machine.controller.grouping import grouped
 from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.law_checks import law_elsewhere
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.leftovers import (
     REMOVAL,
@@ -191,9 +192,14 @@ def plan_removal(url: str, bench: str) -> dict[str, Any]:
     """
     with open_axis(url, bench) as axis:
         found = standing_on(axis)
+        other = law_elsewhere(axis.link, context_to_look(axis), axis.motor)
         if found.is_empty:
-            return {"would_remove": [], "motion": []}
-        return {"would_remove": found.lines(), "motion": standing_lines(axis, _without(found))}
+            return {"would_remove": [], "motion": [], "stays": _staying(other)}
+        return {
+            "would_remove": found.lines(),
+            "motion": standing_lines(axis, _without(found)),
+            "stays": _staying(other),
+        }
 
 
 def _without(found: Standing) -> Sets:
@@ -217,12 +223,23 @@ def remove_compensation(
             with untouched():
                 found = standing_on(axis)
             results = remove_from(axis, context, found) if not found.is_empty else ()
+            other = law_elsewhere(axis.link, context, axis.motor)
     return {
         "removed": [] if found.is_empty else found.lines(),
         "parts": [result.as_dict() for result in results],
-        "said": [_FLASH] if results else [],
+        "said": [*([_FLASH] if results else []), *_staying(other)],
         "next": f"Bring it back: {rollback_command(url, bench, journal)}",
     }
+
+
+def _staying(other: int | None) -> list[str]:
+    """That PLC 0 is the law of another bench file, which only that one knows."""
+    if other is None:
+        return []
+    return [
+        f"the law of another bench file, whose p_block begins at P{other}, stays in PLC 0 and may "
+        "act: `pmac-comp remove` with that file takes it off"
+    ]
 
 
 def remove_from(axis: Axis, context: Context, found: Standing) -> tuple[UploadResult, ...]:

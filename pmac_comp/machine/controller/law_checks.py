@@ -67,6 +67,13 @@ def owner_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
         return _owners(context, motor, law_standing(link, motor))
 
 
+def law_elsewhere(link: Link, context: Context, motor: int) -> int | None:
+    """First variable of another block whose law stands in PLC 0, if one does."""
+    with untouched():
+        law = law_program(context.block, motor)
+        return block_elsewhere(law_standing(link, motor), LAW, law, context.block)
+
+
 def install_refusals(
     link: Link, context: Context, motor: int, head: LawHead, found: Settings, goal: Settings
 ) -> list[SafetyRefusal]:

@@ -314,6 +314,9 @@ def test_law_and_guard_of_another_axis_are_called_so(tmp_path: Path) -> None:
         "PLC 1 holds the guard of the p_block from P7000, so"
     )
     assert law_checks.owner_refusals(bench.link, first, 1) == []
+    # A removal and `status` by the other bench file say what stays.
+    assert law_checks.law_elsewhere(bench.link, second, 1) == 7000
+    assert law_checks.law_elsewhere(bench.link, first, 1) is None
 
 
 @pytest.mark.parametrize("first_p", [7100, 6900])
