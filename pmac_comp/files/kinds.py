@@ -32,13 +32,13 @@ def kind_to_keep(path: Path) -> str:
         return "capture"
     content = path.read_bytes().removeprefix(BOM_UTF8).lstrip()
     if content.startswith(b"{"):
-        return _kind_of_json(path, content)
+        return _kind_of_json(content)
     # The page of a report may quote a bench file.
     is_bench = not content.startswith(b"<") and _BENCH.search(content) is not None
     return "bench file" if is_bench else ""
 
 
-def _kind_of_json(path: Path, content: bytes) -> str:
+def _kind_of_json(content: bytes) -> str:
     try:
         data: Any = json.loads(content)
     except ValueError:
@@ -47,6 +47,6 @@ def _kind_of_json(path: Path, content: bytes) -> str:
         return COMPENSATION
     if "model_version" in data and "kind" not in data:  # a result of `identify` has one
         return MODEL
-    if is_sidecar(path):
+    if is_sidecar(data):
         return "file of attributes of a capture"
     return "backup" if data.keys() == {"sha256", "body"} else ""

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import CaptureError
@@ -34,7 +34,7 @@ def write_attributes(path: Path, content: str, attributes: Mapping[str, Attribut
     CaptureError
         A file of that name is none of ours.
     """
-    if sidecar_of(path).exists() and not is_sidecar(sidecar_of(path)):
+    if sidecar_of(path).exists() and not is_sidecar(_read(sidecar_of(path))):
         raise CaptureError(
             f"There is a file {sidecar_of(path)} that holds no attributes of a capture; what is "
             "known of this one would be written over it.",
@@ -49,21 +49,25 @@ def write_attributes(path: Path, content: str, attributes: Mapping[str, Attribut
     atomic_write_text(sidecar_of(path), json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
 
 
-def is_sidecar(path: Path) -> bool:
-    """Whether a file holds the attributes of a CSV capture."""
+def is_sidecar(data: Any) -> bool:
+    """Whether what a JSON file holds are the attributes of a CSV capture."""
+    return isinstance(data, dict) and data.keys() == _KEYS
+
+
+def _read(path: Path) -> Any:
+    """What a JSON file holds; None where it is none or cannot be read."""
     try:
-        return bool(json.loads(path.read_text(encoding="utf-8")).keys() == _KEYS)
-    except (OSError, ValueError, AttributeError):
-        return False
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
 
 
 def read_attributes(path: Path) -> dict[str, Attribute]:
     """Attributes of a CSV capture; none where they are of another content, or cannot be read."""
-    try:
-        kept = json.loads(sidecar_of(path).read_text(encoding="utf-8"))
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        found = kept["attributes"] if kept["sha256"] == digest else {}
-        return {str(k): v for k, v in found.items() if isinstance(v, str | int | float)}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    kept = _read(sidecar_of(path))
+    if not is_sidecar(kept) or not isinstance(kept["attributes"], dict):
         return {}
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    found = kept["attributes"] if kept["sha256"] == digest else {}
+    return {k: v for k, v in found.items() if isinstance(v, str | int | float)}

@@ -12,7 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
+from pmac_comp.machine.controller.block_use import law_over_refusals
 from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.lease import card_lock, host_lock
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings_upload import running_refusals
@@ -42,13 +44,23 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
     ------
     LeaseHeld
         Another terminal is at work on this controller.
+    SafetyRefusal
+        The law of another bench file works with variables of the axis' block.
     """
     if _is_own(url):
+        _require_free_block(axis)
         yield
         return
     with card_lock(card_address(url)), host_lock(context_of(axis, axis.setup.store), _SCOPE):
+        _require_free_block(axis)
         yield
         axis.release_axis()  # what was borrowed is back before somebody else may begin
+
+
+def _require_free_block(axis: Axis) -> None:
+    with untouched():
+        block = LawBlock.from_p_block(axis.bench.controller.p_block)
+        raise_all(law_over_refusals(axis.link, block), "Work on this axis")
 
 
 @contextmanager

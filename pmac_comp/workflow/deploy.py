@@ -31,7 +31,7 @@ from pmac_comp.machine.controller import (
     switching,
 )
 from pmac_comp.machine.controller.alike import known_in_folder
-from pmac_comp.machine.controller.block_use import block_refusals, law_over_refusals
+from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.feed_override import jog_refusals
@@ -89,17 +89,8 @@ def context_to_look(axis: Axis, store: Path = DEFAULT_JOURNAL) -> Context:
 
 
 def context_of(axis: Axis, store: Path, progress: Progress | None = None) -> Context:
-    """Limits, folder and names for changes of an axis.
-
-    Raises
-    ------
-    SafetyRefusal
-        The law of another bench file works with variables of the axis' block.
-    """
+    """Limits, folder and names for changes of an axis."""
     require_folder(store)
-    with untouched():
-        block = LawBlock.from_p_block(axis.bench.controller.p_block)
-        raise_all(law_over_refusals(axis.link, block), "The change")
     axis.setup.store = store
 
     def told(step: str, done: int, total: int) -> None:

@@ -311,25 +311,31 @@ def _law_curves(
     ]
 
 
-def _stands(axis: Axis, compensation: Compensation, old: list[Table]) -> bool:
-    """Whether exactly this known motion is on the card, with the table of its cam."""
-    if compensation.route == "program":
-        return is_present(axis.link, draw_motion(compensation, axis.bench).program)
-    cam = render_cam(compensation, axis.bench)
-    return cam.table.table in old and is_present(axis.link, cam.program)
-
-
 def _motion_curve(axis: Axis, compensation: Compensation, old: list[Table]) -> Curve:
     """Correction of the known motion over time; what an earlier cam gave is shown beside it.
 
     What an earlier program drew is not told by its lines: beside another one it counts from none.
     """
-    bench, drawn = axis.bench, draw_motion(compensation, axis.bench)
+    drawn = draw_motion(compensation, axis.bench)
     new = (drawn.drawn.position_m - drawn.motion.position_m) * UM_PER_M
-    before = new.copy() if _stands(axis, compensation, old) else np.zeros(new.size)
-    cam = next((t for t in old if t.motor == bench.controller.cam_motor_number), None)
-    if isinstance(cam, CompTable) and compensation.route == "cam" and not before.any():
-        place = np.arange(new.size) / max(1, new.size - 1) * cam.span_ct
-        before = cam.correction_ct(place) * bench.motor_resolution_m * UM_PER_M
+    if compensation.route == "program":
+        before = new if is_present(axis.link, drawn.program) else np.zeros(new.size)
+    else:
+        before = _before_cam(axis, compensation, old, new)
     time_s = drawn.motion.trajectory.time_s
     return Curve("the correction of the known motion", "um", time_s, "s", before, new)
+
+
+def _before_cam(
+    axis: Axis, compensation: Compensation, old: list[Table], new_um: FloatArray
+) -> FloatArray:
+    """Correction of the cam that acts, um, at the samples of the new one, shape (n,)."""
+    meant = render_cam(compensation, axis.bench)
+    if meant.table.table in old and is_present(axis.link, meant.program):
+        return new_um
+    number = axis.bench.controller.cam_motor_number
+    cam = next((t for t in old if t.motor == number and isinstance(t, CompTable)), None)
+    if not isinstance(cam, CompTable):
+        return np.zeros(new_um.size)
+    place = np.arange(new_um.size) / max(1, new_um.size - 1) * cam.span_ct
+    return cam.correction_ct(place) * axis.bench.motor_resolution_m * UM_PER_M

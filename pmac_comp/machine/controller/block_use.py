@@ -90,15 +90,17 @@ def _others(link: Link, block: LawBlock) -> list[tuple[int, bool]]:
     signatures, manifest = {SIGNATURE_PLC, SIGNATURE_SERVO}, int(Index.MANIFEST)
     found: list[tuple[int, bool]] = []
     for k in range(min(high - low, 2 * BLOCK_SIZE - 1)):
+        if low + k == block.first:
+            continue
         motor = values[k + Index.MOTOR] if k + Index.MOTOR < len(values) else 0.0
-        is_law = values[k] in signatures and 1 <= motor <= MOTORS and low + k != block.first
+        is_law = values[k] in signatures and 1 <= motor <= MOTORS
         has_law = is_law and _runs(link, values[k], int(motor))
         tables = Manifest.from_values(values[k + manifest : k + manifest + MANIFEST_SIZE])
         # After a removal a manifest of no entries is left, which hinders nobody.
         in_use = tables is not None and (
             tables.n_entries > 0 or tables.state is ManifestState.WRITING
         )
-        if (has_law or in_use) and low + k != block.first:
+        if has_law or in_use:
             found.append((low + k, has_law))
     return found
 
