@@ -286,20 +286,21 @@ class Axis:
 
         Friction remembers the approach, and a law that was switched on at standstill does not know
         how the drive got there: where the axis stands on the start already, runs with and without
-        compensation would begin in states that no later run has.
+        compensation would begin in states that no later run has. Where it comes from afar it goes
+        to the start first: the way inward is too short for the integrator to forget a long jog.
         """
         start_m = float(motion.position_m[0])
-        if motors.read_motor(self.link, self.motor).status.is_killed:
-            self.enable()
-        place_m = run_up_m(self.bench, start_m)
-        self.move_to(place_m / self.scales.motor_m_per_ct)
+        self._go_to(start_m)
+        self._go_to(run_up_m(self.bench, start_m))
 
     def _go_to_start(self, motion: Motion) -> None:
-        start_ct = float(motion.position_m[0]) / self.scales.motor_m_per_ct
+        self._go_to(float(motion.position_m[0]))
+        self.link.clock.sleep_s(SETTLE_s)
+
+    def _go_to(self, place_m: float) -> None:
         if motors.read_motor(self.link, self.motor).status.is_killed:
             self.enable()
-        self.move_to(start_ct)
-        self.link.clock.sleep_s(SETTLE_s)
+        self.move_to(place_m / self.scales.motor_m_per_ct)
 
     def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:
         plan = self.plan()
