@@ -24,9 +24,10 @@ from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.resting import with_unwinding
-from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
+from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law, with_drag
 from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.compensate.wobble import WORTH, with_wobble
+from pmac_comp.physics.model import slots
 from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.bench_remarks import loop_remarks
@@ -36,7 +37,9 @@ from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.dynamic_law import (
     GAVE_WAY,
+    NO_TIME_FOR_DRAG,
     constant_remarks,
+    drag_remarks,
     dynamic_law,
     law_remarks,
     turn_errors,
@@ -74,6 +77,7 @@ from pmac_comp.workflow.static_map import Limit, bench_map, covered_m, static_ma
 from pmac_comp.workflow.tables import sum_remarks
 
 _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
+_DRAGS_m = 0.15e-6  # a drag that makes more than that, the aim of e_r, is worth fewer passes
 _SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a law
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
@@ -173,9 +177,41 @@ def compute_compensation(
     more = _against_wobble(bench, model, route, law, wave)
     law = more if route != "law" or fitting_cycles(bench, more) <= law.every_cycles else law
     if captures:
+        law = _with_drag_that_fits(bench, model, route, law, captures, lead, wave)
+        if law.drag_m > 0.0 and slow:
+            lead = static_map(bench, route, slow, law, limit, per_turn_m)
         law = with_unmodelled(bench, law, model, captures, lead)
     backlash = _takes_up(model, law, route, captures, lead)
     return Compensation(route, law, lead, backlash=backlash)
+
+
+def _with_drag_that_fits(
+    bench: Bench,
+    model: Any,
+    route: str,
+    law: CompensationLaw,
+    captures: tuple[Capture, ...],
+    lead: LeadMap | None,
+    wave: LeadWave | None,
+) -> CompensationLaw:
+    """A law with what drags at the table, or with a note of it where PLC 0 has no time for it."""
+    more = _with_drag(model, law, captures, lead, wave)
+    if route != "law" or fitting_cycles(bench, more) <= law.every_cycles:
+        return more
+    return replace(law, provenance={**law.provenance, NO_TIME_FOR_DRAG: more.drag_m})
+
+
+def _with_drag(
+    model: Any,
+    law: CompensationLaw,
+    captures: tuple[Capture, ...],
+    lead: LeadMap | None,
+    wave: LeadWave | None,
+) -> CompensationLaw:
+    """A law with what drags at the table over millimetres, where the captures show it."""
+    mass_kg = model.kernel_vector()[slots.M_TABLE]
+    torque = mass_kg * model.bench.lead_m_per_rad
+    return with_drag(law, model_loop(model, wave), captures, lead, torque_Nm_s2_per_m=torque)
 
 
 def _against_wobble(
@@ -234,14 +270,17 @@ def _law_that_fits(
 ) -> CompensationLaw:
     """Law of a route, for fewer passes than asked where those would take the whole processor.
 
-    Also where it needs a wave against the wobble of the lead, which is added later.
+    Also where it needs a wave against the wobble of the lead, or a drag, which are added later.
     """
     designed = partial(dynamic_law, bench, model, route, (*captures, *slow), progress=progress)
     law = designed(every_cycles=every_cycles, provenance=provenance)
     if route != "law":
         return law
-    wave = wobble_of(bench, bench_map(bench, slow) if slow else None)
-    fitting = fitting_cycles(bench, _against_wobble(bench, model, route, law, wave, _SHAKES))
+    lead = bench_map(bench, slow) if slow else None
+    wave = wobble_of(bench, lead)
+    whole = _against_wobble(bench, model, route, law, wave, _SHAKES)
+    dragging = _with_drag(model, whole, captures, lead, wave)
+    fitting = fitting_cycles(bench, dragging if dragging.drag_m > _DRAGS_m else whole)
     if fitting == every_cycles:
         return law
     return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})
@@ -384,6 +423,7 @@ def compensate_files(
             *law_remarks(drive, route, has_captures=bool(captures), has_slow=bool(slow)),
             *constant_remarks(loaded, law),
             *wobble_remarks(law),
+            *drag_remarks(law),
             *shown_remarks(law),
             *(flank_remarks(law) if route != "table" else ()),
             *loop_remarks(loaded, drive),
@@ -485,15 +525,26 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         out["clearance of the nut um"] = 2.0 * law.gap_half_m * UM_PER_M
         out["taken up over um (each side)"] = law.gap_width_m * UM_PER_M
         out["taken up with a lag of ms"] = law.gap_lag_s * MS_PER_S
-    if law.has_stribeck:
-        out["friction at rest beyond that um (each side)"] = law.stribeck_m * UM_PER_M
-        out["friction torque at rest beyond that Nm"] = law.torque_stribeck_Nm
-        out["fades with the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M
+    out |= _describe_friction(law)
     if law.bed_share > 0.0:
         out["bed that swings, its share of the acceleration %"] = 100.0 * law.bed_share
         out["bed that swings Hz"] = math.sqrt(law.bed_stiffness_per_s2) / (2.0 * math.pi)
     if law.gap_load_m != 0.0:
         out["load on the nut, as its elastic error um"] = law.gap_load_m * UM_PER_M
+    return out
+
+
+def _describe_friction(law: CompensationLaw) -> dict[str, float]:
+    """Friction of a law beside Coulomb's and viscous: near standstill, and over millimetres."""
+    out: dict[str, float] = {}
+    if law.has_stribeck:
+        out["friction at rest beyond that um (each side)"] = law.stribeck_m * UM_PER_M
+        out["friction torque at rest beyond that Nm"] = law.torque_stribeck_Nm
+        out["fades with the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M
+    if law.drag_m > 0.0:
+        out["drag that turns over within mm"] = law.drag_distance_m * MM_PER_M
+        out["that drag um (each side)"] = law.drag_m * UM_PER_M
+        out["that drag's torque Nm"] = law.torque_drag_Nm
     return out
 
 

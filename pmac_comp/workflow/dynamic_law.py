@@ -45,6 +45,7 @@ from pmac_comp.physics.compensate.grip import (
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.ripple import RIPPLE, turn_torque, with_turn_torque
+from pmac_comp.physics.compensate.trim import DRAG
 from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.effect import split_name
@@ -57,6 +58,7 @@ _EXTENSION_STEPS = 32.0  # 1/T extension resolves 1/32 count
 _SHARP_m = 0.5e-6  # in which a law's friction follows a model whose friction does so at once
 _FED_FORWARD = frozenset({"cogging", "friction_per_rev", "friction_asymmetry", RIPPLE})
 GAVE_WAY = "turn_gave_way"  # in a law's provenance
+NO_TIME_FOR_DRAG = "no_time_for_drag_m"  # the same: a drag that PLC 0 has no time for
 
 
 def dynamic_law(
@@ -309,6 +311,28 @@ def wobble_remarks(law: CompensationLaw) -> list[str]:
         f"the wobble of the lead, {law.turn_order:.0f} times a turn, shakes fast moves more than "
         "the torque by the turn does that the runs show: the law has room for one of the two, and "
         "sends what the loop lacks to follow the table"
+    ]
+
+
+def drag_remarks(law: CompensationLaw) -> list[str]:
+    """What drags at the table by the captures, and whether the law holds it, for people."""
+    left_m = law.provenance.get(NO_TIME_FOR_DRAG, 0.0)
+    size_m = law.drag_m or left_m
+    if size_m == 0.0:
+        return []
+    shown = (
+        f"the runs show a drag at the table of {size_m * UM_PER_M:.2f} um each side that turns "
+        "over within millimetres, as of a cable chain, a cover or a wiper: "
+    )
+    if left_m == 0.0:
+        share = 100.0 * law.provenance[DRAG]
+        return [
+            f"{shown}the law holds it (within {law.drag_distance_m * MM_PER_M:.0f} mm; {share:.0f} "
+            "% less is left of the mechanical error that the model does not explain)"
+        ]
+    return [
+        f"{shown}PLC 0 has no time for it in this rhythm; `--every {law.every_cycles + 1}` or "
+        "`--route servo` takes it along"
     ]
 
 

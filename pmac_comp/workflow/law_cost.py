@@ -74,6 +74,7 @@ def _lacks(law: CompensationLaw) -> list[str]:
         "uneven": law.torque_uneven_Nm_s_per_m != 0.0,
         "ripple": law.turn_share != 0.0,
         "bed": law.bed_share > 0.0,
+        "drag": law.drag_m > 0.0,
         "stribeck": law.has_stribeck,
     }
     return [part for part in has if not has[part]]

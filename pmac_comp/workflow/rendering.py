@@ -69,6 +69,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         RF=law.rest_fade_per_s * T,
         UF=law.rest_unwind_per_s * T,
         **(_of_bed(law, K, zero, T, q) if law.bed_share > 0.0 else {}),
+        **(_of_drag(law, K, zero, q) if law.drag_m > 0.0 else {}),
         SX=zero * law.stribeck_m * K,
         TX=law.torque_stribeck_Nm / q,
         SS=1.0 / (law.stribeck_speed_m_per_s * pass_s * K) if law.has_stribeck else 0.0,
@@ -87,6 +88,18 @@ def _of_bed(
         "BD": law.bed_damping_per_s * pass_s,
         "BO": law.bed_stiffness_per_s2 * pass_s**2,
         "BT": torque / (correction_s2 * ct_per_m) if correction_s2 > 0.0 else 0.0,
+    }
+
+
+def _of_drag(
+    law: CompensationLaw, ct_per_m: float, zero: float, torque_per_dac_Nm: float
+) -> dict[str, float]:
+    """Coefficients of what drags at the table, which take the places of a bed."""
+    correction_ct = zero * law.drag_m * ct_per_m
+    return {
+        "BS": -law.drag_distance_m * ct_per_m,
+        "BD": correction_ct,
+        "BT": law.torque_drag_Nm / torque_per_dac_Nm / correction_ct,
     }
 
 

@@ -45,7 +45,7 @@ def static_map(
     NotIdentifiable
         The runs cover a part of the travel only, and ``limit`` is to refuse.
     """
-    none = dict.fromkeys(("coulomb_m", "stribeck_m", "gap_half_m"), 0.0)
+    none = dict.fromkeys(("coulomb_m", "stribeck_m", "gap_half_m", "drag_m"), 0.0)
     removed = law.with_values(**none) if route == "table" else law
     lead = bench_map(bench, slow, removed, per_turn_m)
     if covered_m(bench, lead) is None:

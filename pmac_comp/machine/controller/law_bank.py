@@ -43,6 +43,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     y1 = y1 - y          y2 = y2 + y1                     and place, in passes and by the correction
     b = (b - h y) / (1 + h)                               what the table feels of it, but
         between -y - B0 (1 + s) and -y + B0 (1 - s)     B0 = S0 + SX
+      or, where BS < 0, what drags at the table and turns over within -BS counts:
+    b = (BD d - BS b) / (|d| - BS)                      follows distance as the friction states
     z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction
     e = A0 a + V0 v + VU |v| + (S0 + SX w) s + b         VU, TU: only with a GH of zero
     f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
@@ -192,10 +194,11 @@ class BankIndex(IntEnum):
     NR = 27  # degrees per count, of TR; negative: TR pushes whichever way, as TH does
     SEALED = 28  # the checksum of the others, once the bank was read back
     TI = 29  # DAC units per (count/SC^3), against the ringing that steps of the jerk excite
-    BS = 30  # counts per (count/SC^2), A0 times the bed's share; 0: no bed that swings
-    BD = 31  # 1/pass, damping of the bed
+    BS = 30  # counts per (count/SC^2), A0 times the bed's share; 0: no bed that swings; below zero
+    # counts: the distance within which what drags at the table turns over
+    BD = 31  # 1/pass, damping of the bed; with a BS below zero counts, the size of what drags
     BO = 32  # 1/pass^2, stiffness of the bed
-    BT = 33  # DAC units per count, torque of the table's mass
+    BT = 33  # DAC units per count, torque of the table's mass or of what drags
     SX = 34  # counts, friction at rest beyond S0
     TX = 35  # DAC units, friction torque at rest beyond TC
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
@@ -267,7 +270,7 @@ def _absent(clearance: float, bed: float, share: float) -> tuple[str, ...]:
     by_turn = "RV" if share == 0.0 else "TR"
     if clearance <= 0.0:
         return (by_turn, *_OF_GAP)
-    return (by_turn, *_UNEVEN, *(_RIPPLE if bed > 0.0 else _OF_BED))
+    return (by_turn, *_UNEVEN, *(_RIPPLE if bed != 0.0 else _OF_BED))
 
 
 def _place(name: str, clearance: float) -> BankIndex:
@@ -333,11 +336,12 @@ class LawParameters:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BS", "BD", "BO", "SX", "TX", "SS")
+        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BD", "BO", "SX", "TX", "SS")
         negative = [n for n in sizes if getattr(self, n) < 0.0]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
-        idle = [n for n in _OF_ACCELERATION if getattr(self, n) != 0.0]
+        still = {"BS"} if self.drags else set()
+        idle = [n for n in _OF_ACCELERATION if getattr(self, n) != 0.0 and n not in still]
         if idle and self.JL == 0.0:
             raise ConfigError(
                 f"With a jerk limit JL of zero {', '.join(idle)} would correct nothing.",
@@ -376,6 +380,11 @@ class LawParameters:
     def is_second_cogging(self) -> bool:
         """Whether TR is no friction: it pushes whichever way the screw turns."""
         return self.NR <= 0.0
+
+    @property
+    def drags(self) -> bool:
+        """Whether BS, below zero, is the distance within which what drags turns over."""
+        return self.BS < 0.0
 
     @property
     def is_wobble(self) -> bool:
@@ -417,7 +426,7 @@ class LawParameters:
             )
         try:
             gap, bed = values[BankIndex.GH], values[BankIndex.BS]
-            share = 0.0 if gap > 0.0 and bed > 0.0 else values[_place("RS", gap)]
+            share = 0.0 if gap > 0.0 and bed != 0.0 else values[_place("RS", gap)]
             names = cls._names(gap, bed, share)
             return cls(**{name: values[_place(name, gap)] for name in names})
         except ConfigError as error:
@@ -505,7 +514,7 @@ def evaluate(
     q = q + p.T0 + p.TP * r + wave
     passed = np.abs(v) * p.S_INV
     share = passed / (1.0 + passed)
-    felt = _felt_of_bed(p, a, s, share)
+    felt = _dragged(p, way) if p.drags else _felt_of_bed(p, a, s, share)
     q = q + p.BT * felt
     q = q + (q + p.RT * a + p.RV * v) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
     q = q + cogging + p.TU * np.abs(v)
@@ -544,6 +553,16 @@ def _felt_of_bed(
         value += share[k] * (swing - value)
         free = swing - breaks * friction[k]
         value = min(max(value, free - breaks), free + breaks)
+        felt[k] = value
+    return felt
+
+
+def _dragged(p: LawParameters, way: FloatArray) -> FloatArray:
+    """What drags at the table along the way of the place expected, counts of correction."""
+    felt = np.empty_like(way)
+    value = 0.0
+    for k, step in enumerate(way.tolist()):
+        value = (p.BD * step - p.BS * value) / (abs(step) - p.BS)
         felt[k] = value
     return felt
 

@@ -23,6 +23,7 @@ _PARTS = {
     "ripple": "IF(P7136!=0)",
     "bed": "IF(P7140>0)",
     "stribeck": "IF(P7146>0)",
+    "drag": "IF(P7140<0)",
 }
 
 
@@ -34,9 +35,12 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     (``friction_per_turn``) or, in its place, a wave against the wobble of the lead (``wobble``),
     ``cogging``, a load by place (``place``), the gap of a nut (``gap``), friction that differs by
     direction (``uneven``), torque that ripples in proportion (``ripple``), a bed that swings
-    (``bed``), Stribeck friction (``stribeck``).
+    (``bed``) or, in its place, what drags over millimetres (``drag``), Stribeck friction
+    (``stribeck``).
     """
     skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
+    if "drag" not in lacks:
+        skipped.discard(_PARTS["place"])  # within that
     if set(lacks) >= _BY_TURN:
         skipped.add(_SHARED)
     if "gap" not in lacks:
@@ -121,6 +125,8 @@ _SERVO_PARTS = {
     "bed": "IF(P(P7126)>0)",
     "stribeck": "IF(P(P7126+6)>0)",
 }
+_SERVO_OF_BED = {"bed", "drag"}  # they share a test:
+_SERVO_PLACE_OF_BED = "IF(P(P7126)!=0)"
 _SERVO_WITHOUT_GAP = "IF(P(P7144+26)=0)"
 _SERVO_SKIPPED = (
     "IF(F2=0 OR P7142>16 OR P7142=0)",
@@ -144,7 +150,12 @@ _SERVO_SKIPPED = (
     "IF(P7156>P(P7144+21))",
     "IF(P7156<0-P(P7144+21))",
 )
-_SERVO_TESTS = {*_SERVO_SKIPPED, *_SERVO_PARTS.values(), _SERVO_WITHOUT_GAP}
+_SERVO_TESTS = {
+    *_SERVO_SKIPPED,
+    *_SERVO_PARTS.values(),
+    _SERVO_PLACE_OF_BED,
+    _SERVO_WITHOUT_GAP,
+}
 
 
 def servo_operation_count(lacks: Collection[str] = ()) -> int:
@@ -156,6 +167,8 @@ def servo_operation_count(lacks: Collection[str] = ()) -> int:
     computed here in any case; leaving them out saves nothing.
     """
     skipped = {*_SERVO_SKIPPED, *(_SERVO_PARTS[k] for k in lacks if k in _SERVO_PARTS)}
+    if set(lacks) >= _SERVO_OF_BED:
+        skipped.add(_SERVO_PLACE_OF_BED)
     if "gap" not in lacks:
         skipped.add(_SERVO_WITHOUT_GAP)
     lines = _servo_lines()

@@ -14,14 +14,15 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     y" = -M a - D y' - O y                              acceleration of the bed that swings
     b' = |v| (y" - b) / break-away distance             what the table feels of it
     w  = 1 / (1 + q + q^2/2),  q = (p' / VS)^2           what speed leaves of Stribeck friction
-    e  = A0 (a + b) + V0 v + VU |v| + (S0 + SS w) s              elastic, as the force in the nut
+    d' = (|p'| (sgn p' - d)) / DD                       drag state, in place of the bed
+    e  = A0 (a + b) + V0 v + VU |v| + (S0 + SS w) s + DX d       elastic, as the force in the nut
     f  = B + e + L A0 j                                 with a constant load, L seconds later
     g' = |v| (f / max(|f|, W) - g) / break-away distance
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
     sent = TJ a + TK k + TI (j1 - j2) + TB v + (TC + TS w + TE |a| + TR sin(m q + PR)) t
-           + T0 + TP x + TY b
+           + T0 + TP x + TY b + TD d
     torque = sent + (sent + RT a + RV v) RS sin(m q + PR)
              + TW v^3 sin(m 2 pi r' / turn + PR + t pi/4)
              + TH sin(n q + PH) + TU |v| + TG (g - h)      added to the output
@@ -96,6 +97,10 @@ table's mass. As the command comes to rest the guide holds the table against the
 friction reaches: ``b`` follows the way of the command as the friction states do, and where that is
 not enough stays between ``y" - (1 + s) R`` and ``y" + (1 - s) R``, with R = (S0 + SS)/A0.
 
+A cable chain, a cover or a wiper drags at the table with a force that turns over within millimetres
+of a reversal, not micrometres: ``d`` is a friction state of that distance DD. It has the places of
+the bed on a controller, so a law has one of the two. It does not fade at rest: nothing unwinds it.
+
 The motor needs time for the crossing: the correction takes the gap up with a lag M, as the drive
 does. While it crosses, nut and table have parted, and the torque that is meant to accelerate both
 would throw the motor against the other flank: ``TG (g - h)`` holds it back. In simulation with 2
@@ -130,6 +135,7 @@ _POSITIVE = (
     "turn_m",
     "stribeck_speed_m_per_s",
     "jerk_limit_m_per_s3",
+    "drag_distance_m",
 )
 _NOT_NEGATIVE = (
     "rest_fade_per_s",
@@ -141,6 +147,7 @@ _NOT_NEGATIVE = (
     "bed_stiffness_per_s2",
     "turn_friction_Nm",
     "torque_wobble_Nm_s3_per_m3",
+    "drag_m",
 )
 _COMPUTE_AGAIN = "Compute the compensation again from a model."
 
@@ -187,13 +194,15 @@ class CompensationLaw:
         M, D and O of a bed that swings; without a share there is none.
     torque_bed_Nm_s2_per_m : float
         TY.
+    drag_m, torque_drag_Nm, drag_distance_m : float
+        DX, TD and DD: what drags at the table and turns over within millimetres; not beside a bed.
     viscous_uneven_s, torque_uneven_Nm_s_per_m : float
         VU and TU, by which viscous friction is more in positive direction and less in negative; not
         beside a gap.
     turn_share, torque_loop_Nm_s2_per_m, torque_loop_Nm_s_per_m : float
-        RS, share of the torque that ripples m times per turn, in place of TR and not beside both
-        gap and bed, and RT and RV, torque per acceleration and per speed that the loop sends beside
-        the law.
+        RS, share of the torque that ripples m times per turn, in place of TR and not beside a gap
+        with bed or drag, and RT and RV, torque per acceleration and per speed that the loop sends
+        beside the law.
     torque_wobble_Nm_s3_per_m3 : float
         TW, in place of TR and RS: torque that lets the motor follow what a table makes of the
         wobble of the lead, m times per turn.
@@ -253,6 +262,9 @@ class CompensationLaw:
     bed_damping_per_s: float = 0.0
     bed_stiffness_per_s2: float = 0.0
     torque_bed_Nm_s2_per_m: float = 0.0
+    drag_m: float = 0.0
+    torque_drag_Nm: float = 0.0
+    drag_distance_m: float = 4e-3
     viscous_uneven_s: float = 0.0
     torque_uneven_Nm_s_per_m: float = 0.0
     turn_share: float = 0.0
@@ -297,12 +309,19 @@ class CompensationLaw:
     def _check_places(self) -> None:
         """Terms that a controller has one place for exclude each other."""
         uneven = self.viscous_uneven_s != 0.0 or self.torque_uneven_Nm_s_per_m != 0.0
-        ripples = self.turn_share != 0.0 and self.bed_share > 0.0
+        beside = self.bed_share > 0.0 or self.drag_m > 0.0
+        ripples = self.turn_share != 0.0 and beside
         if self.gap_half_m > 0.0 and (uneven or ripples):
             raise ModelError(
                 "A law takes up a gap, or has viscous friction that differs by direction; beside a "
-                "gap it has a bed that swings or torque that ripples in proportion, not both.",
+                "gap it has a bed that swings, what drags or torque that ripples in proportion.",
                 code="PC-DYN-024",
+                hint=_COMPUTE_AGAIN,
+            )
+        if self.bed_share > 0.0 and self.drag_m > 0.0:
+            raise ModelError(
+                "A law has a bed that swings or what drags over millimetres, not both.",
+                code="PC-DYN-026",
                 hint=_COMPUTE_AGAIN,
             )
 
@@ -342,7 +361,8 @@ class CompensationLaw:
         fast = swung * abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
         viscous_s = abs(self.viscous_s) + abs(self.viscous_uneven_s)
         fast += viscous_s * self.valid_speed_m_per_s
-        return fast + abs(self.coulomb_m) + self.stribeck_m + self.gap_half_m
+        still = abs(self.coulomb_m) + self.stribeck_m + self.drag_m
+        return fast + still + self.gap_half_m
 
     @property
     def breaks_loose_Nm(self) -> float:
@@ -388,6 +408,7 @@ TORQUE_NAMES = (
     "gap_torque_Nm",
     "torque_stribeck_Nm",
     "torque_bed_Nm_s2_per_m",
+    "torque_drag_Nm",
     "torque_uneven_Nm_s_per_m",
     "turn_share",
     "torque_wobble_Nm_s3_per_m3",
@@ -623,6 +644,7 @@ _ELASTIC = (
     "compliance_slope_per_m",
     "jerk_s3",
     "breakaway_m",
+    "drag_m",
 )
 _TORQUE = (
     "torque_inertia_Nm_s2_per_m",
@@ -636,6 +658,7 @@ _TORQUE = (
     "torque_breakaway_m",
     "torque_stribeck_Nm",
     "torque_uneven_Nm_s_per_m",
+    "torque_drag_Nm",
 )
 _BOTH = (
     "lookahead_s",
@@ -643,6 +666,7 @@ _BOTH = (
     "stribeck_speed_m_per_s",
     "rest_fade_per_s",
     "rest_unwind_per_s",
+    "drag_distance_m",
 )
 _TURN = (  # as ``_by_turn`` has them
     "turn_m",
@@ -685,18 +709,19 @@ def _evaluate(
     every: float,
     late: float,
 ) -> tuple[FloatArray, FloatArray]:
-    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway = elastic
+    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
-    torque_constant, torque_place, torque_breakaway, torque_stribeck, torque_uneven = torques[6:]
-    lookahead, origin, fading, rest_fade, rest_unwind = both
+    torque_constant, torque_place, torque_breakaway = torques[6:9]
+    torque_stribeck, torque_uneven, torque_drag = torques[9:]
+    lookahead, origin, fading, rest_fade, rest_unwind, drag_distance = both
     turn_share, loop_a, loop_v, tw = rippling
     bed_share, _, _, torque_bed = bed_swings
     gap_half, gap_width, gap_lag, gap_torque, gap_load = gap
     seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
-    v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = 0.0
+    v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = d = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
-    most, breaks = coulomb + stribeck, torque_coulomb + torque_stribeck
-    most = most / inertia if inertia > 0.0 else math.inf
+    most = (coulomb + stribeck) / inertia if inertia > 0.0 else math.inf
+    breaks = torque_coulomb + torque_stribeck
     for k in range(r.size):
         v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
         j2, j1 = j1, j
@@ -713,11 +738,11 @@ def _evaluate(
                 t, wound = _taken_over(t, wound, beyond, breaks)
             rest = 0.0
             wound *= WOUND_FADE
-        s = _followed(s, step / breakaway)
-        t = _followed(t, step / torque_breakaway)
+        s, t = _followed(s, step / breakaway), _followed(t, step / torque_breakaway)
+        d = _followed(d, step / drag_distance)
         wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
         sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
-        sent += torque_viscous * v
+        sent += torque_viscous * v + torque_drag * d
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound
@@ -726,8 +751,11 @@ def _evaluate(
             swing, bed_speed, bed = _swung(bed_swings, a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
-        e = inertia * (a + felt) + viscous * v + viscous_uneven * abs(v)
-        e += (coulomb + stribeck * slow) * s
+        e = (
+            inertia * (a + felt)
+            + (viscous * v + viscous_uneven * abs(v))
+            + ((coulomb + stribeck * slow) * s + drag * d)
+        )
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
             f = gap_load + e + lookahead * inertia * j

@@ -131,6 +131,8 @@ UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, VU=0.0061, TU=0.22
 RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # and torque that ripples in proportion
 NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
 LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # beside a clearance
+_DRAG = {"BS": -900.0, "BD": 0.8, "BO": 0.0, "BT": 45.0, "TP": 0.0}  # in the places of the bed
+DRAGGING, LOOSE_DRAGGING = replace(UNEVEN, **_DRAG), replace(LAW, **_DRAG)
 
 
 def run_with_law(bench: CardBench, law: LawParameters) -> GatherResult:
@@ -157,7 +159,7 @@ def gathered_motion(bench: CardBench) -> GatherResult:
     return result.require_whole()
 
 
-@pytest.mark.parametrize("law", [LAW, UNEVEN], ids=["clearance", "uneven"])
+@pytest.mark.parametrize("law", [LAW, UNEVEN, DRAGGING], ids=["clearance", "uneven", "drag"])
 def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
@@ -175,13 +177,14 @@ def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawPara
     # States of the friction before the record started are not known to the reference.
     settled = np.flatnonzero(np.abs(commanded - commanded[0]) > 500)[0]
     assert np.max(np.abs(deviation[settled : n - shift])) < 0.03
-    assert np.max(np.abs(word)) > 5.0
+    assert np.max(np.abs(word)) > 4.0
 
 
 def in_passes(law: LawParameters, n: int) -> LawParameters:
     """The law as it reads where a pass of n servo cycles is the unit of time."""
     powers = {"A0": 2, "V0": 1, "J0": 3, "L1": 1, "JL": -3, "TJ": 2, "TK": 3, "TI": 3, "TB": 1,
-              "TE": 2, "RF": -1, "UF": -1, "BS": 2, "VU": 1, "TU": 1, "RT": 2, "RV": 1}  # fmt: skip
+              "TE": 2, "RF": -1, "UF": -1, "VU": 1, "TU": 1, "RT": 2, "RV": 1}  # fmt: skip
+    powers |= {} if law.drags else {"BS": 2}
     return replace(law, **{k: getattr(law, k) / n**power for k, power in powers.items()})
 
 
@@ -205,14 +208,14 @@ def deviation_ct(result: GatherResult, law: LawParameters, n: int) -> np.ndarray
     return min(tried, key=lambda left: float(np.max(np.abs(left))))
 
 
-@pytest.mark.parametrize("law", [LAW, UNEVEN], ids=["clearance", "uneven"])
+@pytest.mark.parametrize("law", [LAW, UNEVEN, DRAGGING], ids=["clearance", "uneven", "drag"])
 def test_plc_form_of_every_second_cycle_computes_the_same_law(
     tmp_path: Path, law: LawParameters
 ) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1, every_cycles=2)
     # Of a bed, a gap's lag and Stribeck's speed the bank holds figures by the pass.
-    law = replace(law, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
+    law = law if law.drags else replace(law, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
     left = deviation_ct(run_with_law(bench, law), law, 2)
     assert np.max(np.abs(left)) < 0.03
 
@@ -244,7 +247,7 @@ PUSHING = replace(LAW, NR=-LAW.NR)  # two coggings instead of one and a friction
 WOBBLING = replace(LAW, TR=-0.03)  # against the wobble of the lead: by the speed cubed
 each_law = pytest.mark.parametrize(
     "law",
-    [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING],
+    [LAW, PUSHING, WOBBLING, UNEVEN, RIPPLING, LOOSE_RIPPLING, DRAGGING, LOOSE_DRAGGING],
     ids=[
         "friction by the turn",
         "second cogging",
@@ -252,6 +255,8 @@ each_law = pytest.mark.parametrize(
         "uneven",
         "ripple",
         "ripple beside clearance",
+        "drag",
+        "drag beside clearance",
     ],
 )
 
@@ -501,7 +506,7 @@ def test_files_move_to_another_block_and_motor() -> None:
 def test_cost_of_the_law_is_counted() -> None:
     without_gap = {"uneven", "ripple"}  # a law has these or a gap
     parts = {"friction_per_turn", "cogging", "place", "gap", "bed", "stribeck", "wobble"}
-    parts |= without_gap
+    parts |= without_gap | {"drag"}  # that one or a bed
     plain = law_cost.operation_count(parts)
     assert plain > 60
     assert plain < 0.5 * law_cost.operation_count()
@@ -509,7 +514,8 @@ def test_cost_of_the_law_is_counted() -> None:
     # All that a law may have at once: every second cycle.
     of_gap = ({"uneven", "ripple", "wobble"}, {"uneven", "bed", "friction_per_turn", "wobble"})
     of_turn = ({"gap", "ripple", "wobble"}, {"gap", "ripple", "friction_per_turn"})
-    for lacking in (*of_gap, *of_turn, {"gap", "friction_per_turn", "wobble"}):
+    for has_bed_or_neither in (*of_gap, *of_turn, {"gap", "friction_per_turn", "wobble"}):
+        lacking = {*has_bed_or_neither, "drag"}
         operations = law_cost.operation_count(lacking)
         assert law_cost.law_cost_cycles(lacking) == pytest.approx(240.0 * operations)
         assert 0.5 * 240.0 * operations < 0.84 * period
@@ -520,7 +526,7 @@ def test_cost_of_the_law_is_counted() -> None:
     # Torque by the turn, a gap or a bed fit into every cycle, beside phase, servo and background
     # tasks.
     of_turn = ({"friction_per_turn", "cogging"}, {"wobble", "cogging"}, {"ripple", "stribeck"})
-    alone = (*of_turn, {"gap"}, {"uneven"}, {"bed"})
+    alone = (*of_turn, {"gap"}, {"uneven"}, {"bed"}, {"drag"}, {"drag", "cogging"})
     for has in alone:
         assert law_cost.law_cost_cycles(parts - has) < 0.84 * period
 

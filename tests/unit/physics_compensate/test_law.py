@@ -92,7 +92,7 @@ def test_friction_that_differs_by_direction_takes_the_places_of_a_gap() -> None:
     none = dict.fromkeys(("gap_half_m", "gap_width_m", "gap_torque_Nm"), 0.0)
     uneven = {"viscous_uneven_s": 1.5e-6, "torque_uneven_Nm_s_per_m": 0.4}
     agree_in_counts(LAW.with_values(**none, **uneven))
-    with pytest.raises(ModelError, match="not both"):
+    with pytest.raises(ModelError, match="by direction"):
         LAW.with_values(**uneven)
     with pytest.raises(ConfigError, match="VU"):
         LawParameters(GH=1.0, GW=1.0, S0=1.0, VU=0.1)
@@ -113,7 +113,7 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
     agree_in_counts(LAW.with_values(**none, **rippling))
     agree_in_counts(LAW.with_values(**no_bed, **rippling))
     agree_in_counts(LAW.with_values(**no_bed, **rippling).without_turn())
-    with pytest.raises(ModelError, match="not both"):
+    with pytest.raises(ModelError, match="in proportion"):
         LAW.with_values(**rippling)
     beside_gap = LawParameters(
         GH=1.0, GW=1.0, S0=1.0, GL=0.4, TG=3.0, RS=0.05, RT=4.0, RV=2.0, JL=1.0
@@ -133,6 +133,36 @@ def test_torque_that_ripples_takes_the_places_of_a_gap_or_a_bed_and_of_friction_
         LawParameters(RV=0.1)
     with pytest.raises(ConfigError, match="GL"):
         LawParameters(GL=0.5)
+
+
+def test_drag_over_millimetres_takes_the_places_of_a_bed() -> None:
+    drags = {"bed_share": 0.0, "drag_m": 0.3e-6, "torque_drag_Nm": 0.05, "drag_distance_m": 3e-3}
+    agree_in_counts(LAW.with_values(**drags))
+    with pytest.raises(ModelError, match="not both"):
+        LAW.with_values(drag_m=0.3e-6)
+    no_turn = {"turn_friction_Nm": 0.0, "turn_share": 0.09}
+    with pytest.raises(ModelError, match="what drags or"):
+        LAW.with_values(**drags, **no_turn)
+    kept = LawParameters(BS=-4000.0, BD=1.5, BT=20.0)
+    assert kept.drags
+    assert LawParameters.from_values(kept.values()) == kept
+    with pytest.raises(ConfigError, match="no place for RS"):
+        LawParameters(BS=-4000.0, GH=1.0, GW=1.0, S0=1.0, RS=0.05, RT=4.0, JL=1.0)
+
+
+def test_drag_follows_the_way_and_stays_at_rest() -> None:
+    law = CompensationLaw(drag_m=1e-6, drag_distance_m=4e-3, torque_drag_Nm=0.2, torque_limit_Nm=1)
+    there = trapezoid(
+        period_s=PERIOD, distance_m=0.04, speed_m_per_s=0.1, acceleration_m_per_s2=1.0,
+        s_curve_s=0.015, start_m=0.0, dwell_s=0.5,
+    )  # fmt: skip
+    signals = evaluate_law(law, there.position_m, PERIOD)
+    assert signals.torque_Nm == pytest.approx(0.2e6 * signals.correction_m)
+    # 1 - exp(-x/4 mm) on the way; at rest it stays, unlike friction that unwinds.
+    at_8_mm = int(np.argmax(there.position_m > 8e-3))
+    assert signals.correction_m[at_8_mm] == pytest.approx(1e-6 * (1 - np.exp(-2.0)), rel=0.02)
+    rests = int(np.argmax(there.position_m >= 0.04 - 1e-9))
+    assert np.ptp(signals.correction_m[rests : rests + 400]) < 1e-9
 
 
 def test_wave_against_the_wobble_takes_the_place_of_friction_per_turn() -> None:

@@ -9,7 +9,8 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
-from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law
+from pmac_comp.physics.compensate.trim import DRAG, shows_reversal, trimmed_law, with_drag
+from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid
 from tests.compensations import lead_map
@@ -111,3 +112,61 @@ def test_what_the_captures_moved_into_the_law_is_no_difference_of_the_directions
 
 def test_without_runs_at_the_table_nothing_speaks_against_a_difference_of_the_directions() -> None:
     assert shows_reversal(LAW, model_loop(MODEL), [], lead_map(0.0, reversal_um=-2.0))
+
+
+def dragged(motion: Trajectory, drag_m: float, seed: int) -> Capture:
+    """A run of a drive at whose table something drags that turns over within 4 mm; 0.1 um noise."""
+    run = capture_of(MODEL, motion)
+    v = np.gradient(run.motor_position_m, BENCH.servo_period_s)
+    state = friction_state(v, 4e-3, BENCH.servo_period_s)
+    noise = 0.1e-6 * np.random.default_rng(seed).standard_normal(v.size)
+    table = run.table_position_m
+    assert table is not None
+    return replace(run, table_position_m=table - drag_m * state + noise)
+
+
+WIDE = [
+    sinusoid(period_s=BENCH.servo_period_s, amplitude_m=a, frequency_Hz=f, cycles=3.0, centre_m=0.0)
+    for a, f in ((0.002, 2.0), (0.01, 2.0), (0.04, 1.0), (0.06, 0.5))
+]
+WITH_TORQUE = replace(
+    LAW, torque_limit_Nm=17.0, torque_coulomb_Nm=0.4, torque_viscous_Nm_s_per_m=0.3
+)
+
+
+def test_drag_over_millimetres_is_told_from_friction_by_how_far_motions_go() -> None:
+    captures = [dragged(m, 0.3e-6, k) for k, m in enumerate(WIDE)]
+    loop = model_loop(MODEL)
+    law = with_drag(WITH_TORQUE, loop, captures, None, torque_Nm_s2_per_m=0.2)
+    assert law.drag_m == pytest.approx(0.3e-6, rel=0.1)
+    assert law.drag_distance_m == 4e-3
+    assert law.coulomb_m == pytest.approx(LAW.coulomb_m, abs=0.03e-6)
+    # All of it acts at the table: its torque is to its error as that of the table's mass.
+    assert law.torque_drag_Nm / law.drag_m == pytest.approx(0.2 / LAW.inertia_s2)
+    moved_Nm = law.torque_coulomb_Nm - WITH_TORQUE.torque_coulomb_Nm
+    assert moved_Nm == pytest.approx((law.coulomb_m - LAW.coulomb_m) * 0.2 / LAW.inertia_s2)
+    assert law.provenance[DRAG] > 0.2
+    own = model_law(law)
+    assert own.drag_m == pytest.approx(0.0, abs=1e-15)
+    assert own.coulomb_m == pytest.approx(LAW.coulomb_m)
+    assert own.torque_coulomb_Nm == pytest.approx(WITH_TORQUE.torque_coulomb_Nm)
+    no_torque = with_drag(LAW, loop, captures, None, torque_Nm_s2_per_m=0.2)
+    assert no_torque.drag_m == law.drag_m
+    assert no_torque.torque_drag_Nm == 0.0
+
+
+def test_no_drag_is_read_where_none_is() -> None:
+    loop = model_loop(MODEL)
+
+    def found(sizes_m: list[float], law: CompensationLaw = LAW) -> CompensationLaw:
+        runs = [dragged(m, s, k) for k, (m, s) in enumerate(zip(WIDE, sizes_m, strict=True))]
+        return with_drag(law, loop, runs, None, torque_Nm_s2_per_m=0.2)
+
+    assert found([0.0] * 4) is LAW
+    assert found([-0.3e-6] * 4) is LAW  # it would push
+    # In a single run: something else happened there.
+    assert found([0.0, 0.0, 0.0, 0.5e-6]) is LAW
+    swings = replace(LAW, bed_share=0.1, bed_stiffness_per_s2=1e4)  # its place is taken
+    assert found([0.3e-6] * 4, swings) is swings
+    one = with_drag(LAW, loop, [dragged(WIDE[2], 0.3e-6, 0)], None, torque_Nm_s2_per_m=0.2)
+    assert one is LAW
