@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS
+from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS, TURNED
 from pmac_comp.physics.diagnose.result import Evidence, Growth, Trace
 from pmac_comp.report.figures import AFTER, BEFORE, PROMISE, svg, thin_pair
 
@@ -23,14 +23,18 @@ def coordinate_figure(traces: Sequence[Trace], coordinate: str) -> str | None:
     """Residual on judging captures against a coordinate, base and grown model side by side.
 
     Dots are samples, the line is the mean in bins of equal count; None where no capture has the
-    coordinate.
+    coordinate. What turns over with the direction is drawn as it is on the way up.
     """
-    parts = [t for t in traces if coordinate in t.coordinates]
+    along = "position" if coordinate == TURNED else coordinate
+    parts = [t for t in traces if along in t.coordinates]
     if not parts:
         return None
-    x = np.concatenate([t.coordinates[coordinate] for t in parts])
+    x = np.concatenate([t.coordinates[along] for t in parts])
     before = np.concatenate([t.before_um for t in parts])
     after = np.concatenate([t.after_um for t in parts])
+    if coordinate == TURNED:
+        way = np.concatenate([t.coordinates["direction"] for t in parts])
+        x, before, after = (values[way != 0.0] for values in (x, before * way, after * way))
     good = np.isfinite(x) & np.isfinite(before) & np.isfinite(after)
     if np.count_nonzero(good) < 2 * _LEAST_PER_BIN or np.ptp(x[good]) == 0.0:
         return None
@@ -58,6 +62,8 @@ def coordinate_figure(traces: Sequence[Trace], coordinate: str) -> str | None:
 def _axis_label(coordinate: str) -> str:
     unit = COORDINATE_UNITS.get(coordinate, "")
     words = coordinate.replace("_", " ")
+    if coordinate == TURNED:
+        words = "position (the way down turned over)"
     return f"{words}, {unit}" if unit else words
 
 

@@ -15,9 +15,12 @@ from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.physics.diagnose.statistics import corrected_p, effective_size
 
+# Position, of a residual that changes its sign with the direction: what friction by place leaves.
+TURNED = "position_by_direction"
 COORDINATE_UNITS: Mapping[str, str] = MappingProxyType(
     {
         "position": "mm",
+        TURNED: "mm",
         "screw_angle": "rev",
         "speed": "mm/s",
         "distance_since_reversal": "mm",
@@ -109,6 +112,13 @@ class Region:
                 f"with an amplitude of {self.size_um:.2f} um ({100 * self.share:.0f} % of the "
                 "variance that is faster than 2 ms)"
             )
+        if self.coordinate == TURNED:
+            return (
+                f"{self.channel} residual turns over with the direction and differs by place "
+                f"({100 * self.share:.0f} % of its variance), largest {self.size_um:.2f} um "
+                f"between {self.low:.4g} and {self.high:.4g}{unit}, as where friction is not the "
+                "same along the travel"
+            )
         return (
             f"{self.channel} residual follows {self.coordinate.replace('_', ' ')} "
             f"({100 * self.share:.0f} % of its variance), largest {self.size_um:.2f} um "
@@ -136,7 +146,7 @@ def machine_coordinates(
     Returns
     -------
     Coordinates
-        Everything of ``COORDINATE_UNITS`` but ``frequency``.
+        Everything of ``COORDINATE_UNITS`` but ``frequency`` and what is made of two of them.
     """
     velocity = np.gradient(position_m, time_s)
     acceleration = np.gradient(velocity, time_s)
@@ -226,9 +236,12 @@ def localise(
     regions = []
     for name in names:
         along = np.concatenate([c.values[name] for c in coordinates])
-        region = _bin_test(joined[good], along[good], name, channel, len(names))
+        region = _bin_test(joined[good], along[good], name, channel, len(names) + 1)
         if region is not None:
             regions.append(region)
+    turned = _turned_region(joined, coordinates, channel, len(names) + 1)
+    if turned is not None:
+        regions.append(turned)
     regions.append(_frequency_region(residual_m, channel, sample_s))
     kept = [r for r in regions if r.p_value < 0.01 and r.share > 0.02]
     # A band of frequency says least about a cause: it comes last. A narrow one that every run
@@ -236,6 +249,25 @@ def localise(
     kept = sorted(kept, key=lambda r: (r.coordinate == "frequency", -r.share))
     ringing = _ringing(residual_m, channel, sample_s)
     return tuple(kept) if ringing is None else (ringing, *kept)
+
+
+def _turned_region(
+    residual_m: FloatArray, coordinates: Sequence[Coordinates], channel: str, tried: int
+) -> Region | None:
+    """What changes its sign with the direction, by place; what it does everywhere is direction's.
+
+    ``residual_m`` has shape (n,), all captures one after the other.
+    """
+    if not all({"position", "direction"} <= c.values.keys() for c in coordinates):
+        return None
+    way, along = (
+        np.concatenate([c.values[name] for c in coordinates]) for name in ("direction", "position")
+    )
+    good = np.isfinite(residual_m) & (way != 0.0)
+    if np.count_nonzero(good) < 4 * _BINS:
+        return None
+    turned = (residual_m * way)[good]
+    return _bin_test(turned - turned.mean(), along[good], TURNED, channel, tried)
 
 
 def _bin_test(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.diagnose.localise import TURNED
 from pmac_comp.physics.diagnose.result import SeparatingExperiment
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
@@ -188,6 +189,12 @@ def _twice(room: _Room) -> tuple[str, ...]:
     return (*_map(room), *_map(room))
 
 
+def _everywhere(room: _Room) -> tuple[str, ...]:
+    """The whole travel slowly and fast, and reversals at both ends and in the middle."""
+    fast = room.stroke(0.98, 0.5 * room.speed_mm_per_s)
+    return (*_map(room), fast, *_both_ends(room), room.sine(0.05 * room.span_mm, 2.0, 0.0, 8))
+
+
 # What tells most of a rest without a name, by the coordinate that holds most of it.
 _TELLING: Mapping[str, tuple[str, _Motions]] = {
     "position": (
@@ -196,6 +203,12 @@ _TELLING: Mapping[str, tuple[str, _Motions]] = {
         "what stays at its place is an error of the lead of no listed shape: `pmac-comp compensate "
         "--slow` takes it away with a table, whatever its shape.",
         _twice,
+    ),
+    TURNED: (
+        "Cross the whole travel slowly and fast, both ways, and reverse at both ends and in the "
+        "middle: friction that differs by place comes back at its place at any speed, and the "
+        "torque shows it there; what grows with speed or force does not.",
+        _everywhere,
     ),
     "screw_angle": (
         "Run slowly over a few turns and fast over the travel: what goes with the angle alone is "

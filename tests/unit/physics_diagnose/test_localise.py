@@ -56,6 +56,26 @@ def test_a_slope_is_found_in_the_position():
     assert regions[0].coordinate == "position"
 
 
+def test_friction_that_differs_by_place_is_told_from_what_grows_with_the_force():
+    """It was said to follow the force, and a run in the middle was asked for, where there is none.
+
+    Friction is higher towards the upper end, as much against the motion either way.
+    """
+    t, x = motion()
+    way = np.sign(np.gradient(x, t))
+    first = located(20e-6 * x * way, x, t)[0]
+    assert first.coordinate == lo.TURNED
+    assert first.share > 0.8
+    assert max(abs(first.low), abs(first.high)) > 30.0
+    assert "turns over with the direction and differs by place" in first.describe()
+
+
+def test_friction_that_is_the_same_everywhere_does_not_differ_by_place():
+    t, x = motion()
+    regions = located(1e-6 * np.sign(np.gradient(x, t)), x, t)
+    assert lo.TURNED not in {region.coordinate for region in regions}
+
+
 def test_white_noise_lives_nowhere():
     t, x = motion()
     assert located(np.zeros_like(t), x, t) == ()

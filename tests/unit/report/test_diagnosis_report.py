@@ -10,7 +10,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.model_file import ModelFile
-from pmac_comp.physics.diagnose.localise import Region
+from pmac_comp.physics.diagnose.localise import TURNED, Region
 from pmac_comp.physics.diagnose.result import (
     Diagnosis,
     Estimate,
@@ -143,6 +143,28 @@ def test_no_capture_with_the_coordinate_gives_no_figure() -> None:
     assert figures.coordinate_figure([], "position") is None
     assert figures.candidates_figure([]) is None
     assert figures.spectrum_figure([]) is None
+
+
+def test_what_turns_over_with_the_direction_is_drawn_as_it_is_on_the_way_up() -> None:
+    """Over position as it is, both ways together cancel."""
+    time = 0.004 * np.arange(1500)
+    position = 100.0 * np.sin(2.0 * time)
+    way = np.sign(np.cos(2.0 * time))
+    values = {"position": position, "direction": way}
+    turning = Trace("capture 7", time, MappingProxyType(values), 0.03 * position * way, 0.0 * time)
+    upwards = Trace("capture 7", time, MappingProxyType(values), 0.03 * position, 0.0 * time)
+    drawn = figures.coordinate_figure([turning], TURNED)
+    plain = figures.coordinate_figure([upwards], "position")
+    assert drawn is not None
+    assert plain is not None
+    assert "turned over" in drawn
+    assert len(_lines(plain)) > 2
+    assert _lines(drawn) == _lines(plain)
+
+
+def _lines(svg: str) -> list[str]:
+    """Paths of the curves in a figure."""
+    return re.findall(r'<g id="line2d_\d+">\s*<path d="([^"]+)" clip-path', svg)
 
 
 def test_look_alikes_beside_something_unknown_are_one_name_and_not_two(tmp_path: Path) -> None:
