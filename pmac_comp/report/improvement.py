@@ -37,12 +37,7 @@ def write_improvement_report(result: Improvement, path: Path) -> Path:
 
 def _outcome(result: Improvement) -> Section:
     """What each compensation leaves of the mechanical and the total error, motion by motion."""
-    first, grown = result.before_growth.motions, result.after_growth
-    after = [None] * len(first) if grown is None else [m.total_after.value for m in grown.motions]
-    totals = [
-        _in_um(m.name, m.total_before.value, m.total_after.value, of_grown)
-        for m, of_grown in zip(first, after, strict=True)
-    ]
+    totals = [_in_um(*row) for row in result.total_rows()]
     mechanical = [_in_um(*row) for row in result.rows()]
     columns = ("um rms", "no compensation", "first model", "grown model")
     return Section(

@@ -18,6 +18,7 @@ def verification(mechanical: float, total: float) -> Verification:
         total_before=SimpleNamespace(value=30.0),
         e_r_after=SimpleNamespace(value=mechanical),
         total_after=SimpleNamespace(value=total),
+        promise_kept=lambda floor_um: True,
         truth=None,
     )
     return Verification((motion,), 0.05, simulated=True)

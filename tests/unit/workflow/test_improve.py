@@ -16,12 +16,14 @@ from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_con
 from pmac_comp.workflow.verification import Verification
 
 
-def verification(mechanical: float, total: float) -> Verification:
+def verification(mechanical: float, total: float, *, kept: bool = True) -> Verification:
     motion = SimpleNamespace(
         name="sine",
         e_before=SimpleNamespace(value=5.0),
         e_r_after=SimpleNamespace(value=mechanical),
+        total_before=SimpleNamespace(value=20.0),
         total_after=SimpleNamespace(value=total),
+        promise_kept=lambda floor_um: kept,
         as_result=lambda: {"motion": "sine"},
     )
     return Verification((motion,), 0.05, simulated=False, before=("run without compensation",))
@@ -174,6 +176,31 @@ def test_one_error_falls_or_nothing_changes(mechanical: float, total: float) -> 
 @pytest.mark.parametrize(("mechanical", "total"), [(1.1, 2.0), (1.0, 2.2), (0.95, 3.0)])
 def test_one_error_rises_by_more_than_the_other_falls(mechanical: float, total: float) -> None:
     assert not is_better(verification(1.0, 2.0), verification(mechanical, total))
+
+
+@pytest.mark.parametrize(
+    ("first", "grown"),
+    [((0.2, 2.0), (0.1, 2.8)), ((0.5, 0.2), (0.7, 0.1))],
+)
+def test_half_of_a_small_error_does_not_pay_for_more_um_of_the_other(first, grown) -> None:
+    """0.1 um of mechanical error less were taken for 0.8 um of total error more."""
+    assert not is_better(verification(*first), verification(*grown))
+
+
+def test_where_the_errors_are_the_same_the_model_whose_promise_is_kept_stays() -> None:
+    first = verification(1.0, 2.0)
+    assert not is_better(first, verification(1.0, 2.0, kept=False))
+    assert is_better(first, verification(0.5, 2.0, kept=False))
+    assert is_better(verification(1.0, 2.0, kept=False), verification(1.0, 2.0, kept=False))
+
+
+def test_the_total_error_is_shown_motion_by_motion_as_well(monkeypatch, tmp_path) -> None:
+    bench = Bench(monkeypatch, ("backlash",))
+    bench.answers.append(verification(0.4, 1.5))
+    said = bench.run(tmp_path).lines()
+    at = said.index("total error, table to command, um rms (measured)")
+    assert "none   20.00   first  2.000   grown  1.500" in said[at + 1]
+    assert "  motions on which the model's promise was kept: 1 -> 1 of 1" in said
 
 
 def opened(monkeypatch: pytest.MonkeyPatch, axis: Any) -> None:
