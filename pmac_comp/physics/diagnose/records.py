@@ -236,7 +236,7 @@ def prepare(captures: Sequence[Capture], bench: Bench, *, prefix: str) -> tuple[
     bench : Bench
         Gives the servo period and says whether there is a scale.
     prefix : str
-        Name of a capture that has none.
+        Name of a capture that has none and tells no motion.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def _dated_s(captures: Sequence[Capture]) -> list[float | None]:
 
 
 def _prepare_one(capture: Capture, bench: Bench, name: str, *, with_table: bool) -> Record:
-    name = str(capture.attributes.get("name", name))
+    name = str(capture.attributes.get("name") or capture.attributes.get("motion") or name)
     _refuse_useless(capture, name)
     require_positions(capture, bench, name)
     stretch = max(1, round(capture.sample_period_s / bench.servo_period_s))

@@ -45,6 +45,14 @@ def test_a_flickering_encoder_does_not_hide_what_the_integrator_holds(flickering
     assert record.start.torque_Nm == pytest.approx(HELD_Nm, abs=2e-3)
 
 
+def test_a_run_that_has_no_file_is_told_by_its_motion(flickering):
+    """An improvement told of "capture 12", and nobody knew which of its files that is."""
+    at_work = flickering.with_attributes(motion="move 41 mm 465 mm/s")
+    stored = at_work.with_attributes(name="03_move.h5")
+    found = prepare([at_work, stored, flickering], BENCH, prefix="capture")
+    assert [r.name for r in found] == ["move 41 mm 465 mm/s", "03_move.h5", "capture 3"]
+
+
 @pytest.fixture
 def axis() -> Capture:
     """A run of 40 mm and back with a table that lags by 3 um, and no torque."""
