@@ -207,7 +207,8 @@ _TELLING: Mapping[str, tuple[str, _Motions]] = {
     TURNED: (
         "Cross the whole travel slowly and fast, both ways, and reverse at both ends and in the "
         "middle: friction that differs by place comes back at its place at any speed, and the "
-        "torque shows it there; what grows with speed or force does not.",
+        "torque shows it there; what grows with speed or force does not. Where such runs are among "
+        "these already, look at guide, wipers and nut at that place.",
         _everywhere,
     ),
     "screw_angle": (

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench, parse_bench
-from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS
+from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS, TURNED
 from pmac_comp.physics.diagnose.lookalikes import separating_experiment, telling_experiment
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.workflow.motions import parse_motion
@@ -68,6 +68,17 @@ def test_the_speeds_of_a_level_and_a_slope_differ_widely() -> None:
     assert "every speed" in found.text
     speeds = [parse_motion(text, BENCHES["paper"]).row()[4] for text in found.motions]
     assert max(speeds) > 50.0 * min(speeds)
+
+
+def test_friction_by_place_is_looked_for_at_both_ends_and_not_twice() -> None:
+    """With these runs among its captures the diagnosis asked for them again, and said no more."""
+    bench = BENCHES["paper"]
+    told = telling_experiment(TURNED, bench)
+    assert told is not None
+    places = [parse_motion(text, bench).position_m for text in told.motions]
+    assert min(float(p.min()) for p in places) < -0.28
+    assert max(float(p.max()) for p in places) > 0.28
+    assert "Where such runs are among these already, look at guide" in told.text
 
 
 def test_the_run_that_tells_more_suits_what_is_left() -> None:
