@@ -112,6 +112,7 @@ def implausible(bench: Bench) -> list[str]:
     out += _times_and_limits(bench)
     out += _on_the_card(bench)
     out += _screw(bench)
+    out += _core(bench)
     out += _output(bench)
     out += _acceleration(bench)
     return out
@@ -198,6 +199,27 @@ def _screw(bench: Bench) -> list[str]:
             ("screw_rigidity_N", nominal.screw_rigidity_N, rigidity, "N"),
         )
         if stated is not None and _outside(stated / usual, (1.0 / _GEOMETRY, _GEOMETRY))
+    ]
+
+
+def _core(bench: Bench) -> list[str]:
+    """Whether a stated rigidity has the stated core: the model takes the torsion from both.
+
+    What they may differ by is the tolerance of the rigidity, to which `identify` takes the quotient
+    of torsional and axial rigidity for known.
+    """
+    root_mm, stated = bench.screw.root_diameter_mm, bench.nominal.screw_rigidity_N
+    if root_mm is None or stated is None:
+        return []
+    of_core = STEEL_YOUNG_Pa * math.pi / 4.0 * bench.root_diameter_m**2
+    off, tolerance = stated / of_core - 1.0, bench.tolerance.screw_rigidity_N
+    if abs(off) <= tolerance or _outside(stated / of_core, (1.0 / _GEOMETRY, _GEOMETRY)):
+        return []
+    return [
+        f"screw_rigidity_N = {stated:.3g}, but a steel core of root_diameter_mm = {root_mm:g} has "
+        f"{of_core:.3g} N ({100.0 * off:+.0f} %, its tolerance is {100.0 * tolerance:.0f} %): the "
+        "torsion of the screw is computed from both, and runs would contradict either. Correct "
+        "one, or widen [tolerance] screw_rigidity_N (a hollow screw)"
     ]
 
 

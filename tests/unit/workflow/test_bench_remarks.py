@@ -45,6 +45,23 @@ def test_a_value_in_another_unit_is_remarked_on(old, new, said):
     assert said in " ".join(remarks(parse_bench(TEXT.replace(old, new, 1))))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("screw_rigidity_N = 7.83e7", "screw_rigidity_N = 6.3e7", "(-20 %, its tolerance is 3 %)"),
+        ("root_diameter_mm = 22.0", "root_diameter_mm = 20.0", "has 6.47e+07 N (+21 %"),
+        ("screw_rigidity_N = 7.83e7", "screw_rigidity_N = 7.7e7", ""),  # 2 %
+        ("root_diameter_mm = 22.0\n", "", ""),
+        ("screw_rigidity_N = 7.83e7\n", "", ""),
+    ],
+)
+def test_a_rigidity_that_is_not_that_of_the_stated_core_is_remarked_on(old, new, said):
+    """Runs then put the right one of both outside its tolerance, and the mass beside it."""
+    assert old in TEXT
+    told = " ".join(implausible(parse_bench(TEXT.replace(old, new, 1))))
+    assert (said in told) if said else (told == "")
+
+
 def test_a_torque_limit_that_is_not_stated_is_held_against_nothing():
     text = TEXT.replace("torque_limit_Nm = 19.11", "")
     assert text != TEXT
