@@ -249,6 +249,7 @@ def _assembled(
                     claims.withheld,
                     alone=alone is not None,
                     restated=findings[0].text if found.alone else "",
+                    forms=grown.final.model.effects,
                 )
             ),
             *impossible,

@@ -74,6 +74,8 @@ class Story:
         Whether sizes are those with the named effects alone, as others are not claimed.
     restated : str
         The one quantity of the bench file that does in place of effects, in words.
+    forms : sequence of str
+        Effects as the grown model has them, ``effect`` or ``effect@place``.
     """
 
     verdict: str
@@ -89,6 +91,7 @@ class Story:
     withheld: Mapping[str, str]
     alone: bool = False
     restated: str = ""
+    forms: Sequence[str] = ()
 
 
 def statements_of(story: Story) -> tuple[str, ...]:
@@ -180,7 +183,10 @@ def _cause(name: str, story: Story) -> str:
     effect = story.library.get(name)
     sizes = ", ".join(_size(e) for e in story.estimates if e.name.partition(".")[0] == name)
     seen = f" ({effect.where}: {effect.signature})" if effect is not None else ""
-    return f"{name}{seen}: {sizes} (95 %)." if sizes else f"{name}{seen}."
+    # Where an effect may act at several places, or beyond a corner or within, sizes are of one.
+    form = next((f for f in story.forms if f.startswith(f"{name}@")), "")
+    chosen = f", in the grown model as {form}" if form else ""
+    return f"{name}{seen}{chosen}: {sizes} (95 %)." if sizes else f"{name}{seen}{chosen}."
 
 
 def _size(estimate: Estimate) -> str:

@@ -123,6 +123,7 @@ def _told(
     regions: tuple[SimpleNamespace, ...] = (),
     where: tuple[SimpleNamespace, ...] = (),
     settled_um: float = 9.0,
+    forms: tuple[str, ...] = (),
 ) -> str:
     left = SimpleNamespace(
         noise_floor_um=0.1,
@@ -146,6 +147,7 @@ def _told(
         (),
         effect_library(),
         {},  # type: ignore[arg-type]
+        forms=forms,
     )
     return " ".join(statements_of(story))
 
@@ -155,6 +157,15 @@ def test_what_lives_in_the_torque_is_told_there():
     assert "torque, whose gap falls from 0.2 to 0.1 N m" in told
     assert "falls from 0.353" not in told
     assert "gap falls from 0.353 to 0.1 um" in _told((0.353, 0.2), (0.1, 0.1), ("backlash",))
+
+
+def test_the_place_or_the_side_of_its_corner_is_told_of_an_effect_that_has_several():
+    """A nut whose half lifts off beyond a force was described as soft around it or beyond it."""
+    gaps = (0.4, 0.1), (0.1, 0.1)
+    told = _told(*gaps, ("cogging", "preload_loss"), forms=("cogging", "preload_loss@beyond"))
+    assert "or larger beyond it), in the grown model as preload_loss@beyond." in told
+    assert told.count("in the grown model as") == 1
+    assert "in the grown model as" not in _told(*gaps, ("cogging",), forms=("cogging",))
 
 
 def test_twice_the_noise_floor_is_not_called_noise():
