@@ -117,7 +117,7 @@ class Region:
                 f"{self.channel} residual turns over with the direction and differs by place "
                 f"({100 * self.share:.0f} % of its variance), largest {self.size_um:.2f} um "
                 f"between {self.low:.4g} and {self.high:.4g}{unit}, as where friction is not the "
-                "same along the travel"
+                "same along the travel, or not in the runs that were made there"
             )
         return (
             f"{self.channel} residual follows {self.coordinate.replace('_', ' ')} "

@@ -70,6 +70,19 @@ def test_friction_that_differs_by_place_is_told_from_what_grows_with_the_force()
     assert "turns over with the direction and differs by place" in first.describe()
 
 
+def test_friction_that_changed_between_runs_at_several_places_is_not_taken_for_a_guide():
+    """Friction that warms up shows at the place of each run: both causes are told."""
+    t, x = motion()
+    places = [x - 0.1, x, x + 0.1]
+    coordinates = [lo.machine_coordinates(t, at, None, LEAD_M) for at in places]
+    noise = np.random.default_rng(4).normal(size=(3, t.size))
+    way = np.sign(np.gradient(x, t))
+    left = [1e-6 * (1.0 - 0.5 * i) * way + 0.1e-6 * noise[i] for i in range(3)]  # less in every run
+    first = lo.localise(left, coordinates, channel="table", sample_s=t[1] - t[0])[0]
+    assert first.coordinate == lo.TURNED
+    assert "or not in the runs that were made there" in first.describe()
+
+
 def test_friction_that_is_the_same_everywhere_does_not_differ_by_place():
     t, x = motion()
     regions = located(1e-6 * np.sign(np.gradient(x, t)), x, t)
