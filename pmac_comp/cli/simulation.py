@@ -101,7 +101,14 @@ def sim(
             help="Source of the open servo to run; feedforward_servo.txt for p_block of the bench",
         ),
     ] = None,
-    speed: Annotated[str, typer.Option("--speed", help="real, a factor, or max")] = "real",
+    speed: Annotated[
+        str,
+        typer.Option(
+            "--speed",
+            help="real, a factor, or max; captures bear the host's dates, so that what drifts "
+            "seems as much faster",
+        ),
+    ] = "real",
     dpram: Annotated[
         DpramChoice | None,
         typer.Option("--dpram", help="Dual-ported RAM; not given: that of the bench file"),
