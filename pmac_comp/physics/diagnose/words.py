@@ -160,9 +160,11 @@ def _nothing(story: Story) -> str:
             return "what is left is noise"
         first = story.where[0]
         seen = f"{first.channel} residual over {first.coordinate.replace('_', ' ')}"
+        unit = f" {first.unit}" if first.unit else ""
         return (
             f"what is left is {times:.2g} times the noise floor, and what repeats in it (the {seen}"
-            f", {first.size_um:.2g} um) is too small for a name"
+            f", at most {first.size_um:.2g} um, between {first.low:.4g} and {first.high:.4g}{unit})"
+            " is too little of it for a name"
         )
     settled_um = story.left.settled_um
     if times > _CLEARLY and settled_um < _OPEN * story.after.position_um:

@@ -201,12 +201,14 @@ def test_a_search_that_ended_with_its_last_effect_says_so():
     assert "--model" in said
 
 
-def test_what_repeats_is_not_called_noise():
+def test_what_repeats_is_not_called_noise_and_told_with_where_it_is_that_large():
+    """1 um was called too small beside a gap of 0.18 um: where the axis rests, at 1.63 N m."""
     seen = SimpleNamespace(
-        channel="table", coordinate="screw_angle", size_um=0.05, describe=lambda: "seen"
-    )
+        channel="table", coordinate="force", unit="N m", size_um=1.04, low=1.628, high=1.644,
+        describe=lambda: "seen",
+    )  # fmt: skip
     told = _told((0.1, 0.1), (0.1, 0.1), (), where=(seen,))
-    assert "the table residual over screw angle, 0.05 um) is too small for a name" in told
+    assert "over force, at most 1 um, between 1.628 and 1.644 N m) is too little of it" in told
     assert "left is noise" not in told
 
 
