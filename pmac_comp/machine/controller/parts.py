@@ -5,7 +5,7 @@ What a kind does to the controller lives with it (``table_recovery``, ``law_uplo
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,6 +63,7 @@ from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.registers import OPEN_REGISTERS
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import (
     Settings,
@@ -394,11 +395,11 @@ def _rest_refusals(link: Link, context: Context, part: Part) -> list[SafetyRefus
 def _loop_refusals(link: Link, new: Settings) -> list[SafetyRefusal]:
     """Gains, scales and the like were set with the motor killed, and go back so.
 
-    A motor that the change itself activated (the time motor of a cam) is killed when it goes.
+    A motor that counts time for a cam drives nothing, and is killed when it goes.
     """
     names = [(name, found) for name in new.variables if (found := _OF_MOTOR.fullmatch(name))]
     tuned = {int(found[1]) for name, found in names if name[-2:] in _OF_THE_LOOP}
-    tuned -= {motor for motor in tuned if f"I{motor}00" in new.variables}
+    tuned -= {motor for motor in tuned if _counts_time(motor, new.variables)}
     return [
         MotorNotSafe(
             f"Motor #{motor} is enabled: its settings were changed with the motor killed and go "
@@ -410,6 +411,17 @@ def _loop_refusals(link: Link, new: Settings) -> list[SafetyRefusal]:
         for motor, reading in read_motors(link, sorted(tuned)).items()
         if reading.status.is_closed_loop
     ]
+
+
+def _counts_time(motor: int, new: Mapping[str, str]) -> bool:
+    """Whether a change switches on a motor whose output no amplifier sees, or switches one off.
+
+    What a restore switches off was killed before.
+    """
+    active, output = new.get(f"I{motor}00"), new.get(f"I{motor}02")
+    if active is None or parse_integer(active) == 0:
+        return active is not None
+    return output is not None and parse_integer(output) in OPEN_REGISTERS
 
 
 def _settle_law(link: Link, context: Context, part: Part, *, resume: bool) -> UploadResult:

@@ -15,6 +15,7 @@ GATHER_POINTERS: Final = 0x003120  # X start, Y storage
 BLCOMP_POINTERS: Final = 0x003152  # motors 1..32
 TCOMP_POINTERS: Final = 0x003172
 COMP_POINTERS: Final = 0x003192
+OPEN_REGISTERS: Final = range(0x10F0, 0x1100)  # X and Y, of nobody; 0 at power-up
 DPRAM_BASE: Final = 0x060000
 GATHER_RING: Final = 0x060450  # first cell of gather data in dual-ported RAM
 GATHER_RING_HEADER: Final = 0x06044F  # Y size, X storage pointer

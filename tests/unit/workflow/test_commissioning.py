@@ -201,3 +201,22 @@ def test_gains_are_not_put_back_under_a_closed_loop(tmp_path: Path) -> None:
         axis.kill()
         rollback_last(link, context)
         assert link.query("I130") == ["1000"]
+
+
+def test_gains_of_a_motor_that_the_set_up_activated_go_back_with_it_killed(
+    tmp_path: Path,
+) -> None:
+    """An axis that nobody has used yet: Ixx00 is among what the set-up changes."""
+    bench = load_bench("paper")
+    with embedded(make_card(bench)) as link:
+        axis = Axis(link, bench, "test", simulated=True)
+        context = context_of(axis, tmp_path)
+        link.command("I100=0I130=1000")
+        set_up_axis(axis, context, settable_variables(axis))
+        axis.enable()
+        with pytest.raises(MotorNotSafe, match="Motor #1 is enabled"):
+            rollback_last(link, context)
+        assert link.query("I100I130") == ["1", "139449"]
+        axis.kill()
+        rollback_last(link, context)
+        assert link.query("I100I130") == ["0", "1000"]
