@@ -10,7 +10,7 @@ from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
-from pmac_comp.machine.controller import law_state, motors, recovery, waiting
+from pmac_comp.machine.controller import law_goal, law_state, motors, recovery, waiting
 from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.claim import claim_refusal, read_claim
 from pmac_comp.machine.controller.context import Context
@@ -72,7 +72,7 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         state = judged_tables(axis.link, context, since)
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         head = law_state.read_law_head(axis.link, block)
-        form = law_state.running_form(axis.link, head)
+        form = law_goal.running_form(axis.link, context, head)
         law = _law_text(axis.link, block, form, head)
         other = law_elsewhere(axis.link, context, axis.motor) if form is LawForm.NONE else None
         if other is not None:

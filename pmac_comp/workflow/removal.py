@@ -179,7 +179,7 @@ def _form_of_law(axis: Axis) -> LawForm:
         return LawForm.NONE
     if law_goal.law_stands(link, context) or law_goal.follows(link, axis.motor):
         return LawForm.PLC
-    return law_state.running_form(link, head)
+    return law_goal.running_form(link, context, head)
 
 
 def plan_removal(url: str, bench: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pmac_comp.base.errors import ControllerState, ForeignChange, VerifyMismatch
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import law_state, motors, programs
+from pmac_comp.machine.controller import law_goal, law_state, motors, programs
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.law_state import LawForm
@@ -204,7 +204,7 @@ def require_on_card(axis: Axis, context: Context, compensation: Compensation) ->
 
 def _law_stands(axis: Axis, context: Context, compensation: Compensation) -> bool:
     head = law_state.read_law_head(axis.link, context.block)
-    runs = law_state.running_form(axis.link, head) is not LawForm.NONE
+    runs = law_goal.running_form(axis.link, context, head) is not LawForm.NONE
     return runs and bank_in_use(axis, context, compensation) is not None
 
 

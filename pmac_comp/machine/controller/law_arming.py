@@ -6,6 +6,7 @@ from pmac_comp.base.errors import ControllerState, MotorNotSafe, TableStateError
 from pmac_comp.machine.controller.card_time import CardDeadline
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import MASTER_WORD_ADDRESS, Index
+from pmac_comp.machine.controller.law_goal import followers
 from pmac_comp.machine.controller.law_state import (
     GAIN_TOLERANCE,
     LawForm,
@@ -95,16 +96,21 @@ def _ramp(link: Link, context: Context, gain: float, timeout_s: float) -> LawHea
 
 
 def fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
-    """Outputs that no algorithm writes any more go to zero in small steps."""
+    """Outputs that no algorithm writes any more go to zero in small steps.
+
+    The master word is left alone where another motor follows it: it is another law's.
+    """
     link.write_buffer([f"P{context.block.p(k)}=0" for k in (Index.TARGET, Index.GAIN)])
     if head.motor and int(read_one(link, f"I{head.motor}59")) & 1:
         return read_law_head(link, context.block)
-    word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0])
+    is_ours = followers(link) <= {head.motor}
+    word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0]) if is_ours else 0
     torque = read_one(link, f"I{head.motor}29") if head.motor else 0.0
     for k in range(_FADE_STEPS - 1, -1, -1) if word or torque else ():
         if head.motor:
             link.command(f"I{head.motor}29={int(torque * k / _FADE_STEPS)}")
-        link.command(f"WX${MASTER_WORD_ADDRESS:X},{int(word * k / _FADE_STEPS)}")
+        if word:
+            link.command(f"WX${MASTER_WORD_ADDRESS:X},{int(word * k / _FADE_STEPS)}")
         link.clock.sleep_s(_FADE_PAUSE_s)
     if head.motor:
         verify_many(link, {f"I{head.motor}29": 0.0})

@@ -29,7 +29,7 @@ from pmac_comp.machine.controller.law_state import LawForm, LawHead
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.settings import Settings, read_settings
+from pmac_comp.machine.controller.settings import MOTORS, Settings, plc_runs, read_settings
 from pmac_comp.machine.controller.settings_upload import texts
 from pmac_comp.machine.controller.variables import read_many, read_one, same_value
 
@@ -75,6 +75,19 @@ def follows(link: Link, motor: int) -> bool:
     return found[f"I{motor}05"] == MASTER_WORD_ADDRESS and bool(int(found[f"I{motor}06"]) & 1)
 
 
+def followers(link: Link) -> frozenset[int]:
+    """Motors that follow the master word of the law, of whichever block."""
+    masters, modes = (
+        [parse_integer(text) for text in link.query(f"I1{tail},{MOTORS},100")]
+        for tail in ("05", "06")
+    )
+    return frozenset(
+        motor
+        for motor, (master, mode) in enumerate(zip(masters, modes, strict=True), start=1)
+        if master == MASTER_WORD_ADDRESS and mode & 1
+    )
+
+
 def law_standing(link: Link, motor: int) -> Settings:
     """What stands in the places of law and guard."""
     variables = {**_following(motor), "I8": "", f"I{motor}01": "", f"I{motor}29": ""}
@@ -101,6 +114,16 @@ def plc_0(link: Link) -> Settings:
         if programs.explain_protection(error):
             return asked
         raise
+
+
+def running_form(link: Link, context: Context, head: LawHead) -> LawForm:
+    """The form that runs; a PLC 0 that was taken off leaves its signature behind.
+
+    What runs in PLC 0 then may be the law of another block.
+    """
+    if head.form is LawForm.PLC and not (plc_runs(link, 0) and law_stands(link, context)):
+        return LawForm.NONE
+    return head.form
 
 
 def law_missing(

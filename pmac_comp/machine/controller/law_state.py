@@ -16,7 +16,6 @@ from pmac_comp.machine.controller.law_bank import (
     WorkIndex,
 )
 from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.variables import answers, read_one
 from pmac_comp.machine.wire.numbers import read_number
 
@@ -125,13 +124,6 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         flank_state=running[WorkIndex.FLANK],
         bed_state=values[-1] if in_servo else own[Index.BED_PLC - Index.WORK_SERVO],
     )
-
-
-def running_form(link: Link, head: LawHead) -> LawForm:
-    """The form that runs; a PLC 0 that was taken off leaves its signature behind."""
-    if head.form is LawForm.PLC and not plc_runs(link, 0):
-        return LawForm.NONE
-    return head.form
 
 
 def read_bank(link: Link, block: LawBlock, bank: int) -> LawParameters | None:

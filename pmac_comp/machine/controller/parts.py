@@ -38,13 +38,12 @@ from pmac_comp.machine.controller.law_bank import (
     LawParameters,
 )
 from pmac_comp.machine.controller.law_checks import beside_open_servo
-from pmac_comp.machine.controller.law_goal import follows
+from pmac_comp.machine.controller.law_goal import followers, follows, running_form
 from pmac_comp.machine.controller.law_state import (
     LawForm,
     LawHead,
     read_bank,
     read_law_head,
-    running_form,
 )
 from pmac_comp.machine.controller.law_upload import (
     LawBackup,
@@ -205,7 +204,7 @@ def missing(link: Link, context: Context, part: Part) -> str:
         state, reason = tables_state(link, context, part.journal)
         return "" if state is ControllerState.NEW else reason
     if part.kind is ChangeKind.LAW:
-        runs = running_form(link, read_law_head(link, context.block)) is not LawForm.NONE
+        runs = running_form(link, context, read_law_head(link, context.block)) is not LawForm.NONE
         law = read_bank(link, context.block, read_law_head(link, context.block).bank)
         if (0 if law is None else law.digest) != part.crc_of_law:
             return "the bank in use holds another law"
@@ -499,12 +498,12 @@ def _take_offset_out(link: Link, context: Context, old: Settings) -> None:
 
 
 def _clear_master_word(link: Link, old: Settings) -> None:
-    """Zero the master word that a sign test left, once no motor of the change follows it.
+    """Zero the master word that a sign test left, once no motor follows it.
 
     The next upload would be refused by it: following it would make the motor jump.
     """
     modes = [text for name, text in old.variables.items() if _FOLLOWING.fullmatch(name)]
-    if modes and not any(parse_integer(text) & 1 for text in modes):
+    if modes and not any(parse_integer(text) & 1 for text in modes) and not followers(link):
         link.command(f"WX${MASTER_WORD_ADDRESS:X},0")
 
 

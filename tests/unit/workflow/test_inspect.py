@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller import law_state
+from pmac_comp.machine.controller import law_goal
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
@@ -52,7 +52,7 @@ def test_a_torn_upload_is_told_although_the_tables_are_old(
 def test_an_open_servo_without_a_law_is_not_called_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(law_state, "running_form", lambda *_: law_state.LawForm.SERVO)
+    monkeypatch.setattr(law_goal, "running_form", lambda *_: law_goal.LawForm.SERVO)
     found = inspect.controller_status("sim://", "paper", tmp_path)["compensation"]
     assert found["law"] == "servo"
     assert found["why"].endswith("law: its program runs, and no law is loaded")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost
-from pmac_comp.machine.controller import law_install, law_state, motors
+from pmac_comp.machine.controller import law_goal, law_install, law_state, motors
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.law_state import LawForm
@@ -225,7 +225,7 @@ def test_what_a_stopped_plc_0_left_standing_goes(axis: Axis, tmp_path: Path) -> 
     axis.link.clock.sleep_s(0.5)
     assert "0" not in axis.link.query("I129RX$10F8")
     head = law_state.read_law_head(axis.link, context.block)
-    form = law_state.running_form(axis.link, head)
+    form = law_goal.running_form(axis.link, context, head)
     assert "its last correction stands" in inspect._law_text(axis.link, context.block, form, head)
     remove_from(axis, context, standing_on(axis))
     assert axis.link.query("I106I129RX$10F8") == ["0", "0", "0"]
