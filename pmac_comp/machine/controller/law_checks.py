@@ -22,6 +22,8 @@ from pmac_comp.machine.controller.law_goal import (
     LAW,
     DEFAULT_RAMP_s,
     definitions,
+    followers,
+    following_in,
     holds_law,
     law_missing,
     law_program,
@@ -46,6 +48,7 @@ from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.controller.verdict import untouched
 
 _ARMED: Final = "PC-LAW-021"
+_OTHER_LAW: Final = frozenset({"PC-LAW-049", "PC-LAW-054"})  # of another axis, in block or PLC 0
 
 
 def law_refusals(
@@ -78,10 +81,27 @@ def install_refusals(
     link: Link, context: Context, motor: int, head: LawHead, found: Settings, goal: Settings
 ) -> list[SafetyRefusal]:
     """All that forbids putting law and guard on a card that stands as ``found``."""
-    return [
+    refusals = [
         *_block_refusals(link, context.block, motor, head, goal),
         *_owners(context, motor, found),
         *_of_another_axis(link, context.block, head, motor, stands=holds_law(context, found)),
+    ]
+    if any(refusal.code in _OTHER_LAW for refusal in refusals):
+        return refusals  # whose motor follows, as it should
+    return refusals + _followed_by_others(link, motor)
+
+
+def _followed_by_others(link: Link, motor: int) -> list[SafetyRefusal]:
+    """Refusal of a law whose master word other motors follow: it would move them as well."""
+    return [
+        MotorNotSafe(
+            f"Motor #{other} follows the master word of the law (I{other}05, I{other}06): the law "
+            f"of motor #{motor} would move it as well.",
+            code="PC-LAW-056",
+            hint=f"Take off what a law has left there: `pmac-comp remove` with the bench file of "
+            f"motor #{other}; or set I{other}06 = 0 with that motor killed.",
+        )
+        for other in sorted(followers(link) - {motor})
     ]
 
 
@@ -116,6 +136,33 @@ def beside_open_servo(link: Link, context: Context, old: Settings) -> list[Safet
             "variables.",
             code="PC-LAW-048",
             hint=f"Set I{motor}59 = 0 with the motor killed and run the command again.",
+        )
+    ]
+
+
+def beside_another_law(
+    link: Link, context: Context, old: Sequence[Settings]
+) -> list[SafetyRefusal]:
+    """Refusal to let a motor follow the law again where that of another block stands by now.
+
+    Parameters
+    ----------
+    link, context
+        Conversation and block.
+    old : sequence of Settings
+        What would come back.
+    """
+    found = (following_in(settings) for settings in old)
+    motor = next((number for number in found if number is not None), None)
+    other = None if motor is None else law_elsewhere(link, context, motor)
+    if other is None:
+        return []
+    return [
+        MotorNotSafe(
+            f"PLC 0 holds the law of another bench file, whose p_block begins at P{other}; motor "
+            f"#{motor} would follow it as it once followed its own.",
+            code="PC-LAW-055",
+            hint="Take that law off first: `pmac-comp remove` with its bench file.",
         )
     ]
 

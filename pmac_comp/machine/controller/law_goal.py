@@ -4,6 +4,7 @@ What lives here: the settings that the law needs, and which of them the card lac
 what forbids them (``law_checks``), writing them (``law_install``).
 """
 
+import re
 from typing import Final
 
 from pmac_comp.base.errors import CommandRefused
@@ -36,6 +37,7 @@ from pmac_comp.machine.controller.variables import read_many, read_one, same_val
 DEFAULT_RAMP_s: Final = 0.5
 HARDER: Final = 1.5  # than the axis ever accelerates: such a step of the command is no motion
 LAW: Final = (ProgramKind.PLC, 0)
+_FOLLOWING: Final = re.compile(r"I(\d+)06")
 _RESCALED: Final = "scales and largest acceleration of the law were set anew"
 
 
@@ -73,6 +75,14 @@ def follows(link: Link, motor: int) -> bool:
     """Whether a motor follows the master word of the law."""
     found = read_many(link, [f"I{motor}05", f"I{motor}06"])
     return found[f"I{motor}05"] == MASTER_WORD_ADDRESS and bool(int(found[f"I{motor}06"]) & 1)
+
+
+def following_in(settings: Settings) -> int | None:
+    """Motor that settings make follow the master word of the law, if they do."""
+    for name, text in settings.variables.items():
+        if (found := _FOLLOWING.fullmatch(name)) and parse_integer(text) & 1:
+            return int(found[1])
+    return None
 
 
 def followers(link: Link) -> frozenset[int]:

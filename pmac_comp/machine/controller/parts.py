@@ -181,6 +181,15 @@ def standing_parts(context: Context, group: Journal) -> tuple[Part, ...]:
     return tuple(part for part in parts if part.closing != ROLLED_BACK)
 
 
+def settings_before(context: Context, group: Journal) -> list[Settings]:
+    """Settings that taking an upload back brings back."""
+    return [
+        read_settings_backup(_backup(context, part))
+        for part in standing_parts(context, group)
+        if part.kind is ChangeKind.SETTINGS
+    ]
+
+
 def replaced_since(context: Context, part: Part) -> set[object]:
     """What later changes, of other uploads, put in the place of a part's items."""
     known = parts_of(context)

@@ -19,11 +19,13 @@ from pmac_comp.machine.controller.journals import (
     own_numbers,
     require_own_block,
 )
+from pmac_comp.machine.controller.law_checks import beside_another_law
 from pmac_comp.machine.controller.lease import read_change, release_lease
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.parts import (
     Part,
     refuse_foreign,
+    settings_before,
     standing_parts,
     unsettled,
     uploads,
@@ -174,5 +176,6 @@ def rollback_refusals(link: Link, context: Context, group: Journal) -> list[Safe
     settling = replace(context, settling=True)
     refusals += [*lease_refusals(link, context), *waiting_refusals(link, settling)]
     refusals += flash_refusals(read_head(link, context))
+    refusals += beside_another_law(link, context, settings_before(context, group))
     since = number_since_ours(link, context)
     return [changed_elsewhere(since)] if since and not refusals else refusals

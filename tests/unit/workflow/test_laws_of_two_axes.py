@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller import law_goal, law_state
 from pmac_comp.machine.controller.law_state import LawForm
+from pmac_comp.machine.controller.rollback import rollback_last
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
@@ -82,3 +84,36 @@ def test_what_a_law_left_behind_is_not_taken_for_that_of_another_axis(
     assert not [text for text in sent if text.startswith("WX$10F8")]
     assert card.memory.x[0x10F8] == word
     assert law_state.read_law_head(axis.link, context_of(axis, tmp_path / "first").block).is_armed
+
+
+def test_a_rollback_makes_no_motor_follow_the_law_of_another_axis(
+    axis: Axis, other: Axis, tmp_path: Path
+) -> None:
+    """It brought the following back, and each correction of the first moved the second as well."""
+    context = context_of(other, tmp_path / "other")
+    put_law(other, tmp_path / "other")
+    remove_from(other, context, standing_on(other))
+    put_law(axis, tmp_path / "first")
+    before = axis.link.query("I305I306P7202P7207")
+    with pytest.raises(SafetyRefusal, match="p_block begins at P7000") as stopped:
+        rollback_last(axis.link, context)
+    assert stopped.value.code == "PC-LAW-055"
+    assert axis.link.query("I305I306P7202P7207") == before
+    first = context_of(axis, tmp_path / "first")
+    remove_from(axis, first, standing_on(axis))
+    rollback_last(axis.link, context)
+    assert axis.link.query("I306") == ["3"]
+    assert law_goal.law_stands(axis.link, context)
+
+
+def test_a_law_is_refused_while_another_motor_follows_its_word(
+    axis: Axis, other: Axis, tmp_path: Path
+) -> None:
+    """As where PLC 0 was emptied by hand: the sign test would move both."""
+    put_law(other, tmp_path / "other")
+    axis.link.write_buffer(["OPEN PLC 0 CLEAR", "CLOSE"])
+    with pytest.raises(SafetyRefusal, match="#3 follows") as stopped:
+        put_law(axis, tmp_path / "first")
+    assert stopped.value.code == "PC-LAW-056"
+    remove_from(other, context_of(other, tmp_path / "other"), standing_on(other))
+    put_law(axis, tmp_path / "first")
