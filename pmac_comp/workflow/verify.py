@@ -246,8 +246,8 @@ class KeptRuns:
         write_capture(self.folder / name, capture)
         self.names[side].append(name)
 
-    def left(self, motor: int) -> str:
-        """What an interrupted verification leaves, for people."""
+    def left(self, motor: int, compared: str) -> str:
+        """What an interrupted verification leaves, for people; ``compared`` are more options."""
         stands = (
             f"The axis was not put back as it was found: look at `pmac-comp status` whether motor "
             f"#{motor} is enabled and the compensation on."
@@ -255,9 +255,10 @@ class KeptRuns:
         n = sum(len(names) for names in self.names.values())
         if self.folder is None or n == 0:
             return f"{stands} No run was kept (--out DIR keeps each one as it is made)."
+        folder = shlex.quote(str(self.folder))
         return (
-            f"{stands} {n} runs are kept: `pmac-comp verify --before {self.folder} --after "
-            f"{self.folder}` compares the motions that were run on both sides."
+            f"{stands} {n} runs are kept: `pmac-comp verify --before {folder} --after {folder} "
+            f"{compared}` compares the motions that were run on both sides."
         )
 
 
@@ -300,7 +301,7 @@ def verify_on_controller(
         context = context_to_look(axis)
         require_on_card(axis, context, compensation)
         with (
-            _told_what_is_left(kept, axis.motor),
+            _told_what_is_left(kept, axis.motor, _compared(bench, law, model)),
             left_as_found(axis, context, compensation),
         ):
             measured = measured_before_arming(axis, context, compensation)
@@ -365,13 +366,19 @@ def _earlier_runs(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _told_what_is_left(kept: KeptRuns, motor: int) -> Iterator[None]:
+def _told_what_is_left(kept: KeptRuns, motor: int, compared: str) -> Iterator[None]:
     """Errors that say which runs were kept and that nothing was put back."""
     try:
         yield
     except (PmacCompError, KeyboardInterrupt) as error:
-        error.add_note(kept.left(motor))
+        error.add_note(kept.left(motor, compared))
         raise
+
+
+def _compared(bench: str, law: Path | None, model: Path | None) -> str:
+    """Options with which stored runs are compared as they would have been on the controller."""
+    named = {"--bench": bench, "--compensation": law, "--model": model}
+    return " ".join(f"{k} {shlex.quote(str(v))}" for k, v in named.items() if v is not None)
 
 
 def measured_before_arming(axis: Axis, context: Context, compensation: Compensation) -> list[str]:

@@ -16,7 +16,7 @@ from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.outcome import Ratio, Spread, error_signals, outcome_of, sensor_floor_um
 from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
-from pmac_comp.workflow.verify import KeptRuns, summed_up, verify_files
+from pmac_comp.workflow.verify import KeptRuns, _compared, summed_up, verify_files
 from tests.compensations import lead_map
 
 BENCH = load_bench("paper")
@@ -196,7 +196,10 @@ def test_runs_of_an_interrupted_verification_are_kept_and_can_be_compared(tmp_pa
     for capture, on in ((bare, "off"), (better, "on"), (alone, "off")):
         kept.keep(capture.with_attributes(compensation=on))
     assert kept.names == {"before": ["before_01.h5", "before_02.h5"], "after": ["after_01.h5"]}
-    assert "3 runs are kept" in kept.left(1)
+    said = kept.left(1, _compared("my bench.toml", Path("c.json"), None))
+    assert "3 runs are kept" in said
+    # Without them the runs of any axis but the paper's were refused, and the lead error stayed in.
+    assert f"--after {tmp_path / 'runs'} --bench 'my bench.toml' --compensation c.json`" in said
     sides = [capture_paths([tmp_path / "runs"], side=side) for side in ("before", "after")]
     (motion,) = verify_files("paper", *sides).motions
     assert motion.name == "a"
@@ -239,8 +242,8 @@ def test_stored_runs_are_held_against_the_compensation_that_acted_only(tmp_path:
 def test_an_interrupted_verification_that_kept_nothing_says_how_to_keep() -> None:
     kept = KeptRuns(None)
     kept.keep(run(correction_um=0.0, e_um=3.0, control_um=10.0))
-    assert "--out" in kept.left(4)
-    assert "#4" in kept.left(4)
+    assert "--out" in kept.left(4, "")
+    assert "#4" in kept.left(4, "")
 
 
 @pytest.mark.parametrize(("route", "judged"), [("law", "mechanical"), ("program", "total")])
