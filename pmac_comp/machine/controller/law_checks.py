@@ -82,7 +82,9 @@ def install_refusals(
 ) -> list[SafetyRefusal]:
     """All that forbids putting law and guard on a card that stands as ``found``."""
     refusals = [
-        *_block_refusals(link, context.block, motor, head, goal),
+        *_block_refusals(
+            link, context.block, motor, head, goal, armed=_is_armed(link, context, head, found)
+        ),
         *_owners(context, motor, found),
         *_of_another_axis(link, context.block, head, motor, stands=holds_law(context, found)),
     ]
@@ -115,7 +117,8 @@ def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
         mode, head = int(read_one(link, f"I{motor}59")), read_law_head(link, context.block)
         goal = servo_missing(link, context, motor, head)
         found = degree_refusals(link) + _beside_plc_0(link, context, motor, head)
-        found += [] if goal.is_empty else _armed(head, found)
+        armed = not goal.is_empty and _is_armed(link, context, head, plc_0(link))
+        found += _armed(head, found) if armed else []
         silent = head.motor == motor and head.form is LawForm.NONE
         if not mode & 1 or silent:
             found.append(no_servo(context, motor, mode))
@@ -167,12 +170,21 @@ def beside_another_law(
     ]
 
 
+def _is_armed(link: Link, context: Context, head: LawHead, found: Settings) -> bool:
+    """Whether the law of the block acts; one that a reset took away has left its gain behind."""
+    if head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE:
+        return False
+    if head.form is LawForm.PLC:
+        return holds_law(context, found)  # stopped as well: its outputs stand
+    return 1 <= head.motor <= MOTORS and bool(int(read_one(link, f"I{head.motor}59")) & 1)
+
+
 def _block_refusals(
-    link: Link, block: LawBlock, motor: int, head: LawHead, goal: Settings
+    link: Link, block: LawBlock, motor: int, head: LawHead, goal: Settings, *, armed: bool
 ) -> list[SafetyRefusal]:
     found = degree_refusals(link) + in_open_servo(link, motor)
     found += scratch_refusals(link, block, motor)
-    if head.form is not LawForm.NONE and abs(head.gain) > GAIN_TOLERANCE:
+    if armed:
         found.append(
             MotorNotSafe(
                 "A law is armed, and its program or settings would be replaced under it.",

@@ -223,6 +223,8 @@ def _head_values(
     return texts(
         {
             f"P{block.p(Index.TARGET)}": 0,
+            # Of a law that a reset took away; where one stands, it is refused to set it up armed.
+            **({f"P{block.p(Index.GAIN)}": 0} if head.gain else {}),
             f"P{block.bank(0, BankIndex.SEALED)}": 0,
             f"P{block.bank(1, BankIndex.SEALED)}": 0,
             f"P{block.p(Index.BANK)}": int(head.bank == 1),

@@ -11,6 +11,7 @@ from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import (
     block_use,
     grouping,
+    law_arming,
     law_checks,
     law_goal,
     law_install,
@@ -23,7 +24,7 @@ from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.settings import Settings
 from pmac_comp.simulator.card import Card
-from tests.unit.machine_controller.card_bench import LIMITS, CardBench
+from tests.unit.machine_controller.card_bench import LIMITS, CardBench, make_plc_bench
 
 OTHER_PLC_0 = ["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE"]
 OTHER_PLC_1 = ["CLOSE", "OPEN PLC 1 CLEAR", "P2=P2+1", "CLOSE"]
@@ -180,3 +181,20 @@ def test_the_largest_acceleration_of_a_bench_file_that_changed_is_written_anew(
     assert bench.p(step) == pytest.approx(10.0 * before)
     head = law_state.read_law_head(bench.link, LawBlock())
     assert law_state.read_bank(bench.link, LawBlock(), head.bank) == LawParameters(V0=0.1)
+
+
+def test_a_law_that_a_reset_took_away_is_not_called_armed(tmp_path: Path) -> None:
+    """Its variables stay: an upload asked for a removal, which found nothing to remove."""
+    bench = make_plc_bench(tmp_path)
+    law_install.install_law(bench.link, bench.context, 1)
+    law_upload.upload_law(bench.link, bench.context, LawParameters(V0=0.1))
+    law_arming.arm(bench.link, bench.context)
+    side = bench.side_port()
+    side("$$$***")
+    bench.card.run_cycles(5000)
+    bench.reconnect()
+    assert bench.link.query("P7000P7003") == ["20261", "1"]
+    bench.link.write_buffer(["I5=3", "I8=0", "I106=0"])
+    assert law_checks.law_refusals(bench.link, bench.context, 1) == []
+    law_install.install_law(bench.link, bench.context, 1)
+    assert not law_state.read_law_head(bench.link, bench.context.block).is_armed
