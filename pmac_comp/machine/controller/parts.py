@@ -89,7 +89,7 @@ from pmac_comp.machine.controller.table_recovery import (
     tables_state,
 )
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.machine.controller.table_status import read_head
+from pmac_comp.machine.controller.table_status import announced_elsewhere, read_head
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import ASKED
 from pmac_comp.machine.controller.upload_checks import motion_refusals
@@ -210,7 +210,7 @@ def replaced_since(context: Context, part: Part) -> set[object]:
 def missing(link: Link, context: Context, part: Part) -> str:
     """What of a part does not stand, in words; empty if all of it does."""
     if part.kind is ChangeKind.TABLES:
-        state, reason = tables_state(link, context, part.journal)
+        state, reason = _tables_of(link, context, part)
         return "" if state is ControllerState.NEW else reason
     if part.kind is ChangeKind.LAW:
         runs = running_form(link, context, read_law_head(link, context.block)) is not LawForm.NONE
@@ -228,6 +228,23 @@ def missing(link: Link, context: Context, part: Part) -> str:
     kept = {name: text for name, text in new.variables.items() if name not in ours}
     new = replace(new, variables=kept)
     return "; ".join(differences(new, read_settings(link, new))[:3])
+
+
+def _tables_of(link: Link, context: Context, part: Part) -> tuple[ControllerState, str]:
+    """How the tables of a change stand; those that other axes put beside them are no change of it.
+
+    The manifest of this block knows nothing of them: that of the other axis tells.
+    """
+    state, reason = tables_state(link, context, part.journal)
+    if state is not ControllerState.DISABLED or part.closing != DONE:
+        return state, reason
+    present = read_tables(link)
+    other = announced_elsewhere(link, context, present) if read_head(link, context).i51 else None
+    meant, (old, _) = _meant_tables(part), read_table_backup(_backup(context, part))
+    touched = meant.changed(old) | set(meant.asked)
+    if other is None or any(present.get(*key) != meant.tables.get(*key) for key in touched):
+        return state, reason
+    return other.state, other.reason
 
 
 def first_missing(link: Link, context: Context, group: int) -> str:
@@ -306,7 +323,7 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
     if part.closing == ROLLED_BACK:
         return ControllerState.OLD, "taken back"
     if part.kind is ChangeKind.TABLES:
-        return tables_state(link, context, part.journal)
+        return _tables_of(link, context, part)
     # Settings that parts behind them have changed stand as meant all the same.
     stands = not missing(link, context, part)
     if part.kind is not ChangeKind.LAW or (stands and not part.crc_of_law):

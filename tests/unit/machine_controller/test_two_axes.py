@@ -371,3 +371,25 @@ def test_a_block_whose_tables_are_gone_hinders_nobody(tmp_path: Path) -> None:
     remove_tables(bench.link, other, [(TableKind.COMP, 3)])
     assert not [r for r in block_use.block_refusals(bench.link, LawBlock(7000)) if
                 r.code == "PC-COM-011"]  # fmt: skip
+
+
+def test_tables_that_another_axis_put_beside_a_law_take_nothing_of_its_upload(
+    tmp_path: Path,
+) -> None:
+    """`recover` called the first axis' upload not whole, and pointed to `rollback`."""
+    bench = CardBench(tmp_path)
+    first, second = axis_of(bench, "first", 7000), axis_of(bench, "second", 7200)
+    with grouping.grouped(bench.link, first, "law") as parts:
+        upload_tables(bench.link, parts, [table_of(1)])
+        law_install.install_law(bench.link, parts, 1)
+        law_upload.upload_law(bench.link, parts, LawParameters(V0=0.1))
+    put_table(bench, second, 2)
+    assert recovery.recover(bench.link, first).verdict is ControllerState.NEW
+    bench.link.command("I51=0")
+    assert recovery.recover(bench.link, first).verdict is ControllerState.DISABLED
+    bench.link.command("I51=1")
+    # With a table of the first axis gone it is not whole, whoever announced what stands.
+    with grouping.grouped(bench.link, axis_of(bench, "third", 7400), "remove") as parts:
+        remove_tables(bench.link, parts, [(TableKind.COMP, 1)])
+    assert recovery.recover(bench.link, first).verdict is ControllerState.DISABLED
+    assert standing(bench) == (1, None, list(ENTRIES))
