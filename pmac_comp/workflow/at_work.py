@@ -51,12 +51,21 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
         yield
         return
     with card_lock(card_address(url)), host_lock(context_of(axis, axis.setup.store), _SCOPE):
-        _require_free_block(axis)
+        require_free_block(axis, url)
         yield
         axis.release_axis()  # what was borrowed is back before somebody else may begin
 
 
-def _require_free_block(axis: Axis) -> None:
+def require_free_block(axis: Axis, url: str) -> None:
+    """Refuse what writes, or plans to, where the law of another bench file works in the block.
+
+    Raises
+    ------
+    SafetyRefusal
+        It does.
+    """
+    if _is_own(url):  # made for this bench file
+        return
     with untouched():
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         raise_all(law_over_refusals(axis.link, block), "Work on this axis")

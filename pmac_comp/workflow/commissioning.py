@@ -20,7 +20,7 @@ from pmac_comp.machine.controller.settings_upload import change_settings, texts
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.as_described import CLOCK, differing_variables
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import at_work, require_free_block
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
@@ -35,6 +35,7 @@ def plan_setup(url: str, bench: str, *, killed: bool = False) -> dict[str, tuple
         Something would change, ``killed`` motors are asked for, and one is enabled.
     """
     with open_axis(url, bench) as axis:
+        require_free_block(axis, url)
         differing = settable_variables(axis)
         if differing and killed:
             require_killed(axis)

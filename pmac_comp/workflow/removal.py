@@ -41,7 +41,7 @@ from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.machine.controller.upload import remove_tables
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.controller.waiting import waiting_refusals
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import at_work, require_free_block
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS
 from pmac_comp.workflow.cam import rest_time_motor, time_motor_off
@@ -189,8 +189,11 @@ def plan_removal(url: str, bench: str) -> dict[str, Any]:
     ------
     MotorNotSafe
         There is no place where its tables could be switched without a step.
+    SafetyRefusal
+        The law of another bench file works with variables of the axis' block.
     """
     with open_axis(url, bench) as axis:
+        require_free_block(axis, url)
         found = standing_on(axis)
         other = law_elsewhere(axis.link, context_to_look(axis), axis.motor)
         if found.is_empty:

@@ -20,7 +20,7 @@ from pmac_comp.machine.controller.settings import Settings, differences, read_se
 from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.controller.verdict import mark_left
-from pmac_comp.workflow.at_work import at_work
+from pmac_comp.workflow.at_work import at_work, require_free_block
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.deploy import context_of
 from pmac_comp.workflow.session import open_axis
@@ -71,12 +71,14 @@ def plan_restore(url: str, bench: str, source: Path) -> dict[str, Any]:
     if source.suffix != ".json":
         goal, others = _settings_of(programs.parse_source(_program_text(bench, source)))
         with open_axis(url, bench) as axis:
+            require_free_block(axis, url)
             stands = read_settings(axis.link, goal)
         lines = [*others, *(f"would change: {text}" for text in differences(goal, stands))]
         lines += [line for body in goal.programs.values() for line in body]
         return {"summary": f"{len(lines)} lines of {source.name}", "lines": lines}
     stored = kept.load_backup(source)
     with open_axis(url, bench) as axis:
+        require_free_block(axis, url)
         present = kept.read_backup(axis.link)
     live = kept.live_variables(stored)
     differing = [d for d in kept.compare(present, stored) if d.item not in live]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.base.errors import ControllerState, LinkLost
+from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
 from pmac_comp.machine.controller import law_goal, law_install, law_state, motors
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.controller.law_bank import LawBlock
@@ -18,7 +18,7 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import inspect, removal
+from pmac_comp.workflow import commissioning, inspect, removal, safekeeping
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
@@ -251,3 +251,25 @@ def test_the_law_of_an_open_servo_fades_and_comes_back_armed(tmp_path: Path) -> 
         head = law_state.read_law_head(link, context.block)
         assert (head.target, head.gain) == (1.0, 1.0)
         assert standing_on(axis) == found
+
+
+@pytest.mark.parametrize("look", ["remove", "restore", "setup"])
+def test_a_look_is_refused_where_the_work_would_be(
+    axis: Axis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: str
+) -> None:
+    """`--dry-run` told what would change, and the command itself wrote nothing."""
+    law_install.install_law(axis.link, context_of(axis, tmp_path), 1)
+    controller = BENCH.controller.model_copy(update={"p_block": (7100, 7299)})
+    other = replace(axis, bench=BENCH.model_copy(update={"controller": controller}))
+    for module in (removal, safekeeping, commissioning):
+        monkeypatch.setattr(module, "open_axis", lambda *_: nullcontext(other))
+    program = tmp_path / "some.pmc"
+    program.write_text("P7600=1\n", encoding="utf-8")
+    looks = {
+        "remove": lambda: removal.plan_removal("tcp://card", "paper"),
+        "restore": lambda: safekeeping.plan_restore("tcp://card", "paper", program),
+        "setup": lambda: commissioning.plan_setup("tcp://card", "paper"),
+    }
+    with pytest.raises(SafetyRefusal) as refused:
+        looks[look]()
+    assert refused.value.code == "PC-COM-012"
