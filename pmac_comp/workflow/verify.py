@@ -319,6 +319,8 @@ def verify_on_controller(
             remarks = (*verification.remarks, *measured)
             verification = replace(verification, remarks=remarks)
             if refine:
+                if out is not None:
+                    store(verification, out)  # learning takes minutes, and may be interrupted
                 motion = chosen[0]
                 if compensation.route in MOTION_ROUTES:
                     motion = motion_of(compensation, axis.bench)
