@@ -5,6 +5,7 @@ law (``physics.compensate``), registers, conversations.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, predicted_remarks
 from pmac_comp.machine.controller.comp_table import CT16_PER_CT
+from pmac_comp.machine.controller.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
@@ -77,6 +79,7 @@ from pmac_comp.workflow.static_map import Limit, bench_map, covered_m, static_ma
 from pmac_comp.workflow.tables import sum_remarks
 
 _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
+_CyclesOf = Callable[[CompensationLaw], int]  # servo cycles between passes that leave time
 _DRAGS_m = 0.15e-6  # a drag that makes more than that, the aim of e_r, is worth fewer passes
 _SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a law
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
@@ -94,6 +97,7 @@ def compute_compensation(
     every_cycles: int = 1,
     provenance: dict[str, Any] | None = None,
     limit: Limit = Limit.REFUSE,
+    load: ProcessorLoad | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Law, lead map and backlash of a model and slow runs for a route.
@@ -120,6 +124,8 @@ def compute_compensation(
         Where the figures come from.
     limit : Limit
         What to do where slow runs do not cover the travel.
+    load : ProcessorLoad or None
+        How busy the card is, where one is connected; else the bench file's clock tells what fits.
     progress : callable, optional
         Called with a step and a fraction.
 
@@ -137,12 +143,14 @@ def compute_compensation(
         bench, model, captures, slow, with_gap=route != "table", progress=progress
     )
     model, captures, slow = shown.model, shown.captures, shown.slow
+    cycles_of = partial(fitting_cycles, bench, load=load)
     law = _law_that_fits(
         bench,
         model,
         route,
         captures,
         slow,
+        cycles_of,
         every_cycles=every_cycles,
         provenance={**(provenance or {}), **shown.noted},
         progress=progress,
@@ -175,9 +183,9 @@ def compute_compensation(
     loop = model_loop(without_fed_forward(model))
     law = with_unwinding(law, loop, bench, LATENCY_CYCLES[route], load_torque_Nm(model))
     more = _against_wobble(bench, model, route, law, wave)
-    law = more if route != "law" or fitting_cycles(bench, more) <= law.every_cycles else law
+    law = more if route != "law" or cycles_of(more) <= law.every_cycles else law
     if captures:
-        law = _with_drag_that_fits(bench, model, route, law, captures, lead, wave)
+        law = _with_drag_that_fits(cycles_of, model, route, law, captures, lead, wave)
         if law.drag_m > 0.0 and slow:
             lead = static_map(bench, route, slow, law, limit, per_turn_m)
         law = with_unmodelled(bench, law, model, captures, lead)
@@ -186,7 +194,7 @@ def compute_compensation(
 
 
 def _with_drag_that_fits(
-    bench: Bench,
+    cycles_of: _CyclesOf,
     model: Any,
     route: str,
     law: CompensationLaw,
@@ -196,7 +204,7 @@ def _with_drag_that_fits(
 ) -> CompensationLaw:
     """A law with what drags at the table, or with a note of it where PLC 0 has no time for it."""
     more = _with_drag(model, law, captures, lead, wave)
-    if route != "law" or fitting_cycles(bench, more) <= law.every_cycles:
+    if route != "law" or cycles_of(more) <= law.every_cycles:
         return more
     return replace(law, provenance={**law.provenance, NO_TIME_FOR_DRAG: more.drag_m})
 
@@ -263,6 +271,7 @@ def _law_that_fits(
     route: str,
     captures: tuple[Capture, ...],
     slow: tuple[Capture, ...],
+    cycles_of: _CyclesOf,
     *,
     every_cycles: int,
     provenance: dict[str, Any],
@@ -280,7 +289,7 @@ def _law_that_fits(
     wave = wobble_of(bench, lead)
     whole = _against_wobble(bench, model, route, law, wave, _SHAKES)
     dragging = _with_drag(model, whole, captures, lead, wave)
-    fitting = fitting_cycles(bench, dragging if dragging.drag_m > _DRAGS_m else whole)
+    fitting = cycles_of(dragging if dragging.drag_m > _DRAGS_m else whole)
     if fitting == every_cycles:
         return law
     return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})

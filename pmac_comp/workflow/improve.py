@@ -13,6 +13,7 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, holds_runs
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
+from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import motor_as_found, prepare, require_new, run_to_files
@@ -406,6 +407,7 @@ class _Steps:
             slow=self._slow,
             captures=self._captures,
             provenance={"bench_digest": self._axis.bench.digest, "model": f"{name}_model.json"},
+            load=read_load(self._axis.link, self._axis.bench.servo_period_s),
             progress=self._told,
         )
         folder = self._out / f"verification_{name}"

@@ -1,6 +1,7 @@
 """A law for a drive at whose table something drags over millimetres, and the passes it costs."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from pmac_comp.workflow import computing
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.dynamic_law import drag_remarks
-from pmac_comp.workflow.law_cost import ASKED, MOST_FRAC, share_frac
+from pmac_comp.workflow.law_cost import ASKED, MOST_FRAC, fitting_cycles, share_frac
 
 PAPER = load_bench("paper_x4")
 # Where the plain law fits into each servo cycle, and not with what drags beside it.
 SLOWER = PAPER.controller.model_copy(update={"cpu_clock_MHz": 70.0})
 BENCH = PAPER.model_copy(update={"controller": SLOWER})
 MODEL = DriveModel.base(BENCH)
+CYCLES_OF = partial(fitting_cycles, BENCH)
 DRAG_m, DISTANCE_m = 0.3e-6, 4e-3
 
 
@@ -67,7 +69,7 @@ def test_drag_that_plc_0_has_no_time_for_is_said(compensation: Compensation) -> 
     fast = replace(compensation.law, drag_m=0.0, torque_drag_Nm=0.0, every_cycles=1, provenance={})
 
     def of(route: str, law: computing.CompensationLaw = fast) -> computing.CompensationLaw:
-        return computing._with_drag_that_fits(BENCH, MODEL, route, law, CAPTURES, None, None)
+        return computing._with_drag_that_fits(CYCLES_OF, MODEL, route, law, CAPTURES, None, None)
 
     left = of("law")
     assert left.drag_m == 0.0

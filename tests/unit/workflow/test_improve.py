@@ -38,6 +38,7 @@ class Bench:
         self.provenance: list[dict[str, str]] = []
         self.answers = [verification(1.0, 2.0)]
         self.validated: Any = None
+        self.load, self.loads = object(), list[object]()
         self.hopeless = False
         self.gap: float | None = None
         self.diagnosis = SimpleNamespace(
@@ -57,6 +58,7 @@ class Bench:
             "store": lambda *a: None,
             "context_of": lambda *a: "context",
             "identify_captures": self.identified,
+            "read_load": lambda link, period_s: self.load,
             "nut_gap": lambda model: None if self.gap is None else (self.gap, None),
             "compute_compensation": self.computed,
             "deploy": lambda axis, compensation, context: self.done.append(f"up {compensation}"),
@@ -74,8 +76,11 @@ class Bench:
             identification=SimpleNamespace(model=name), model_file=f"file of {name}"
         )
 
-    def computed(self, bench: Any, drive: str, *, provenance: dict[str, str], **rest: Any) -> str:
+    def computed(
+        self, bench: Any, drive: str, *, provenance: dict[str, str], load: object, **rest: Any
+    ) -> str:
         self.provenance.append(provenance)
+        self.loads.append(load)
         return f"compensation of {drive}"
 
     def diagnosed(self, *args: Any, validate: Any, **rest: Any) -> Any:
@@ -83,7 +88,8 @@ class Bench:
         return self.diagnosis
 
     def run(self, tmp_path: Path) -> Improvement:
-        return improve_axis(SimpleNamespace(bench=SimpleNamespace(digest="d1")), tmp_path)
+        loaded = SimpleNamespace(digest="d1", servo_period_s=442e-6)
+        return improve_axis(SimpleNamespace(bench=loaded, link=None), tmp_path)
 
 
 def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, tmp_path) -> None:
@@ -94,6 +100,7 @@ def test_the_first_compensation_is_off_before_the_grown_one_comes(monkeypatch, t
     assert bench.done == [f"up {first}", f"off {first}", f"up {grown}"]
     assert found.kept == "grown"
     assert bench.validated == ("run without compensation",)
+    assert bench.loads == [bench.load, bench.load]  # laws fit beside what the card does already
     assert any("mechanical error, quadratic mean: 1.000 -> 0.400 um" in x for x in found.lines())
 
 

@@ -1,6 +1,7 @@
 """The cost of the law is stated, and what cheaper laws lose is predicted and small."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -10,13 +11,14 @@ from pmac_comp.machine.controller.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import law_cost
+from pmac_comp.workflow import computing, law_cost
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.dynamic_law import law_remarks
 from pmac_comp.workflow.law_cost import (
     cheaper_laws,
     cost_refusals,
     cost_remarks,
+    fitting_cycles,
     servo_cost_refusals,
     share_frac,
 )
@@ -158,3 +160,22 @@ def test_what_a_law_lacks_is_said() -> None:
     (text,) = law_remarks(model.with_effect("backlash"), "law", has_captures=True)
     assert "takes 3.0 um up as the force" in text
     assert law_remarks(model, "table", has_captures=False) == []
+
+
+def test_a_law_is_computed_for_the_time_that_a_busy_card_has(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With more active motors `improve` computed a law for minutes that its upload then refused."""
+
+    def designed(*_: object, every_cycles: int, provenance: dict[str, int], **__: object) -> object:
+        return CompensationLaw(2e-6, every_cycles=every_cycles, provenance=provenance)
+
+    monkeypatch.setattr(computing, "dynamic_law", designed)
+    model = DriveModel.base(BENCH)
+    for load, every in ((None, 1), (load_of(), 1), (load_of(servo=0.32), 2)):
+        cycles_of = partial(fitting_cycles, BENCH, load=load)
+        law = computing._law_that_fits(
+            BENCH, model, "law", (), (), cycles_of, every_cycles=1, provenance={}, progress=None
+        )
+        assert law.every_cycles == every
+        assert cost_refusals(BENCH, law, load) == []
