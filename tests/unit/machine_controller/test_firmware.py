@@ -34,6 +34,7 @@ from pmac_comp.machine.controller.law_bank import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.processor_load import read_load
+from pmac_comp.physics.compensate.law import WOUND_FADE, WOUND_YIELD
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (
     AXIS_LINES,
@@ -318,6 +319,39 @@ def test_the_table_s_friction_fades_at_rest_as_its_bank_says(tmp_path: Path, for
         assert states[last] == pytest.approx(states[last - 40] * (1.0 - fade) ** 40, rel=1e-6)
         assert 0.1 < states[-1] < 0.999 * max(states)
     assert used == {0, 1}
+
+
+@pytest.mark.parametrize("form", ["law", "law, every second cycle", "servo"])
+def test_torque_against_the_integrator_gives_way_at_rest_where_it_pushes_as_friction(
+    tmp_path: Path, form: str
+) -> None:
+    if form == "servo":
+        bench, work, held = make_servo_bench(tmp_path), Index.WORK_SERVO, 7123
+    else:
+        bench, work, held = make_plc_bench(tmp_path), Index.WORK_PLC, 7130
+        law_install.install_law(bench.link, bench.context, 1)
+    every = 2 if "second" in form else 1
+    bench.link.command(f"I8={every - 1}")
+    # Without a look ahead, whose acceleration would turn the friction state as it comes to rest.
+    law_upload.upload_law(bench.link, bench.context, replace(LAW, L1=0.0))
+    law_arming.arm(bench.link, bench.context)
+    breaks = LAW.TC + LAW.TX
+    for way, with_friction in ((6000, True), (-6000, True), (6000, False)):
+        bench.link.command(f"#1J^{way}")
+        bench.card.run_cycles(60)
+        bench.link.command(f"P{held}={way if with_friction else -way}")
+        kept, state = [], []
+        for _ in range(600):
+            bench.card.run_cycles(every)
+            kept.append(bench.p(held))
+            state.append(bench.p(7000 + work + WorkIndex.TORQUE_STATE))
+        assert kept[21] / kept[20] == pytest.approx(WOUND_FADE, abs=1e-9)
+        last = int(np.flatnonzero(np.diff(state))[-1])
+        rest = slice(last - 40, last)
+        goes = WOUND_YIELD * every * breaks * np.array(state[rest]) if with_friction else 0.0
+        assert np.diff(kept)[rest] == pytest.approx(-goes, rel=1e-6)
+        assert kept[-1] == kept[last + 1]
+        bench.clock.sleep_s(0.3)
 
 
 def off(sent: np.ndarray, expected: np.ndarray, shift: int, use: slice) -> float:

@@ -10,7 +10,14 @@ from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
 from pmac_comp.physics.compensate import law
-from pmac_comp.physics.compensate.law import CompensationLaw, delayed, evaluate_law, friction_levels
+from pmac_comp.physics.compensate.law import (
+    WOUND_FADE,
+    WOUND_YIELD,
+    CompensationLaw,
+    delayed,
+    evaluate_law,
+    friction_levels,
+)
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.scales import Scales
@@ -264,6 +271,35 @@ def test_motion_begins_with_the_friction_that_the_output_held() -> None:
     assert got[back] == pytest.approx(alone[back], abs=0.01)
     assert got[back] - got[back + 60] == pytest.approx(0.6, rel=0.03)
     assert alone[back] - alone[back + 60] == pytest.approx(0.685, rel=0.03)
+
+
+def test_torque_against_the_integrator_gives_way_at_rest_where_it_pushes_as_friction() -> None:
+    # Two moves up; over the first rest the integrator has wound through half of the friction.
+    one = trapezoid(
+        period_s=PERIOD,
+        distance_m=0.01,
+        speed_m_per_s=0.05,
+        acceleration_m_per_s2=1.0,
+        dwell_s=0.4,
+    ).position_m
+    up = one[: int(np.argmax(one >= one.max() - 1e-12)) + 500]
+    path = np.concatenate([up, up + up[-1]])
+    law = CompensationLaw(torque_coulomb_Nm=0.5, torque_limit_Nm=10.0, torque_breakaway_m=1e-6)
+    alone = evaluate_law(law, path, PERIOD).torque_Nm
+    ends = [int(np.flatnonzero(np.diff(part) > 1e-10)[-1]) + 1 for part in (path[: up.size], path)]
+    output = np.where(np.arange(path.size) < ends[0], alone, -0.25)
+    got = evaluate_law(law, path, PERIOD, output_Nm=output).torque_Nm
+    held = 0.5 * (1.0 - law.rest_fade_per_s * PERIOD) ** np.arange(99)
+    gone = WOUND_YIELD * np.sum(held)
+    # As the second move ends the law sends friction and what it sends against the integrator.
+    against = got[ends[1]] - alone[ends[1]]
+    assert against == pytest.approx((held[-1] + 0.25) * WOUND_FADE**480, rel=0.05)
+    assert got[-1] - alone[-1] == pytest.approx(against - gone, abs=2e-3)
+    # The other way it pushes against friction, and stays.
+    back = evaluate_law(law, path, PERIOD, output_Nm=np.where(output < 0.0, 0.75, output)).torque_Nm
+    against = back[ends[1]] - alone[ends[1]]
+    assert against < -0.1
+    assert back[-1] - alone[-1] == pytest.approx(against, abs=2e-3)
 
 
 def test_move_that_ends_is_not_taken_for_one_that_turns() -> None:

@@ -1,5 +1,6 @@
 """A law after a rest in which the integrator wound itself up against friction."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from pmac_comp.workflow.simulated import default_servo, embedded
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")
+COARSE = load_bench("paper")
 # Not in the law: the axis stops a few um off, inside its friction.
 HIDDEN = {"friction_per_rev": {"amplitude_Nm": 0.05, "order_per_rev": 1.0, "phase_rad": 0.7}}
 
@@ -76,3 +78,57 @@ def test_motion_after_a_rest_finds_friction_where_it_stands(axis: Axis, distance
     # The integrator has wound through the whole friction and the motor has crept: without a look
     # at that the motion in one of the directions begins with 60 um.
     assert peak_um(axis.run(after_rest(distance_m))) < 20.0
+
+
+class NoisyDrive:
+    """Motor, screw and table in one, against sharp friction, seen by a noisy encoder."""
+
+    def __init__(self, friction_Nm: float) -> None:
+        lead, nominal = COARSE.lead_m_per_rad, COARSE.nominal
+        assert nominal.table_mass_kg is not None
+        rotary = (nominal.motor_inertia_kgm2 or 0.0) + (nominal.screw_inertia_kgm2 or 0.0)
+        self.inertia_kgm2 = rotary + nominal.table_mass_kg * lead**2
+        self.friction_Nm = friction_Nm
+        self.noise = np.random.default_rng(3)
+        self.reset()
+
+    def reset(self, table_position_m: float = 0.0) -> None:
+        self.angle_rad, self.speed_rad_per_s = table_position_m / COARSE.lead_m_per_rad, 0.0
+
+    def set_external_force(self, force_N: float) -> None:
+        assert force_N == 0.0
+
+    def step(self, torque_Nm: float) -> tuple[float, float]:
+        period_s = COARSE.servo_period_s / 4
+        for _ in range(4):
+            speed = self.speed_rad_per_s + period_s * torque_Nm / self.inertia_kgm2
+            least = period_s * self.friction_Nm / self.inertia_kgm2
+            self.speed_rad_per_s = math.copysign(max(0.0, abs(speed) - least), speed)
+            self.angle_rad += period_s * self.speed_rad_per_s
+        half_a_count = math.pi / COARSE.encoder.counts_per_rev
+        seen_rad = self.angle_rad + half_a_count * float(self.noise.standard_normal())
+        return seen_rad, self.angle_rad * COARSE.lead_m_per_rad
+
+
+@pytest.mark.parametrize(("route", "held"), [("law", 7130), ("servo", 7123)])
+def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
+    tmp_path: Path, route: str, held: int
+) -> None:
+    law = design_law(
+        COARSE, model_loop(DriveModel.base(COARSE)), latency_cycles=LATENCY_CYCLES[route]
+    )
+    plant = NoisyDrive(law.breaks_loose_Nm)
+    source = default_servo().read_text(encoding="utf-8") if route == "servo" else None
+    with embedded(Card(COARSE, plant=plant, servo_source=source)) as link:
+        axis = Axis(link, COARSE, "card")
+        axis.enable()
+        if route == "servo":
+            link.command(f"I{axis.motor}59=1")
+        deploy(axis, Compensation(route, law), context_of(axis, tmp_path))
+        kept_Nm = []
+        for k in range(15):
+            axis.move_to(0.2e-3 * k / axis.scales.motor_m_per_ct)
+            link.clock.sleep_s(6.0)
+            kept_Nm.append(float(link.query(f"P{held}")[0]) * COARSE.drive.torque_per_dac_Nm)
+    # It was twice the friction, and grew.
+    assert np.mean(kept_Nm[-5:]) < 0.5 * law.breaks_loose_Nm
