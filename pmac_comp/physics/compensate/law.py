@@ -87,6 +87,13 @@ noisy encoder, rests of 20 s). So what stands against the integrator gives way a
 two fifths of the friction and only where it pushes the way that ``t`` does: the output goes to
 about zero, which friction holds, and the motor stands where it stood.
 
+What stands against the integrator pushes nothing together with it, and as it fades the loop sheds
+as much by a steady error: that torque over the proportional gain, times the integrator's time over
+that of the fading. The sum over time is the same however fast it fades. In 1.5 s it was 2 um for
+each friction torque on that drive, and the first targets of a positioning run lay 4 um off, more
+than without a law; in 4.4 s it is a third of that. Slower still, more of it would be left for the
+moment in which a law is switched off, and the integrator moves the motor (7 um per N m there).
+
 With backlash the nut changes its flank with the force it transmits, not with the velocity. The
 elastic correction is that force over the stiffness, so ``e`` tells the flank: half the gap G is
 taken up as ``e`` passes zero, from -W to W, foreseen by the look-ahead as the motor takes its
@@ -129,7 +136,7 @@ REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
 REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
-WOUND_FADE = 0.9997  # of the torque that the integrator keeps, per pass in motion
+WOUND_FADE = 0.9999  # of the torque against the integrator, per pass in motion
 WOUND_YIELD = 0.006  # of the friction torque, that it gives way per cycle as a rest begins
 _WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.design import design_law, model_loop
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
@@ -16,8 +18,8 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
-from pmac_comp.workflow.motions import Motion
+from pmac_comp.workflow.deploy import context_of, deploy, switch
+from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.routes import LATENCY_CYCLES
 from pmac_comp.workflow.simulated import default_servo, embedded
 from tests.generators.true_values import friction_of
@@ -110,10 +112,9 @@ class NoisyDrive:
         return seen_rad, self.angle_rad * COARSE.lead_m_per_rad
 
 
-@pytest.mark.parametrize(("route", "held"), [("law", 7130), ("servo", 7123)])
-def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
-    tmp_path: Path, route: str, held: int
-) -> None:
+@contextmanager
+def noisy_axis(route: str, folder: Path) -> Iterator[tuple[Axis, Context, Compensation]]:
+    """Axis of a noisy drive with the law of one that is as stiff and has as much friction."""
     law = design_law(
         COARSE, model_loop(DriveModel.base(COARSE)), latency_cycles=LATENCY_CYCLES[route]
     )
@@ -124,11 +125,38 @@ def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
         axis.enable()
         if route == "servo":
             link.command(f"I{axis.motor}59=1")
-        deploy(axis, Compensation(route, law), context_of(axis, tmp_path))
-        kept_Nm = []
+        context, compensation = context_of(axis, folder), Compensation(route, law)
+        deploy(axis, compensation, context)
+        yield axis, context, compensation
+
+
+@pytest.mark.parametrize(("route", "held"), [("law", 7130), ("servo", 7123)])
+def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
+    tmp_path: Path, route: str, held: int
+) -> None:
+    kept_Nm = []
+    with noisy_axis(route, tmp_path) as (axis, _, compensation):
         for k in range(15):
             axis.move_to(0.2e-3 * k / axis.scales.motor_m_per_ct)
-            link.clock.sleep_s(6.0)
-            kept_Nm.append(float(link.query(f"P{held}")[0]) * COARSE.drive.torque_per_dac_Nm)
+            axis.link.clock.sleep_s(6.0)
+            kept_Nm.append(float(axis.link.query(f"P{held}")[0]) * COARSE.drive.torque_per_dac_Nm)
     # It was twice the friction, and grew.
-    assert np.mean(kept_Nm[-5:]) < 0.5 * law.breaks_loose_Nm
+    assert np.mean(kept_Nm[-5:]) < 0.5 * compensation.law.breaks_loose_Nm
+
+
+@pytest.mark.parametrize("route", ["law", "servo"])
+def test_what_the_integrator_holds_leaves_no_steady_lag(tmp_path: Path, route: str) -> None:
+    motion = parse_motion("trapezoid:distance_mm=60,speed_mm_per_s=60,start_mm=-30", COARSE)
+    with noisy_axis(route, tmp_path) as (axis, context, compensation):
+        switch(axis, context, compensation, on=False)
+        axis.move_to(-30e-3 / axis.scales.motor_m_per_ct)  # the integrator holds friction downwards
+        switch(axis, context, compensation, on=True)
+        runs = [axis.run(motion) for _ in range(6)]
+    lags = []
+    for run in runs:
+        speed = np.gradient(run.commanded_position_m, COARSE.servo_period_s)
+        up = np.flatnonzero(speed > 59e-3)
+        steady = up[up.size // 3 : -50]
+        lags.append(np.mean((run.motor_position_m - run.desired_m)[steady]))
+    # It was 0.5 um and more, as the loop shed what the integrator held.
+    assert abs(np.mean(lags)) < 0.42e-6
