@@ -15,6 +15,7 @@ from pmac_comp.machine.controller import (
     gather,
     law_arming,
     law_cost,
+    law_goal,
     law_install,
     law_state,
     law_upload,
@@ -535,6 +536,14 @@ def test_files_move_to_another_block_and_motor() -> None:
     assert {"I5001=$800188", "I5003=$80028B", "I5005=$400000", "I5006=$4001BF"} <= set(setup)
     cleared = programs.render("P7000..7199=0 M7000=P7010", first_p=3000)
     assert cleared == "P3000..3199=0 M7000=P3010\n"
+
+
+def test_plc_form_leaves_the_scratch_alone_by_which_an_open_servo_is_known() -> None:
+    block = LawBlock()
+    scratch = range(block.p(Index.SCRATCH_SERVO), block.p(Index.COPY))
+    statements = "\n".join(law_goal.law_program(block, 1).lines)
+    assert f"P{block.p(Index.COPY)}=" in statements
+    assert [k for k in scratch if f"P{k}" in statements] == []
 
 
 def test_cost_of_the_law_is_counted() -> None:
