@@ -85,7 +85,9 @@ torque each time, which the law has to undo each time: without more it grew to n
 friction, and a longer move after such steps of 5 mm began 25 um off (simulated, a heavy table on a
 noisy encoder, rests of 20 s). So what stands against the integrator gives way as a rest begins, by
 two fifths of the friction and only where it pushes the way that ``t`` does: the output goes to
-about zero, which friction holds, and the motor stands where it stood.
+about zero, which friction holds, and the motor stands where it stood. With play in the nut only
+what is more than friction does: less, let go, left the motor of a hanging axis at rest on the other
+flank.
 
 What stands against the integrator pushes nothing together with it, and as it fades the loop sheds
 as much by a steady error: that torque over the proportional gain, times the integrator's time over
@@ -548,17 +550,25 @@ def _followed(state: float, way: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _faded(
-    s: float, t: float, wound: float, rest: float, goes: tuple[float, float, float]
+    states: tuple[float, float, float], rest: float, stays: float, goes: tuple[float, float, float]
 ) -> tuple[float, float, float]:
     """Friction states of table and torque, and the torque against the integrator, after a pass.
 
-    ``goes`` are the shares of the states that fade in a pass of a rest, and the torque that gives
-    way in it where friction pushes with all it has.
+    ``goes`` are the shares of the states that fade in a pass of a rest, and the torque by which the
+    last gives way in it where friction pushes along with all it has; it ``stays`` up to that size.
     """
+    s, t, wound = states
     if rest >= REST_CYCLES:
         return s, t, wound
-    stays = wound - goes[2] * t if wound * t > 0.0 else wound
-    return s * (1.0 - goes[0]), t * (1.0 - goes[1]), stays
+    if wound * t > 0.0 and abs(wound) > stays:
+        wound -= goes[2] * t
+    return s * (1.0 - goes[0]), t * (1.0 - goes[1]), wound
+
+
+@njit(cache=True, nogil=True)
+def _over(holds: float, inertia: float) -> float:
+    """Acceleration of the table whose elastic error is as large as that of friction."""
+    return holds / inertia if inertia > 0.0 else math.inf
 
 
 @njit(cache=True, nogil=True)
@@ -745,8 +755,8 @@ def _evaluate(
     seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
     v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = d = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
-    most = (coulomb + stribeck) / inertia if inertia > 0.0 else math.inf
-    breaks = torque_coulomb + torque_stribeck
+    breaks, most = torque_coulomb + torque_stribeck, _over(coulomb + stribeck, inertia)
+    goes = (rest_unwind * period, rest_fade * period, WOUND_YIELD * every * breaks)
     for k in range(r.size):
         v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
         j2, j1 = j1, j
@@ -757,13 +767,7 @@ def _evaluate(
             rest += every
             if seen and k > 0:
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
-            s, t, wound = _faded(
-                s,
-                t,
-                wound,
-                rest,
-                (rest_unwind * period, rest_fade * period, WOUND_YIELD * every * breaks),
-            )
+            s, t, wound = _faded((s, t, wound), rest, breaks if gap_half > 0.0 else 0.0, goes)
         else:
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
