@@ -9,7 +9,7 @@ acceleration, speed or direction, and to their sum times position. The law has t
 are taken over; what they do not explain stays for ``diagnose``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,14 +73,8 @@ def trimmed_law(
     explained = 1.0 - best.left_m / max(whole, 1e-30)
     if best is fits[0] and explained < _LEAST_GAIN_FRAC:
         return law, 0.0
-    # The error is what the law takes away: its terms grow by minus the error's.
-    values = {
-        name: getattr(law, name) - float(change)
-        for name, change in zip(_names(law), best.changes, strict=True)
-    }
-    if law.gap_half_m > 0.0:
-        values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
-    return replace(law, **values, breakaway_m=best.breakaway_m), explained
+    values = _less(law, best.changes, {})
+    return law.with_values(**values, breakaway_m=best.breakaway_m), explained
 
 
 def with_drag(
@@ -121,34 +115,50 @@ def with_drag(
     rippling = law.gap_half_m > 0.0 and law.turn_share != 0.0
     if len(usable) < 2 or law.bed_share > 0.0 or law.inertia_s2 <= 0.0 or rippling:
         return law
-    trim = law.provenance.get("trim", {})
-    own_m = law.breakaway_m - trim.get("breakaway_m", 0.0)
+    trim, own_m = _trim(law), _own_breakaway_m(law)
     runs = [_run(law, loop, capture, lead) for capture in usable]
     without = _Columns.of(law, runs, own_m)
     fits = [_Columns.of(law, runs, own_m, distance_m) for distance_m in _DRAGS_OVER_m]
-    best = min(fits, key=lambda fit: fit.left_m())
-    changes = best.changes()
-    drag_m = -float(changes[-1])
-    enough = (1.0 - _LEAST_DRAG_FRAC) * without.left_m()
-    if drag_m <= 0.0 or best.left_m() > enough or not best.holds_across(without):
+    left_m, best = min(((fit.left_m(), fit) for fit in fits), key=lambda pair: pair[0])
+    *changes, drag = best.changes()
+    explained = 1.0 - left_m / max(without.left_m(), 1e-30)
+    if drag >= 0.0 or explained < _LEAST_DRAG_FRAC or not best.holds_across(without):
         return law
-    names, before = _names(law), {n: getattr(law, n) for n in _names(law)}
+    values = _less(law, changes, trim)
+    values |= {"drag_m": -float(drag), "drag_distance_m": best.distance_m}
+    if law.torque_limit_Nm > 0.0:
+        Nm_per_m = torque_Nm_s2_per_m / law.inertia_s2
+        values["torque_drag_Nm"] = Nm_per_m * values["drag_m"]
+        for torque, offset in _SAME_FORCE.items():
+            moved_m = values[offset] - getattr(law, offset)
+            values[torque] = getattr(law, torque) + Nm_per_m * moved_m
+    moved = {n: value - getattr(law, n) + trim.get(n, 0.0) for n, value in values.items()}
+    provenance = {**law.provenance, "trim": {**trim, **moved}, DRAG: explained}
+    return replace(law.with_values(**values), provenance=provenance)
+
+
+def _trim(law: CompensationLaw) -> Mapping[str, float]:
+    """What captures moved of a law already, by coefficient."""
+    moved: Mapping[str, float] = law.provenance.get("trim", {})
+    return moved
+
+
+def _own_breakaway_m(law: CompensationLaw) -> float:
+    """Break-away distance of the model, before captures moved it."""
+    return law.breakaway_m - _trim(law).get("breakaway_m", 0.0)
+
+
+def _less(
+    law: CompensationLaw, changes: Iterable[float], trim: Mapping[str, float]
+) -> dict[str, float]:
+    """Terms of a law without its trim, less those of an error: it is what the law takes away."""
     values = {
-        name: before[name] - trim.get(name, 0.0) - float(change)
-        for name, change in zip(names, changes, strict=False)
+        name: getattr(law, name) - trim.get(name, 0.0) - float(change)
+        for name, change in zip(_names(law), changes, strict=True)
     }
     if law.gap_half_m > 0.0:
         values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
-    values |= {"drag_m": drag_m, "drag_distance_m": best.distance_m}
-    if law.torque_limit_Nm > 0.0:
-        Nm_per_m = torque_Nm_s2_per_m / law.inertia_s2
-        values["torque_drag_Nm"] = Nm_per_m * drag_m
-        for torque, offset in _SAME_FORCE.items():
-            values[torque] = getattr(law, torque) + Nm_per_m * (values[offset] - before[offset])
-    moved = {n: value - getattr(law, n) + trim.get(n, 0.0) for n, value in values.items()}
-    noted = {DRAG: 1.0 - best.left_m() / without.left_m()}
-    provenance = {**law.provenance, "trim": {**trim, **moved}, **noted}
-    return replace(law, **values, provenance=provenance)
+    return values
 
 
 @dataclass(frozen=True)
@@ -293,9 +303,8 @@ def shows_reversal(
     usable = [c for c in captures if c.table_position_m is not None]
     if not usable:
         return True  # nothing speaks against it
-    trim = law.provenance.get("trim", {})
-    own_m = law.breakaway_m - trim.get("breakaway_m", 0.0)
-    changes = np.array([trim.get(name, 0.0) for name in _names(law)])
+    own_m = _own_breakaway_m(law)
+    changes = np.array([_trim(law).get(name, 0.0) for name in _names(law)])
     without, beside = [], []
     for run in (_run(law, loop, capture, lead) for capture in usable):
         terms, rest = _terms(law, run, law.breakaway_m, own_m)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.physics.compensate.design import design_law, model_loop
@@ -16,6 +16,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.plant.door import Plant
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
@@ -42,15 +43,25 @@ def axis(
     )
     route = request.param
     law = design_law(BENCH, model_loop(model), latency_cycles=LATENCY_CYCLES[route])
-    source = default_servo().read_text(encoding="utf-8") if route == "servo" else None
-    with embedded(Card(BENCH, plant=plant, servo_source=source)) as link:
-        axis = Axis(link, BENCH, "card")
+    with deployed(BENCH, plant, Compensation(route, law), tmp_path_factory.mktemp(route)) as found:
+        yield found[0]
+
+
+@contextmanager
+def deployed(
+    bench: Bench, plant: Plant, compensation: Compensation, folder: Path
+) -> Iterator[tuple[Axis, Context]]:
+    """Axis of a drive with its compensation armed."""
+    in_servo = compensation.route == "servo"
+    source = default_servo().read_text(encoding="utf-8") if in_servo else None
+    with embedded(Card(bench, plant=plant, servo_source=source)) as link:
+        axis = Axis(link, bench, "card")
         axis.enable()
-        if route == "servo":
+        if in_servo:
             link.command(f"I{axis.motor}59=1")
-        folder: Path = tmp_path_factory.mktemp(route)
-        deploy(axis, Compensation(route, law), context_of(axis, folder))
-        yield axis
+        context = context_of(axis, folder)
+        deploy(axis, compensation, context)
+        yield axis, context
 
 
 def peak_um(run: Capture) -> float:
@@ -118,15 +129,8 @@ def noisy_axis(route: str, folder: Path) -> Iterator[tuple[Axis, Context, Compen
     law = design_law(
         COARSE, model_loop(DriveModel.base(COARSE)), latency_cycles=LATENCY_CYCLES[route]
     )
-    plant = NoisyDrive(law.breaks_loose_Nm)
-    source = default_servo().read_text(encoding="utf-8") if route == "servo" else None
-    with embedded(Card(COARSE, plant=plant, servo_source=source)) as link:
-        axis = Axis(link, COARSE, "card")
-        axis.enable()
-        if route == "servo":
-            link.command(f"I{axis.motor}59=1")
-        context, compensation = context_of(axis, folder), Compensation(route, law)
-        deploy(axis, compensation, context)
+    plant, compensation = NoisyDrive(law.breaks_loose_Nm), Compensation(route, law)
+    with deployed(COARSE, plant, compensation, folder) as (axis, context):
         yield axis, context, compensation
 
 
