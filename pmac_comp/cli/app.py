@@ -32,7 +32,8 @@ _INTERRUPTED = 130
 CHANGING = frozenset(
     {"upload", "recover", "rollback", "restore", "improve", "verify", "capture", "setup", "remove"}
 )
-_MOVING = frozenset({"capture", "verify"})
+# Ctrl-C meets them measuring: an upload of `improve` that it ends tells itself what was left.
+_MOVING = frozenset({"capture", "verify", "improve"})
 app = typer.Typer(
     name="pmac-comp",
     help="Make a ball-screw axis on a Turbo PMAC follow its command at the table.",
@@ -80,7 +81,7 @@ def _interrupted(words: Sequence[str]) -> str:
         return (
             "interrupted; the axis was stopped and is left as `pmac-comp status` shows it. If it "
             "does not answer or says that something is left open: `pmac-comp recover`, with the "
-            "same URL and bench."
+            "same URL, bench and journal."
         )
     return (
         "interrupted at once. If the change had begun, what the controller was left with is "

@@ -119,9 +119,13 @@ def test_a_bug_is_told_in_the_file_of_json_too(
     assert json.loads(kept.read_text())["error"]["code"] == "PC-BUG-001"
 
 
+@pytest.mark.parametrize("command", ["capture", "verify", "improve"])
 @pytest.mark.parametrize("taken_by", ["nobody", "typer"])
-def test_an_interruption_tells_what_was_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], taken_by: str
+def test_an_interruption_tells_what_was_kept_and_that_the_axis_was_stopped(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    taken_by: str,
+    command: str,
 ) -> None:
     error: BaseException = KeyboardInterrupt()
     error.add_note("3 runs are kept")
@@ -129,7 +133,7 @@ def test_an_interruption_tells_what_was_kept(
         taken = SystemExit(130)
         taken.__context__ = error
         error = taken
-    assert ended(monkeypatch, error, "verify") == 130
+    assert ended(monkeypatch, error, command) == 130
     shown = capsys.readouterr().err
     assert "interrupted; the axis was stopped" in shown
     assert shown.count("3 runs are kept") == 1
