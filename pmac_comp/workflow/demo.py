@@ -44,7 +44,7 @@ from pmac_comp.workflow.simulated import (
     warm_up,
 )
 from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import store, verify_axis
+from pmac_comp.workflow.verify import KeptRuns, verify_axis
 
 _STATIC_RUNS = 2  # the standard wants five; the demo is to be short
 
@@ -266,6 +266,7 @@ def _whole_job(
             axis.link.command(f"I{axis.motor}59=1")
         deployment = deploy(axis, compensation, context)
     with watch.step("verifying") as told:
+        kept = KeptRuns(out / "verification")
         verification = verify_axis(
             axis,
             context,
@@ -274,9 +275,10 @@ def _whole_job(
             drive=drive,
             static_runs=_STATIC_RUNS,
             truth=recorder.truth,
+            keep=kept.keep,
             progress=told,
         )
-        store(verification, out / "verification")
+        kept.write_result(verification)
     axis.kill()
     return RunResult(
         title="pmac-comp demo: the whole job on a simulated Turbo PMAC",

@@ -34,7 +34,7 @@ from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.upload_flow import removal_command
 from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import KeptRuns, store, verify_axis
+from pmac_comp.workflow.verify import KeptRuns, verify_axis
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
@@ -410,7 +410,7 @@ class _Steps:
             load=read_load(self._axis.link, self._axis.bench.servo_period_s),
             progress=self._told,
         )
-        folder = self._out / f"verification_{name}"
+        kept = KeptRuns(self._out / f"verification_{name}")
         write_compensation(self._out / f"compensation_{name}.json", compensation)
         deploy(self._axis, compensation, self.context)
         self._told.begin(f"{name} verification")
@@ -420,10 +420,10 @@ class _Steps:
             compensation,
             self._motions,
             drive=drive,
-            keep=KeptRuns(folder).keep,
+            keep=kept.keep,
             progress=self._told,
         )
-        store(found, folder)
+        kept.write_result(found)
         return compensation, found
 
     def off(self, compensation: Compensation) -> None:

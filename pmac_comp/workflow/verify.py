@@ -207,18 +207,6 @@ def _paired(before: Sequence[Capture], after: Sequence[Capture]) -> dict[str, Pa
     return {f"run {i + 1}": ([a], [b]) for i, (a, b) in enumerate(zip(before, after, strict=True))}
 
 
-def store(verification: Verification, folder: Path) -> dict[str, list[str]]:
-    """Write the captures and the result of a verification into a folder; names by kind."""
-    kept = KeptRuns(folder)
-    special = (verification.static, verification.ringing)
-    runs = [*verification.before, *verification.after]
-    for capture in (*runs, *(c for found in special if found is not None for c in found.captures)):
-        kept.keep(capture)
-    result = {**verification.as_result(), "files": kept.names}
-    atomic_write_text(folder / _RESULT, document(result))
-    return kept.names
-
-
 class KeptRuns:
     """Runs of a verification in a folder, each written when it is gathered.
 
@@ -245,6 +233,12 @@ class KeptRuns:
         name = f"{kind}{side}_{number:02d}.h5"
         write_capture(self.folder / name, capture)
         self.names[side].append(name)
+
+    def write_result(self, verification: Verification) -> None:
+        """Write the result of the runs beside them; a later one takes its place."""
+        if self.folder is not None:
+            result = {**verification.as_result(), "files": self.names}
+            atomic_write_text(self.folder / _RESULT, document(result))
 
     def left(self, motor: int, compared: str) -> str:
         """What an interrupted verification leaves, for people; ``compared`` are more options."""
@@ -319,8 +313,7 @@ def verify_on_controller(
             remarks = (*verification.remarks, *measured)
             verification = replace(verification, remarks=remarks)
             if refine:
-                if out is not None:
-                    store(verification, out)  # learning takes minutes, and may be interrupted
+                kept.write_result(verification)  # learning takes minutes, and may be interrupted
                 motion = chosen[0]
                 if compensation.route in MOTION_ROUTES:
                     motion = motion_of(compensation, axis.bench)
@@ -328,8 +321,7 @@ def verify_on_controller(
                 kept_as = keep_learned(learned, compensation, out, url, bench)
                 remarks = (*verification.remarks, *learned.lines(), kept_as)
                 verification = replace(verification, remarks=remarks, learning=learned)
-    if out is not None:
-        store(verification, out)
+    kept.write_result(verification)
     return verification
 
 

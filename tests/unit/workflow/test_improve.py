@@ -55,7 +55,7 @@ class Bench:
             "verification_motions": lambda *a: [],
             "write_model": lambda path, model: self.models.append((path.name, model)),
             "write_compensation": lambda *a: None,
-            "store": lambda *a: None,
+            "KeptRuns": lambda folder: SimpleNamespace(keep=None, write_result=lambda found: None),
             "context_of": lambda *a: "context",
             "identify_captures": self.identified,
             "read_load": lambda link, period_s: self.load,

@@ -1,9 +1,7 @@
 """Before and after: error terms of README, Words, intervals, verdict on the promise."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.report.verification import headline, verification_sections
-from pmac_comp.workflow import verify
 from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
 from pmac_comp.workflow.outcome import Ratio, Spread, error_signals, outcome_of, sensor_floor_um
@@ -387,29 +384,3 @@ def test_stored_runs_on_the_wrong_side_are_refused_by_their_header(tmp_path: Pat
     with pytest.raises(ConfigError, match=r"after\.h5 says 'compensation = on'.*before\.h5") as e:
         verify_files("paper", [on], [off])
     assert e.value.code == "PC-VER-008"
-
-
-def test_what_was_verified_is_kept_where_learning_behind_it_is_interrupted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    law = tmp_path / "law.json"
-    write_compensation(law, Compensation("law", CompensationLaw(inertia_s2=2e-6)))
-
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    def nothing(*_: object, **__: object) -> list[str]:
-        return []
-
-    axis = SimpleNamespace(motor=1)
-    for name in ("open_axis", "measuring", "left_as_found"):
-        monkeypatch.setattr(verify, name, lambda *_: nullcontext(axis))
-    for name in ("borrowing_in", "context_to_look", "require_on_card", "measured_before_arming"):
-        monkeypatch.setattr(verify, name, nothing)
-    monkeypatch.setattr(
-        verify, "verify_axis", lambda *_, **__: Verification((), 0.1, simulated=True)
-    )
-    monkeypatch.setattr(verify, "refine_motion", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        verify.verify_on_controller("tcp://card", "paper", law=law, refine=3, out=tmp_path / "out")
-    assert (tmp_path / "out" / "verification.json").is_file()
