@@ -8,12 +8,12 @@ from pmac_comp.workflow.repeated import Refinement
 def learning_section(found: Refinement) -> Section:
     """Error without anything, with what learning began from and with its end; the passes."""
     learning = found.learning
-    fresh = f"on {len(learning.confirmed_um)} fresh runs, which differ by {learning.scatter_um:.2f}"
     added = found.start_share + found.learning_share
+    learned = f"with what was learned ({found.basis})"
     rows = [
         ("without compensation", f"{found.without_um:.2f}", "–"),
         (f"with {found.start}", f"{found.start_um:.2f}", f"{100 * found.start_share:.1f} %"),
-        (f"with what was learned ({fresh})", f"{found.confirmed_um:.2f}", f"{100 * added:.1f} %"),
+        (learned, f"{found.confirmed_um:.2f}", f"{100 * added:.1f} %"),
     ]
     names = ("pass", "total error, um rms", f"below {learning.cutoff_Hz:.0f} Hz, um rms")
     passes = [

@@ -252,6 +252,12 @@ class Axis:
             with suppress(PmacCompError):
                 self.link.command(text)
 
+    def kill_once_it_stands(self) -> None:
+        """Switch the amplifier off after ``halt``; as there, nothing is raised."""
+        with suppress(PmacCompError):
+            motors.wait_in_position(self.link, self.motor, timeout_s=HALT_s)
+            self.kill()
+
     def prepare(self, motion: Motion) -> None:
         """Download the motion as a PVT program and compare what the card lists."""
         pvt = pvt_program(motion, self.bench)

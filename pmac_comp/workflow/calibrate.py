@@ -1,7 +1,7 @@
 """Captures from a controller: the proposed campaigns and motions that a person names."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.at_work import measuring
-from pmac_comp.workflow.axis import Axis, HALT_s, run_all
+from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, require_scale
 from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.motions import (
@@ -184,9 +184,7 @@ def motor_as_found(axis: Axis) -> Iterator[None]:
         yield
     except (PmacCompError, KeyboardInterrupt):
         if not held:
-            with suppress(PmacCompError):
-                motors.wait_in_position(axis.link, axis.motor, timeout_s=HALT_s)
-                axis.kill()
+            axis.kill_once_it_stands()
         raise
     if not held:
         axis.kill()

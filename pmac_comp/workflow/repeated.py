@@ -72,6 +72,14 @@ class Refinement:
         return float(np.sqrt(np.mean(np.square(fresh)))) if fresh else min(self.learning.history_um)
 
     @property
+    def basis(self) -> str:
+        """On which runs the error with what was learned stands, for people."""
+        n = len(self.learning.confirmed_um)
+        if n > 1:
+            return f"on {n} fresh runs, which differ by {self.learning.scatter_um:.2f} um"
+        return "on 1 fresh run" if n else "in its best pass, which no fresh run confirms"
+
+    @property
     def start_share(self) -> float:
         """Share of the error without anything that is away before learning."""
         return 1.0 - self.start_um / max(self.without_um, 1e-12)
@@ -133,8 +141,7 @@ class Refinement:
         return (
             f"'{self.motion}', total error rms with its rests: {self.without_um:.2f} um bare, "
             f"{self.start_um:.2f} um with {self.start}, {self.confirmed_um:.2f} um with what "
-            f"was learned (on {len(learning.confirmed_um)} fresh runs, which differ among "
-            f"themselves by {learning.scatter_um:.2f} um)",
+            f"was learned ({self.basis})",
             _shares_text(self),
             f"learning: {steps} um, below {learning.cutoff_Hz:.0f} Hz {part} um; {proof}; it "
             f"ended because {learning.ended}",
@@ -249,6 +256,8 @@ def refine_motion(
 
     The motion runs from a program that carries the learned offset; tables and law act beside it.
     A correction that is for this motion only (``cam``, ``program``) is where learning starts from.
+    Ctrl-C stops the axis and ends learning with its complete passes; before there is one it is
+    raised.
 
     Raises
     ------
@@ -292,6 +301,7 @@ def refine_motion(
         limit_m=limit,
         confirm=_FRESH_RUNS,
         rests=rests_of(motion.position_m, axis.scales.period_s),
+        keeps_interrupted=True,
     )
     began_learned = bool(compensation.learned)
     return Refinement(motion.name, without, learned.history_um[0], learned, began_learned)

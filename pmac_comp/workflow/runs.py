@@ -213,8 +213,8 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
     """Comparisons in between; afterwards compensation and motor are as they were found.
 
     After an error the axis is only stopped (``Axis.run`` did that): nobody knows what a further
-    command would meet, and who has stopped it does not want it to move to where tables may be
-    switched. The error then says what acted before.
+    command would meet. Who stops it by Ctrl-C does not want it to move to where tables may be
+    switched, but finds a motor killed that was. Both then say what acted before.
     """
     killed = motors.read_motor(axis.link, axis.motor).status.is_killed
     armed, tables = acting(axis, context)
@@ -222,6 +222,8 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
         yield
     except BaseException as error:
         error.add_note(_acted_before(armed=armed, tables=tables))
+        if killed and isinstance(error, KeyboardInterrupt):
+            axis.kill_once_it_stands()
         raise
     if (armed, tables) != acting(axis, context):
         switch(axis, context, compensation, on=armed)

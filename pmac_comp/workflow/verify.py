@@ -243,8 +243,8 @@ class KeptRuns:
     def left(self, motor: int, compared: str) -> str:
         """What an interrupted verification leaves, for people; ``compared`` are more options."""
         stands = (
-            f"The axis was not put back as it was found: look at `pmac-comp status` whether motor "
-            f"#{motor} is enabled and the compensation on."
+            f"Tables and law are as the last run had them: `pmac-comp status` shows whether they "
+            f"act and whether motor #{motor} is enabled."
         )
         n = sum(len(names) for names in self.names.values())
         if self.folder is None or n == 0:
@@ -321,8 +321,21 @@ def verify_on_controller(
                 kept_as = keep_learned(learned, compensation, out, url, bench)
                 remarks = (*verification.remarks, *learned.lines(), kept_as)
                 verification = replace(verification, remarks=remarks, learning=learned)
+                if learned.learning.interrupted:
+                    kept.write_result(verification)
+                    raise _interruption(learned, kept_as, out)
     kept.write_result(verification)
     return verification
+
+
+def _interruption(learned: Refinement, kept_as: str, out: Path | None) -> KeyboardInterrupt:
+    """Ctrl-C with which learning has ended; it tells what was learned and where it is."""
+    error = KeyboardInterrupt()
+    for note in (*learned.lines(), kept_as):
+        error.add_note(note)
+    if out is not None:
+        error.add_note(f"The result so far is in {out / _RESULT}.")
+    return error
 
 
 def keep_learned(
@@ -337,7 +350,9 @@ def keep_learned(
     found = learned.as_compensation(compensation)
     if found is None:
         better = f"with {learned.start}" if learned.is_worth_it else "without compensation"
-        return f"what was learned is not kept: fresh runs were no better than {better}"
+        fresh = bool(learned.learning.confirmed_um)
+        judged = "fresh runs were no better" if fresh else "none of its passes was better"
+        return f"what was learned is not kept: {judged} than {better}"
     if out is None:
         return "what was learned is not kept: --out FOLDER writes it as a compensation to upload"
     path = out / _LEARNED
@@ -361,7 +376,7 @@ def _earlier_runs(folder: Path) -> list[Path]:
 
 @contextmanager
 def _told_what_is_left(kept: KeptRuns, motor: int, compared: str) -> Iterator[None]:
-    """Errors that say which runs were kept and that nothing was put back."""
+    """Errors that say which runs were kept and that no compensation was put back."""
     try:
         yield
     except (PmacCompError, KeyboardInterrupt) as error:

@@ -63,6 +63,8 @@ class Learning:
         Rms by which such runs differ from their mean: what no repetition can learn.
     ended : str
         Why learning ended, for people.
+    interrupted : bool
+        Whether somebody stopped it: passes or fresh runs are missing.
     """
 
     correction_m: FloatArray
@@ -73,6 +75,7 @@ class Learning:
     confirmed_um: tuple[float, ...] = ()
     scatter_um: float = 0.0
     ended: str = ""
+    interrupted: bool = False
 
     @property
     def contraction(self) -> float:
@@ -94,6 +97,7 @@ def learn(
     limit_m: float = math.inf,
     confirm: int = 0,
     rests: Sequence[slice] = (),
+    keeps_interrupted: bool = False,
 ) -> Learning:
     """Offset that makes a repeated motion's total error small.
 
@@ -122,6 +126,9 @@ def learn(
         Fresh runs with the best offset at the end: the least of noisy runs flatters.
     rests : sequence of slice
         Where the command stands (``rests_of``).
+    keeps_interrupted : bool
+        Whether Ctrl-C ends learning with what was learned up to the last complete pass, and no
+        fresh run follows. Before a pass is complete it is raised all the same.
 
     Returns
     -------
@@ -135,13 +142,22 @@ def learn(
     retreats = 0
     left_out: Sequence[slice] = ()
     converged, ended = False, f"the {passes} passes allowed were made"
+    interrupted = False
 
     def measured(tried: FloatArray) -> FloatArray:
         error = total_error_of(tried)
         return error - np.mean(error)
 
     for number in range(passes + 1):
-        error = measured(offset)
+        try:
+            error = measured(offset)
+        except KeyboardInterrupt:
+            complete = number - 1  # the first run is that before learning
+            if not keeps_interrupted or complete < 1:
+                raise
+            interrupted = True
+            ended = f"it was interrupted after {complete} pass{'es' if complete > 1 else ''}"
+            break
         left_um = rms_um(error)
         history.append(left_um)
         errors.append(error)
@@ -166,8 +182,11 @@ def learn(
                 cutoff_Hz *= _RETREAT
         step = _step(best_error, period_s, cutoff_Hz, left_out)
         offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
-    fresh = np.array([measured(best) for _ in range(confirm)])
-    scatter_um = rms_um(fresh - np.mean(fresh, axis=0)) if confirm > 1 else 0.0
+    confirm = 0 if interrupted else confirm
+    fresh = _fresh_runs(partial(measured, best), confirm, keeps_interrupted=keeps_interrupted)
+    if len(fresh) < confirm:
+        interrupted, ended = True, f"{ended}; the fresh runs after it were interrupted"
+    scatter_um = rms_um(np.array(fresh) - np.mean(fresh, axis=0)) if len(fresh) > 1 else 0.0
     # In one band: after a retreat less of the same error lies below the cutoff.
     learnable = [rms_um(_step(error, period_s, cutoff_Hz, left_out)) for error in errors]
     return Learning(
@@ -179,7 +198,22 @@ def learn(
         tuple(rms_um(run) for run in fresh),
         scatter_um,
         ended,
+        interrupted,
     )
+
+
+def _fresh_runs(
+    run: Callable[[], FloatArray], n: int, *, keeps_interrupted: bool
+) -> list[FloatArray]:
+    """Errors of ``n`` runs, or of those before Ctrl-C where that is kept."""
+    errors: list[FloatArray] = []
+    try:
+        while len(errors) < n:
+            errors.append(run())
+    except KeyboardInterrupt:
+        if not keeps_interrupted:
+            raise
+    return errors
 
 
 def rests_of(position_m: FloatArray, period_s: float) -> tuple[slice, ...]:

@@ -51,6 +51,54 @@ def test_passes_end_it() -> None:
     assert "the 6 passes allowed" in str(reason)
 
 
+def cut_in_run(number: int, *, confirm: int = 0, keeps: bool = True) -> Learning:
+    """Learning of three passes, where somebody presses Ctrl-C in a run (0: before any)."""
+    runs = 0
+
+    def total(offset: FloatArray) -> FloatArray:
+        nonlocal runs
+        runs += 1
+        if runs > number:
+            raise KeyboardInterrupt
+        return np.asarray(DISTURBANCE_m + 0.4 * offset)
+
+    return learn(
+        total, N, PERIOD_s, passes=3, cutoff_Hz=40.0, confirm=confirm, keeps_interrupted=keeps
+    )
+
+
+def test_an_interruption_ends_it_with_the_passes_that_were_complete() -> None:
+    """All that was learned was lost, also in the last of many passes."""
+    found = cut_in_run(3, confirm=2)
+    assert found.interrupted
+    assert found.ended == "it was interrupted after 2 passes"
+    assert len(found.history_um) == len(found.learnable_um) == 3
+    assert found.history_um[2] < 0.6 * found.history_um[0]
+    assert np.ptp(found.correction_m) > 0.0
+    assert (found.confirmed_um, found.converged) == ((), False)
+    assert cut_in_run(2).ended == "it was interrupted after 1 pass"
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_an_interruption_before_a_pass_is_complete_leaves_nothing_to_keep(number: int) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        cut_in_run(number)
+
+
+@pytest.mark.parametrize("number", [2, 5])
+def test_learning_on_a_model_is_simply_interrupted(number: int) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        cut_in_run(number, confirm=2, keeps=False)
+
+
+def test_an_interrupted_fresh_run_leaves_those_before_it() -> None:
+    found = cut_in_run(5, confirm=2)
+    assert found.interrupted
+    assert "the 3 passes allowed were made; the fresh runs after it were" in found.ended
+    assert (len(found.history_um), len(found.confirmed_um)) == (4, 1)
+    assert found.scatter_um == 0.0
+
+
 def there_and_back_m() -> FloatArray:
     """A command that rests before, between and after its two moves, m."""
     time = np.arange(N) * PERIOD_s

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,9 @@ from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.outcome import Spread
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.promises import Promiser
+from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.run_cut import LEAD_IN_s
-from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
+from pmac_comp.workflow.runs import acting, left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.scales import Scales
 from pmac_comp.workflow.tables import tables_of
 from pmac_comp.workflow.verify import verify_axis
@@ -118,6 +120,48 @@ def test_a_comparison_leaves_motor_and_compensation_as_found(axis: Axis, tmp_pat
     with left_as_found(axis, context, law):
         axis.enable()
     assert motors.read_motor(axis.link, axis.motor).status.is_killed
+
+
+def test_a_comparison_that_is_interrupted_leaves_a_killed_motor_killed(
+    axis: Axis, tmp_path: Path
+) -> None:
+    context = context_of(axis, tmp_path)
+    axis.kill()
+
+    def compare() -> None:
+        with left_as_found(axis, context, COMPENSATION):
+            axis.enable()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compare()
+    assert motors.read_motor(axis.link, axis.motor).status.is_killed
+
+
+def test_learning_that_is_interrupted_stops_the_axis_with_its_compensation_on(
+    axis: Axis, tmp_path: Path
+) -> None:
+    """What was learned is kept, the law stands as the runs had it, what was borrowed goes back."""
+    law = Compensation("law", friction_law())
+    context = context_of(axis, tmp_path)
+    deploy(axis, law, context)
+    as_found = acting(axis, context)
+    begun: list[float] = []
+
+    def press(_step: str, fraction: float) -> None:
+        begun.append(fraction)
+        runs = sum(later < earlier for earlier, later in pairwise(begun))
+        if runs == 3 and fraction > 0.5:  # bare, before learning, first pass; amid the second
+            raise KeyboardInterrupt
+
+    with left_as_found(axis, context, law):
+        found = refine_motion(axis, context, law, MOTION, 4, press)
+        assert found.learning.ended == "it was interrupted after 1 pass"
+    axis.link.clock.sleep_s(0.5)
+    assert motors.read_motor(axis.link, axis.motor).status.is_commanded_still
+    assert motors.read_motor(axis.link, axis.motor).status.is_closed_loop
+    assert as_found == acting(axis, context)
+    assert as_found[0]
 
 
 def test_the_correction_is_computed_for_the_start_that_a_run_has() -> None:
