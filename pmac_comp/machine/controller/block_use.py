@@ -4,6 +4,7 @@ A bench file allows a block of them (``p_block``). Where a program of the machin
 nobody thought of, writing it would change what the machine does.
 """
 
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from pmac_comp.base.errors import SafetyRefusal
@@ -24,6 +25,7 @@ from pmac_comp.machine.controller.variables import VARIABLES, answers, read_one,
 from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
+_LEAST_NUMBER: Final = 1000  # of a change, drawn below 2^31: hardly one is less
 
 
 def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
@@ -56,18 +58,7 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
         return [_overlap_refusal(block, others[0][0])]
     if marked or not used:
         return []
-    told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
-    more = f" and {len(used) - _SHOWN} more" if len(used) > _SHOWN else ""
-    last = block.p(Index.MOTIONS) - 1
-    return [
-        SafetyRefusal(
-            f"P-variables of the block that we may use (p_block) hold values that are not ours: "
-            f"{told}{more}. A program of the machine may use them.",
-            code="PC-COM-010",
-            hint="Choose another block with [controller] p_block = [first, last]; or, if they are "
-            f"left from something old, `pmac-comp terminal URL -c 'P{block.first}..{last}=0'`.",
-        )
-    ]
+    return [_used_refusal(block, used, _left_by(link, block, used))]
 
 
 def law_over_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
@@ -84,12 +75,10 @@ def _others(link: Link, block: LawBlock) -> list[tuple[int, bool]]:
 
     Each is known by a law, with its motor (True), or by a whole manifest of tables (False).
     """
-    low = max(0, block.first - BLOCK_SIZE + 1)
-    high = min(VARIABLES, block.first + 2 * BLOCK_SIZE)
-    values = read_range(link, "P", low, high - 1)
+    low, values = _around(link, block)
     signatures, manifest = {SIGNATURE_PLC, SIGNATURE_SERVO}, int(Index.MANIFEST)
     found: list[tuple[int, bool]] = []
-    for k in range(min(high - low, 2 * BLOCK_SIZE - 1)):
+    for k in range(min(len(values), 2 * BLOCK_SIZE - 1)):
         if low + k == block.first:
             continue
         motor = values[k + Index.MOTOR] if k + Index.MOTOR < len(values) else 0.0
@@ -105,11 +94,59 @@ def _others(link: Link, block: LawBlock) -> list[tuple[int, bool]]:
     return found
 
 
+def _around(link: Link, block: LawBlock) -> tuple[int, list[float]]:
+    """Variables of all blocks that may reach into this one, and the number of the first."""
+    low = max(0, block.first - BLOCK_SIZE + 1)
+    high = min(VARIABLES, block.first + 2 * BLOCK_SIZE)
+    return low, read_range(link, "P", low, high - 1)
+
+
+def _left_by(link: Link, block: LawBlock, used: Iterable[int]) -> int | None:
+    """First variable of another block of ours that all of these lie in, if there is one.
+
+    With neither law nor tables it is known by the number of its last change, which has ended, and
+    the end of its lease: a set-up leaves no more.
+    """
+    low, values = _around(link, block)
+    numbers = list(used)
+    for k, (owner, expires, number) in enumerate(
+        zip(values[Index.LEASE :], values[Index.LEASE + 1 :], values[Index.CHANGE :], strict=False)
+    ):
+        ended = parse_number(plain(number)) <= -_LEAST_NUMBER and owner == 0.0 and expires > 0.0
+        if ended and all(0 <= n - low - k < BLOCK_SIZE for n in numbers):
+            return low + k
+    return None
+
+
 def _runs(link: Link, signature: float, motor: int) -> bool:
     """Whether what could run a law does; one that was taken off leaves its signature behind."""
     if signature == SIGNATURE_PLC:
         return plc_runs(link, 0)
     return bool(int(read_one(link, f"I{motor}59")) & 1)
+
+
+def _used_refusal(block: LawBlock, used: Mapping[int, float], left_by: int | None) -> SafetyRefusal:
+    """Of values that stand in the block, maybe left by changes with another block of ours."""
+    told = ", ".join(f"P{n} = {plain(value)}" for n, value in list(used.items())[:_SHOWN])
+    more = f" and {len(used) - _SHOWN} more" if len(used) > _SHOWN else ""
+    holds = "P-variables of the block that we may use (p_block) hold"
+    zeroed = f"`pmac-comp terminal URL -c 'P{block.first}..{block.p(Index.MOTIONS) - 1}=0'`"
+    if left_by is None:
+        return SafetyRefusal(
+            f"{holds} values that are not ours: {told}{more}. A program of the machine may use "
+            "them.",
+            code="PC-COM-010",
+            hint="Choose another block with [controller] p_block = [first, last]; or, if they are "
+            f"left from something old, {zeroed}.",
+        )
+    return SafetyRefusal(
+        f"{holds} what a change with another bench file of this card has left, as setup, restore "
+        f"and remove do: {told}{more}. Its p_block P{left_by}..{left_by + BLOCK_SIZE - 1} overlaps "
+        "this one.",
+        code="PC-COM-010",
+        hint="Choose a block apart from it with [controller] p_block = [first, last], and compute "
+        f"again; or, if that bench file is used no more, {zeroed}.",
+    )
 
 
 def _law_refusal(block: LawBlock, other: int) -> SafetyRefusal:

@@ -26,6 +26,7 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.machine.controller.lease import read_lease
 from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
@@ -371,6 +372,31 @@ def test_a_block_whose_tables_are_gone_hinders_nobody(tmp_path: Path) -> None:
     remove_tables(bench.link, other, [(TableKind.COMP, 3)])
     assert not [r for r in block_use.block_refusals(bench.link, LawBlock(7000)) if
                 r.code == "PC-COM-011"]  # fmt: skip
+
+
+@pytest.mark.parametrize("first_p", [7100, 7050])
+@pytest.mark.parametrize("change", ["setup", "remove"])
+def test_what_changes_with_another_block_leave_is_called_so(
+    tmp_path: Path, change: str, first_p: int
+) -> None:
+    """A set-up leaves its number and the end of its lease: it was "a program of the machine"."""
+    bench = CardBench(tmp_path)
+    other = axis_of(bench, "second", first_p)
+    if change == "setup":
+        with grouping.grouped(bench.link, other, "setup") as parts:
+            change_settings(bench.link, parts, Settings({"I330": "90000"}), route="setup")
+    else:
+        law_install.install_law(bench.link, other, 1)
+        law_install.remove_law(bench.link, other)
+    (told,) = block_use.block_refusals(bench.link, LawBlock(7000))
+    assert told.code == "PC-COM-010"
+    assert "of the machine" not in told.message
+    assert f"Its p_block P{first_p}..{first_p + 199} overlaps" in told.message
+    assert "block apart" in told.hint
+    bench.link.command("P7012=3")  # and this is of neither
+    (told,) = block_use.block_refusals(bench.link, LawBlock(7000))
+    assert "P7012 = 3, " in told.message
+    assert "A program of the machine may use them" in told.message
 
 
 def test_tables_that_another_axis_put_beside_a_law_take_nothing_of_its_upload(
