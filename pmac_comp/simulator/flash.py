@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -110,20 +111,24 @@ def check_image(path: Path) -> None:
     Raises
     ------
     ConfigError
-        A folder, a file of another kind, or no folder to make it in.
+        A folder, a file of another kind, or no folder that SAVE could write it into.
     """
     try:
         with path.open("rb") as stream:
             wrong = "" if stream.read(len(_MAGIC)) in {_MAGIC, b""} else "it holds something else"
-    except FileNotFoundError as error:
-        wrong = "" if path.parent.is_dir() else why(error)
+    except FileNotFoundError:
+        wrong = "" if path.parent.is_dir() else f"there is no folder {path.parent}"
     except OSError as error:
         wrong = why(error)
+    # SAVE puts a new file in the place of the old one: that takes the right to write the folder.
+    if not wrong and not os.access(path.parent, os.W_OK | os.X_OK):
+        wrong = f"this user may not write into the folder {path.parent}"
     if wrong:
         raise ConfigError(
             f"{path} cannot be the flash image: {wrong}.",
             code="PC-SIM-006",
-            hint="Name a new file, or one that a simulated card has saved; SAVE writes it.",
+            hint="Name with --flash a new file in a folder that you may write to, or one that a "
+            "simulated card has saved; SAVE writes it.",
         )
 
 

@@ -1,11 +1,14 @@
 """SAVE, reset and what a spoiled flash image does."""
 
+import os
 from pathlib import Path
 
 import pytest
 
+from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench
 from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.flash import check_image
 
 from .conftest import Ask
 
@@ -157,3 +160,37 @@ def test_factory_reset_clears_the_status_of_motors_and_systems(card: Card, ask: 
     word = int(ask("#1?")[6:], 16)
     assert word == 0x078000  # the axis definition stays (p. 273-274)
     assert fresh[6:] == "000000"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing/flash.bin", "there is no folder "),
+        ("folder", "it is a folder, not a file"),
+        ("notes.txt", "it holds something else"),
+        ("notes.txt/flash.bin", "a part of its path is a file"),
+    ],
+)
+def test_a_path_that_cannot_be_saved_to_is_refused_at_the_start(
+    tmp_path: Path, name: str, said: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=said) as refused:
+        check_image(tmp_path / name)
+    assert refused.value.code == "PC-SIM-006"
+    assert "--flash" in refused.value.hint
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_folder_that_this_user_may_not_write_is_refused_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_there: bool
+) -> None:
+    """It failed at the first SAVE, which replaces the file and so writes its folder."""
+    path = tmp_path / "flash.bin"
+    if is_there:
+        path.write_bytes(b"")
+    check_image(path)
+    monkeypatch.setattr(os, "access", lambda place, _mode: place != tmp_path)  # root may all
+    with pytest.raises(ConfigError, match=f"may not write into the folder {tmp_path}"):
+        check_image(path)
