@@ -408,29 +408,8 @@ class CompensationLaw:
 
     def without_torque(self) -> "CompensationLaw":
         """The same command offset with no torque feed-forward."""
-        zero = dict.fromkeys(TORQUE_NAMES, 0.0)
+        zero = dict.fromkeys(_WITHOUT_TORQUE, 0.0)
         return replace(self, **zero, torque_limit_Nm=0.0)  # type: ignore[arg-type]
-
-
-TORQUE_NAMES = (
-    "torque_inertia_Nm_s2_per_m",
-    "torque_jerk_Nm_s3_per_m",
-    "torque_impulse_Nm_s3_per_m",
-    "torque_viscous_Nm_s_per_m",
-    "torque_coulomb_Nm",
-    "torque_load_Nm_s2_per_m",
-    "torque_constant_Nm",
-    "torque_place_Nm_per_m",
-    "turn_friction_Nm",
-    "ripple_Nm",
-    "gap_torque_Nm",
-    "torque_stribeck_Nm",
-    "torque_bed_Nm_s2_per_m",
-    "torque_drag_Nm",
-    "torque_uneven_Nm_s_per_m",
-    "turn_share",
-    "torque_wobble_Nm_s3_per_m3",
-)
 
 
 def coefficient_names() -> tuple[str, ...]:
@@ -681,7 +660,7 @@ _ELASTIC = (
     "breakaway_m",
     "drag_m",
 )
-_TORQUE = (
+_TORQUE_TERMS = (
     "torque_inertia_Nm_s2_per_m",
     "torque_jerk_Nm_s3_per_m",
     "torque_impulse_Nm_s3_per_m",
@@ -690,11 +669,11 @@ _TORQUE = (
     "torque_load_Nm_s2_per_m",
     "torque_constant_Nm",
     "torque_place_Nm_per_m",
-    "torque_breakaway_m",
     "torque_stribeck_Nm",
     "torque_uneven_Nm_s_per_m",
     "torque_drag_Nm",
 )
+_TORQUE = (*_TORQUE_TERMS, "torque_breakaway_m")
 _BOTH = (
     "lookahead_s",
     "origin_m",
@@ -726,6 +705,16 @@ _BED = (  # the first three as ``_swung`` has them
     "torque_bed_Nm_s2_per_m",
 )
 _EVALUATED = (_ELASTIC, _TORQUE, _BOTH, _TURN, _RIPPLE, _GAP, _BED)
+# All that is zero where the output gets no torque; what only shapes these terms stays.
+_WITHOUT_TORQUE = (
+    *_TORQUE_TERMS,
+    "turn_friction_Nm",
+    "ripple_Nm",
+    "turn_share",
+    "torque_wobble_Nm_s3_per_m3",
+    "gap_torque_Nm",
+    "torque_bed_Nm_s2_per_m",
+)
 
 
 @njit(cache=True, nogil=True)
@@ -746,8 +735,8 @@ def _evaluate(
 ) -> tuple[FloatArray, FloatArray]:
     inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
-    torque_constant, torque_place, torque_breakaway = torques[6:9]
-    torque_stribeck, torque_uneven, torque_drag = torques[9:]
+    torque_constant, torque_place, torque_stribeck = torques[6:9]
+    torque_uneven, torque_drag, torque_breakaway = torques[9:]
     lookahead, origin, fading, rest_fade, rest_unwind, drag_distance = both
     turn_share, loop_a, loop_v, tw = rippling
     bed_share, _, _, torque_bed = bed_swings

@@ -544,6 +544,13 @@ def test_without_torque_keeps_the_offset() -> None:
     )
 
 
+def test_a_law_without_torque_has_no_term_of_it() -> None:
+    """A new term is zeroed with the others; what shapes or limits them has no torque by itself."""
+    named = {name for name in law.coefficient_names() if "_Nm" in name}
+    shaping = {"torque_limit_Nm", "torque_loop_Nm_s2_per_m", "torque_loop_Nm_s_per_m"}
+    assert set(law._WITHOUT_TORQUE) == (named - shaping) | {"turn_share"}
+
+
 @pytest.mark.parametrize("name", ["breakaway_m", "torque_breakaway_m", "turn_m"])
 def test_distances_and_speeds_must_be_positive(name: str) -> None:
     with pytest.raises(ModelError):
