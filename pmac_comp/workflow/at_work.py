@@ -9,7 +9,7 @@ card, which a measurement holds throughout.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.machine.controller.block_use import law_over_refusals
@@ -47,11 +47,15 @@ def at_work(axis: Axis, url: str) -> Iterator[None]:
     SafetyRefusal
         The law of another bench file works with variables of the axis' block.
     """
-    if _is_own(url):  # made for this bench file
+    with nullcontext() if _is_own(url) else _alone(axis, url):
         yield
-        return
+
+
+@contextmanager
+def _alone(axis: Axis, url: str) -> Iterator[None]:
+    """``at_work`` at a card that others may reach."""
     with card_lock(card_address(url)), host_lock(context_of(axis, axis.setup.store), _SCOPE):
-        require_free_block(axis, url)
+        _require_free_block(axis)
         yield
         axis.release_axis()  # what was borrowed is back before somebody else may begin
 
@@ -64,8 +68,12 @@ def require_free_block(axis: Axis, url: str) -> None:
     SafetyRefusal
         It does.
     """
-    if _is_own(url):  # made for this bench file
-        return
+    if not _is_own(url):
+        _require_free_block(axis)
+
+
+def _require_free_block(axis: Axis) -> None:
+    """The same for a card that others may reach."""
     with untouched():
         block = LawBlock.from_p_block(axis.bench.controller.p_block)
         raise_all(law_over_refusals(axis.link, block), "Work on this axis")
@@ -82,10 +90,10 @@ def measuring(axis: Axis, url: str) -> Iterator[None]:
     SafetyRefusal
         A motion program, data gathering or an open buffer of somebody else.
     """
-    with at_work(axis, url):
-        if _is_own(url):
-            yield
-            return
+    if _is_own(url):
+        yield
+        return
+    with _alone(axis, url):
         with untouched():
             raise_all(_others_refusals(axis, context_of(axis, axis.setup.store)), "The measurement")
             axis.setup.hold_card(axis.link, axis.bench, axis.identity, axis.address)
@@ -101,6 +109,7 @@ def measuring(axis: Axis, url: str) -> Iterator[None]:
 
 
 def _is_own(url: str) -> bool:
+    """Whether the card is made in this process for the bench file: nobody else reaches it."""
     return parse_url(url).scheme == "sim"
 
 
