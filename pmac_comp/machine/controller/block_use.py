@@ -19,9 +19,9 @@ from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest, ManifestState
 from pmac_comp.machine.controller.numbers import plain
-from pmac_comp.machine.controller.open_servos import motors_in_open_servo
+from pmac_comp.machine.controller.open_servos import is_in_open_servo, motors_in_open_servo
 from pmac_comp.machine.controller.settings import MOTORS, plc_runs
-from pmac_comp.machine.controller.variables import VARIABLES, answers, read_one, read_range
+from pmac_comp.machine.controller.variables import VARIABLES, answers, read_range
 from pmac_comp.machine.wire.numbers import read_number
 
 _SHOWN: Final = 5
@@ -122,7 +122,7 @@ def _runs(link: Link, signature: float, motor: int) -> bool:
     """Whether what could run a law does; one that was taken off leaves its signature behind."""
     if signature == SIGNATURE_PLC:
         return plc_runs(link, 0)
-    return bool(int(read_one(link, f"I{motor}59")) & 1)
+    return is_in_open_servo(link, motor)
 
 
 def _used_refusal(block: LawBlock, used: Mapping[int, float], left_by: int | None) -> SafetyRefusal:

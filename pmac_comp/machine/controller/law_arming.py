@@ -19,6 +19,7 @@ from pmac_comp.machine.controller.law_state import (
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motor, require_stationary
 from pmac_comp.machine.controller.numbers import parse_integer, plain
+from pmac_comp.machine.controller.open_servos import is_in_open_servo
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.variables import read_one, verify_many
 
@@ -101,7 +102,7 @@ def fade_by_hand(link: Link, context: Context, head: LawHead) -> LawHead:
     The master word is left alone where another motor follows it: it is another law's.
     """
     link.write_buffer([f"P{context.block.p(k)}=0" for k in (Index.TARGET, Index.GAIN)])
-    if head.motor and int(read_one(link, f"I{head.motor}59")) & 1:
+    if is_in_open_servo(link, head.motor):
         return read_law_head(link, context.block)
     is_ours = followers(link) <= {head.motor}
     word = parse_integer(link.query(f"RX${MASTER_WORD_ADDRESS:X}")[0]) if is_ours else 0

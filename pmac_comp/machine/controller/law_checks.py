@@ -40,7 +40,7 @@ from pmac_comp.machine.controller.law_state import (
 )
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.open_servos import scratch_refusals
+from pmac_comp.machine.controller.open_servos import is_in_open_servo, scratch_refusals
 from pmac_comp.machine.controller.programs import Program
 from pmac_comp.machine.controller.settings import MOTORS, Settings, differences, plc_runs
 from pmac_comp.machine.controller.upload_checks import motion_refusals
@@ -129,7 +129,7 @@ def beside_open_servo(link: Link, context: Context, old: Settings) -> list[Safet
     """Refusal to bring PLC 0 with the law back where an open servo was switched on since."""
     law_came = holds_law(context, replace(old, programs={LAW: old.programs.get(LAW, ())}))
     motor = read_law_head(link, context.block).motor if law_came else 0
-    if not 1 <= motor <= MOTORS or not int(read_one(link, f"I{motor}59")) & 1:
+    if not is_in_open_servo(link, motor):
         return []
     if 0 not in old.running or plc_runs(link, 0):
         return []
@@ -176,7 +176,7 @@ def _is_armed(link: Link, context: Context, head: LawHead, found: Settings) -> b
         return False
     if head.form is LawForm.PLC:
         return holds_law(context, found)  # stopped as well: its outputs stand
-    return 1 <= head.motor <= MOTORS and bool(int(read_one(link, f"I{head.motor}59")) & 1)
+    return is_in_open_servo(link, head.motor)
 
 
 def _block_refusals(
@@ -217,7 +217,7 @@ def _block_refusals(
 
 def in_open_servo(link: Link, motor: int) -> list[SafetyRefusal]:
     """Refusal where the open servo of a motor has the law already."""
-    if not int(read_one(link, f"I{motor}59")) & 1:
+    if not is_in_open_servo(link, motor):
         return []
     return [
         MotorNotSafe(
@@ -323,7 +323,7 @@ def _of_another_axis(
     other = head.motor
     if other in {0, motor} or not 1 <= other <= MOTORS:
         return []
-    if not stands and not int(read_one(link, f"I{other}59")) & 1:
+    if not stands and not is_in_open_servo(link, other):
         return []
     return [
         SafetyRefusal(

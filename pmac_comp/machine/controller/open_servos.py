@@ -13,7 +13,7 @@ from pmac_comp.machine.controller.law_bank import Index, LawBlock
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.motors import read_motors
 from pmac_comp.machine.controller.settings import MOTORS
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.variables import read_many, read_one
 
 
 def motors_in_open_servo(link: Link) -> tuple[int, ...]:
@@ -22,6 +22,11 @@ def motors_in_open_servo(link: Link) -> tuple[int, ...]:
     return tuple(
         m for m in range(1, MOTORS + 1) if int(found[f"I{m}00"]) and int(found[f"I{m}59"]) & 1
     )
+
+
+def is_in_open_servo(link: Link, motor: int) -> bool:
+    """Whether a motor runs through the open servo; a number that no motor has does not."""
+    return 1 <= motor <= MOTORS and bool(int(read_one(link, f"I{motor}59")) & 1)
 
 
 def scratch_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefusal]:
