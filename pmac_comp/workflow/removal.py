@@ -97,7 +97,7 @@ class Standing:
 def standing_on(axis: Axis) -> Standing:
     """Tables and law of the bench's axis; nothing is changed."""
     tables = tuple((t.kind, t.motor) for t in read_tables(axis.link) if is_of_axis(axis, t))
-    in_plc_0 = law_goal.law_stands(axis.link, context_to_look(axis))
+    in_plc_0 = law_goal.law_stands(axis.link, context_to_look(axis).block)
     law = _form_of_law(axis)
     return Standing(tables, law, _beside(axis, law), in_plc_0)
 
@@ -177,7 +177,7 @@ def _form_of_law(axis: Axis) -> LawForm:
     head = law_state.read_law_head(link, context.block)
     if head.motor != axis.motor:
         return LawForm.NONE
-    if law_goal.law_stands(link, context) or law_goal.follows(link, axis.motor):
+    if law_goal.law_stands(link, context.block) or law_goal.follows(link, axis.motor):
         return LawForm.PLC
     return law_goal.running_form(link, context, head)
 

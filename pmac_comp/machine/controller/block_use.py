@@ -15,6 +15,7 @@ from pmac_comp.machine.controller.law_bank import (
     Index,
     LawBlock,
 )
+from pmac_comp.machine.controller.law_goal import law_stands
 from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.manifest import MAGIC, MANIFEST_SIZE, Manifest, ManifestState
@@ -83,7 +84,7 @@ def _others(link: Link, block: LawBlock) -> list[tuple[int, bool]]:
             continue
         motor = values[k + Index.MOTOR] if k + Index.MOTOR < len(values) else 0.0
         is_law = values[k] in signatures and 1 <= motor <= MOTORS
-        has_law = is_law and _runs(link, values[k], int(motor))
+        has_law = is_law and _runs(link, low + k, values[k], int(motor))
         tables = Manifest.from_values(values[k + manifest : k + manifest + MANIFEST_SIZE])
         # After a removal a manifest of no entries is left, which hinders nobody.
         in_use = tables is not None and (
@@ -118,10 +119,14 @@ def _left_by(link: Link, block: LawBlock, used: Iterable[int]) -> int | None:
     return None
 
 
-def _runs(link: Link, signature: float, motor: int) -> bool:
-    """Whether what could run a law does; one that was taken off leaves its signature behind."""
+def _runs(link: Link, first: int, signature: float, motor: int) -> bool:
+    """Whether the law of a block may run; one that was taken off leaves its signature behind.
+
+    What runs in PLC 0 may be the law of another block by now.
+    """
     if signature == SIGNATURE_PLC:
-        return plc_runs(link, 0)
+        fits = first <= VARIABLES - BLOCK_SIZE  # else nobody's block begins there
+        return fits and plc_runs(link, 0) and law_stands(link, LawBlock(first))
     return is_in_open_servo(link, motor)
 
 

@@ -50,7 +50,7 @@ def set_going_again(link: Link, context: Context, upload: Journal) -> None:
     if not stopped or stopped[-1] == _GOES_ON:
         return
     head = read_law_head(link, context.block)
-    if law_stands(link, context) and not plc_runs(link, 0):
+    if law_stands(link, context.block) and not plc_runs(link, 0):
         if head.motor and follows(link, head.motor):
             fade_by_hand(link, context, head)
         _go_on(link, upload)

@@ -86,7 +86,7 @@ def install_refusals(
             link, context.block, motor, head, goal, armed=_is_armed(link, context, head, found)
         ),
         *_owners(context, motor, found),
-        *_of_another_axis(link, context.block, head, motor, stands=holds_law(context, found)),
+        *_of_another_axis(link, context.block, head, motor, stands=holds_law(context.block, found)),
     ]
     if any(refusal.code in _OTHER_LAW for refusal in refusals):
         return refusals  # whose motor follows, as it should
@@ -127,7 +127,7 @@ def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
 
 def beside_open_servo(link: Link, context: Context, old: Settings) -> list[SafetyRefusal]:
     """Refusal to bring PLC 0 with the law back where an open servo was switched on since."""
-    law_came = holds_law(context, replace(old, programs={LAW: old.programs.get(LAW, ())}))
+    law_came = holds_law(context.block, replace(old, programs={LAW: old.programs.get(LAW, ())}))
     motor = read_law_head(link, context.block).motor if law_came else 0
     if not is_in_open_servo(link, motor):
         return []
@@ -175,7 +175,7 @@ def _is_armed(link: Link, context: Context, head: LawHead, found: Settings) -> b
     if head.form is LawForm.NONE or abs(head.gain) <= GAIN_TOLERANCE:
         return False
     if head.form is LawForm.PLC:
-        return holds_law(context, found)  # stopped as well: its outputs stand
+        return holds_law(context.block, found)  # stopped as well: its outputs stand
     return is_in_open_servo(link, head.motor)
 
 
@@ -340,7 +340,7 @@ def _of_another_axis(
 def _beside_plc_0(link: Link, context: Context, motor: int, head: LawHead) -> list[SafetyRefusal]:
     """Both forms must not run on one block: each writes what the other works with."""
     standing = plc_0(link)
-    ours = holds_law(context, standing)
+    ours = holds_law(context.block, standing)
     refusals = _of_another_axis(link, context.block, head, motor, stands=ours)
     if ours and 0 in standing.running:
         refusals += _armed(head, ()) or [

@@ -105,14 +105,14 @@ def law_standing(link: Link, motor: int) -> Settings:
     return read_settings(link, asked)
 
 
-def holds_law(context: Context, found: Settings) -> bool:
+def holds_law(block: LawBlock, found: Settings) -> bool:
     """Whether PLC 0 holds the law of this block, of any version and motor, running or not."""
-    return bool(found.programs[LAW]) and not is_foreign(found, LAW, law_program(context.block, 1))
+    return bool(found.programs[LAW]) and not is_foreign(found, LAW, law_program(block, 1))
 
 
-def law_stands(link: Link, context: Context) -> bool:
+def law_stands(link: Link, block: LawBlock) -> bool:
     """Whether PLC 0 holds the law of this block, of any version and motor, running or not."""
-    return holds_law(context, plc_0(link))
+    return holds_law(block, plc_0(link))
 
 
 def plc_0(link: Link) -> Settings:
@@ -131,7 +131,7 @@ def running_form(link: Link, context: Context, head: LawHead) -> LawForm:
 
     What runs in PLC 0 then may be the law of another block.
     """
-    if head.form is LawForm.PLC and not (plc_runs(link, 0) and law_stands(link, context)):
+    if head.form is LawForm.PLC and not (plc_runs(link, 0) and law_stands(link, context.block)):
         return LawForm.NONE
     return head.form
 
@@ -183,7 +183,7 @@ def law_missing(
 
 def servo_missing(link: Link, context: Context, motor: int, head: LawHead) -> Settings:
     """What is to be set up for an open servo: its head; a law that PLC 0 holds idle goes."""
-    idle = {LAW: ()} if law_stands(link, context) else {}
+    idle = {LAW: ()} if law_stands(link, context.block) else {}
     if head.motor == motor and head.slew != 0.0 and head.form is not LawForm.PLC:
         return Settings(_stale_scales(link, context, motor, Index.STEP_SERVO), programs=idle)
     values = _head_values(link, context, head, motor, DEFAULT_RAMP_s, Index.STEP_SERVO)

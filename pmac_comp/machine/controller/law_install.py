@@ -135,7 +135,7 @@ def remove_law(link: Link, context: Context) -> UploadResult:
     """
     with untouched():
         head = read_law_head(link, context.block)
-        programs_of_law = {LAW: ()} if law_stands(link, context) else {}
+        programs_of_law = {LAW: ()} if law_stands(link, context.block) else {}
     variables = {f"P{context.block.p(Index.TARGET)}": "0"}
     # The torque (Ixx29) is an output: written back as it was read it would push the axis.
     torque = {f"I{head.motor}29": 0.0} if head.motor else {}

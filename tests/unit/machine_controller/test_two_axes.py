@@ -363,6 +363,20 @@ def test_nothing_is_written_into_a_block_that_the_law_of_another_reaches_into(
     assert block_use.law_over_refusals(bench.link, LawBlock(first_p)) == []
 
 
+def test_a_law_that_was_taken_off_hinders_no_other_in_plc_0(tmp_path: Path) -> None:
+    """It was taken for the law that runs there by now: every change of that axis was refused."""
+    bench = CardBench(tmp_path)
+    other = axis_of(bench, "second", 6900)
+    law_install.install_law(bench.link, other, 3)
+    law_install.remove_law(bench.link, other)
+    bench.link.command("P7000..7189=0")  # as the refusal says, where that file is used no more
+    law_install.install_law(bench.link, bench.context, 1)
+    assert block_use.law_over_refusals(bench.link, LawBlock(7000)) == []
+    assert block_use.block_refusals(bench.link, LawBlock(7000)) == []
+    (told,) = block_use.law_over_refusals(bench.link, LawBlock(6900))
+    assert "p_block from P7000" in told.hint
+
+
 def test_a_block_whose_tables_are_gone_hinders_nobody(tmp_path: Path) -> None:
     bench = CardBench(tmp_path)
     other = axis_of(bench, "second", 7100)

@@ -103,7 +103,7 @@ def test_a_rollback_makes_no_motor_follow_the_law_of_another_axis(
     remove_from(axis, first, standing_on(axis))
     rollback_last(axis.link, context)
     assert axis.link.query("I306") == ["3"]
-    assert law_goal.law_stands(axis.link, context)
+    assert law_goal.law_stands(axis.link, context.block)
 
 
 def test_a_law_is_refused_while_another_motor_follows_its_word(
