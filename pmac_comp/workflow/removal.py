@@ -177,7 +177,7 @@ def _form_of_law(axis: Axis) -> LawForm:
     head = law_state.read_law_head(link, context.block)
     if head.motor != axis.motor:
         return LawForm.NONE
-    if law_goal.law_stands(link, context.block) or law_goal.follows(link, axis.motor):
+    if law_goal.law_stands(link, context.block) or axis.motor in law_goal.followers(link):
         return LawForm.PLC
     return law_goal.running_form(link, context, head)
 

@@ -15,7 +15,7 @@ from pmac_comp.machine.controller.gather import note_failure
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.journals import ChangeKind, journals
 from pmac_comp.machine.controller.law_arming import fade_by_hand
-from pmac_comp.machine.controller.law_goal import follows, law_stands
+from pmac_comp.machine.controller.law_goal import followers, law_stands
 from pmac_comp.machine.controller.law_state import read_law_head
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.settings import plc_runs
@@ -51,7 +51,7 @@ def set_going_again(link: Link, context: Context, upload: Journal) -> None:
         return
     head = read_law_head(link, context.block)
     if law_stands(link, context.block) and not plc_runs(link, 0):
-        if head.motor and follows(link, head.motor):
+        if head.motor in followers(link):
             fade_by_hand(link, context, head)
         _go_on(link, upload)
 

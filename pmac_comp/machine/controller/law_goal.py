@@ -71,12 +71,6 @@ def _following(motor: int) -> dict[str, str]:
     }
 
 
-def follows(link: Link, motor: int) -> bool:
-    """Whether a motor follows the master word of the law."""
-    found = read_many(link, [f"I{motor}05", f"I{motor}06"])
-    return found[f"I{motor}05"] == MASTER_WORD_ADDRESS and bool(int(found[f"I{motor}06"]) & 1)
-
-
 def following_in(settings: Settings) -> int | None:
     """Motor that settings make follow the master word of the law, if they do."""
     for name, text in settings.variables.items():

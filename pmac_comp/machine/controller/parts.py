@@ -38,7 +38,7 @@ from pmac_comp.machine.controller.law_bank import (
     LawParameters,
 )
 from pmac_comp.machine.controller.law_checks import beside_open_servo
-from pmac_comp.machine.controller.law_goal import followers, follows, running_form
+from pmac_comp.machine.controller.law_goal import followers, running_form
 from pmac_comp.machine.controller.law_state import (
     LawForm,
     LawHead,
@@ -519,7 +519,7 @@ def _take_offset_out(link: Link, context: Context, old: Settings) -> None:
     """
     stops = any(not parse_integer(v) & 1 for k, v in old.variables.items() if _FOLLOWING.match(k))
     head = read_law_head(link, context.block)
-    if stops and head.motor and follows(link, head.motor) and not plc_runs(link, 0):
+    if stops and head.motor in followers(link) and not plc_runs(link, 0):
         fade_by_hand(link, context, head)
 
 
