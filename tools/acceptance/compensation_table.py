@@ -12,8 +12,10 @@ prints it alone).
 
 Aims: e_r at most a tenth of e, or 0.15 um where that is more (0.30 um with 10 000 counts per turn
 or fewer); total error at most a fifth of the baseline's on ``law`` and ``servo``. The other routes
-report what they reach. ``promise`` is how often the measured e_r and total stay below the upper end
-of what was promised, the sensors' steps apart.
+report what they reach. Single runs of a motion differ by what the encoder's counts make of where
+the loop stands when it begins, up to a tenth: ``--repeats`` takes them together. ``promise`` is how
+often the measured e_r and total stay below the upper end of what was promised, the sensors' steps
+apart.
 """
 
 import argparse
@@ -134,7 +136,13 @@ def rows_of(
             axis.link.command(f"I{axis.motor}59=1")
         deploy(axis, compensation, context)
         measured = verify_axis(
-            axis, context, compensation, motions, drive=model, truth=recorder.truth
+            axis,
+            context,
+            compensation,
+            motions,
+            repeats=args.repeats,
+            drive=model,
+            truth=recorder.truth,
         )
     return [{**outcome.as_result(), "kept": kept(outcome, bench)} for outcome in measured.motions]
 
@@ -203,6 +211,7 @@ def main() -> None:
                         help="form of friction of the model, as `identify --friction`")  # fmt: skip
     parser.add_argument("--every", type=int, default=1, help="servo cycles between two passes")
     parser.add_argument("--n", type=int, default=6, help="sinusoids, and as many moves")
+    parser.add_argument("--repeats", type=int, default=1, help="pairs of runs of each motion")
     parser.add_argument("--motions-seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("compensation_table.jsonl"))
     parser.add_argument("--report", action="store_true", help="print the table of --out only")
