@@ -20,11 +20,11 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, predicted_remarks
 from pmac_comp.machine.controller.comp_table import CT16_PER_CT
 from pmac_comp.machine.controller.processor_load import ProcessorLoad
-from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
+from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law, with_drag
 from pmac_comp.physics.compensate.unmodelled import model_law

@@ -25,16 +25,7 @@ from pmac_comp.physics.compensate.constant import (
     with_load,
 )
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import (
-    LoopRunner,
-    NutGap,
-    Stribeck,
-    SwungBed,
-    constant_load_N,
-    design_law,
-    load_torque_Nm,
-    model_loop,
-)
+from pmac_comp.physics.compensate.design import NutGap, Stribeck, SwungBed, design_law
 from pmac_comp.physics.compensate.grip import (
     GRIP,
     gripping_law,
@@ -44,6 +35,12 @@ from pmac_comp.physics.compensate.grip import (
 )
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
+from pmac_comp.physics.compensate.loop import (
+    LoopRunner,
+    constant_load_N,
+    load_torque_Nm,
+    model_loop,
+)
 from pmac_comp.physics.compensate.ripple import RIPPLE, turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.trim import DRAG
 from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled

@@ -9,10 +9,10 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner, model_loop
 from pmac_comp.physics.compensate.exact import Aim, faded
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.promise import Expected, Static, counted_loop, expect
+from pmac_comp.physics.compensate.loop import LoopRunner, counted_loop, model_loop
+from pmac_comp.physics.compensate.promise import Expected, Static, expect
 from pmac_comp.physics.compensate.unmodelled import (
     Unmodelled,
     model_law,

@@ -32,8 +32,8 @@ from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import constant_torque
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.loop import model_loop
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel

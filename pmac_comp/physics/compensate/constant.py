@@ -20,8 +20,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import LoopRunner
 
 LOAD = "load"  # of a law's provenance, where captures show one
 BY_PLACE = "torque_by_place"  # the same where it rises along the travel

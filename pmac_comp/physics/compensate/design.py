@@ -2,8 +2,8 @@
 
 What lives here: the start from the closed forms (regression of the simulated mechanical error on
 acceleration, velocity and direction), the refinement of all coefficients through the closed loop
-of the model. What may not: captures, counts. Imports ``physics.model``,
-``physics.signals``, ``files`` and ``base``.
+of the model (``loop``). What may not: captures, counts. Imports ``physics.signals``, ``files`` and
+``base``.
 
 The refinement is what makes the law right with the loop around it: latency of the door, current
 loop, delay and the controller's own feed-forward all act in the simulation, so the coefficients
@@ -18,40 +18,23 @@ a third worse with what was fitted so.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import ModelError
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
-from pmac_comp.physics.compensate.lead import LeadWave
-from pmac_comp.physics.model.start import Start
+from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-    from pmac_comp.physics.model.drive import DriveModel
-
-# What goes by the place of the table alone. A cable pulls on the screw as a lead error does, and
-# tables take that; its torque the law has from the captures.
-STATIC_EFFECTS = frozenset(
-    {
-        "cable_drag",
-        "lead_linear",
-        "lead_cyclic",
-        "thermal_growth",
-        "encoder_eccentricity",
-        "scale_subdivision",
-        "scale_slope",
-    }
-)
 # What a good law leaves: a tenth of the mechanical error or this much, a fifth of the total error.
 # Residuals count as shares of that, so that slow motions are not drowned by fast ones.
 _MECHANICAL_FRAC = 0.1
@@ -124,33 +107,6 @@ _FASTEST_FADE_per_s = 400.0
 
 
 @dataclass(frozen=True)
-class LoopSignals:
-    """Positions in m of one closed-loop simulation, without sensors; shape (n,) each."""
-
-    motor_position_m: FloatArray
-    table_position_m: FloatArray
-    torque_Nm: FloatArray
-
-
-class LoopRunner(Protocol):
-    """Closed loop: of command, desired position, torque added, and what friction held before.
-
-    It begins at rest: what holds a constant load of the model is added to what friction held.
-    """
-
-    def __call__(
-        self,
-        commanded: FloatArray,
-        desired: FloatArray | None,
-        torque: FloatArray | None,
-        resting_Nm: float = 0.0,
-        /,
-    ) -> LoopSignals:
-        """Positions and torque along it."""
-        ...
-
-
-@dataclass(frozen=True)
 class NutGap:
     """Clearance of a nut.
 
@@ -209,90 +165,6 @@ class Stribeck:
     guide_frac: float
     torque_Nm: float
     speed_m_per_s: float
-
-
-def without_static(model: "DriveModel") -> "DriveModel":
-    """The model without what goes by place, which the lead table takes away, not the law."""
-    from pmac_comp.physics.model.effect import split_name
-
-    for name in model.effects:
-        if split_name(name)[0] in STATIC_EFFECTS:
-            model = model.without_effect(name)
-    return model
-
-
-def constant_load_N(model: "DriveModel") -> float:
-    """Constant load on the table of a model; positive resists positive motion."""
-    return model.parameters["bias_force.force_N"] if "bias_force" in model.effects else 0.0
-
-
-def load_torque_Nm(model: "DriveModel") -> float:
-    """Torque in N m that holds the constant load of a model."""
-    return constant_load_N(model) * model.bench.lead_m_per_rad
-
-
-def beside_load(torque_Nm: FloatArray | None, load_Nm: float) -> FloatArray | None:
-    """Torque added to a loop whose integrator holds the load at first, in N m, shape (n,).
-
-    It is less by what of the load it sends itself; None stays None.
-    """
-    if torque_Nm is None or load_Nm == 0.0:
-        return torque_Nm
-    return torque_Nm - min(max(float(torque_Nm[0]), min(load_Nm, 0.0)), max(load_Nm, 0.0))
-
-
-def dynamic_model(model: "DriveModel", wave: LeadWave | None) -> "DriveModel":
-    """The model whose lead has no error but a wobble, which shakes it."""
-    dynamic = without_static(model)
-    if wave is None:
-        return dynamic
-    values = {
-        "amplitude_m": wave.amplitude_m,
-        "order_per_rev": float(wave.order),
-        "phase_rad": wave.phase_rad,
-    }
-    return dynamic.with_effect("lead_cyclic", values)
-
-
-def model_loop(model: "DriveModel", wave: LeadWave | None = None) -> LoopRunner:
-    """Closed loop of a drive model's dynamics: of command, desired position and torque.
-
-    With a wobble of the lead its table is that beside the wobble's own place: what stays is what
-    the table does because it cannot follow.
-    """
-    from pmac_comp.physics.model.drive import simulate
-
-    dynamic, held_Nm = dynamic_model(model, wave), load_torque_Nm(model)
-
-    def run(
-        commanded: FloatArray,
-        desired: FloatArray | None,
-        torque: FloatArray | None,
-        resting_Nm: float = 0.0,
-        /,
-    ) -> LoopSignals:
-        response = simulate(
-            dynamic,
-            commanded,
-            desired_position_m=desired,
-            torque_feedforward_Nm=beside_load(torque, held_Nm),
-            start=Start(held_Nm + resting_Nm),
-        )
-        if response.table_position_m is None:
-            raise ModelError(
-                "The model has no table position.",
-                code="PC-DYN-030",
-                hint="Compensation at the table needs a bench with a scale.",
-            )
-        table = beside_wave(response.table_position_m, commanded, wave)
-        return LoopSignals(response.motor_position_m, table, response.torque_command_Nm)
-
-    return run
-
-
-def beside_wave(table_m: FloatArray, at_m: FloatArray, wave: LeadWave | None) -> FloatArray:
-    """Table beside the place that the wobble of the lead gives it in m; all shapes (n,)."""
-    return table_m if wave is None else table_m - wave.at(at_m)
 
 
 def design_motions(bench: Bench) -> tuple[Trajectory, ...]:

@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray, finite_array, stretches
-from pmac_comp.physics.compensate.design import LoopRunner
+from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.signals.metrics import rms_um
 
 LEARNING_CUTOFF_Hz = 20.0

@@ -19,22 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.compensate.design import (
-    LoopRunner,
-    LoopSignals,
-    beside_load,
-    beside_wave,
-    dynamic_model,
-    load_torque_Nm,
-)
 from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evaluate_law
-from pmac_comp.physics.compensate.lead import LeadWave
-from pmac_comp.physics.model.start import Start
+from pmac_comp.physics.compensate.loop import LoopRunner, LoopSignals
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from pmac_comp.physics.model.drive import DriveModel
+    pass
 
 _MOST_RUNS = 12
 _AGREED_FRAC = 1e-3  # of the friction torque
@@ -82,38 +73,6 @@ class Static:
     def nothing(cls, n: int) -> "Static":
         """No lead error and no tables."""
         return cls(*(np.zeros(n) for _ in range(3)))
-
-
-def counted_loop(model: "DriveModel", wave: LeadWave | None = None) -> LoopRunner:
-    """Closed loop of a drive model whose sensors round; its positions are those before rounding.
-
-    A wobble of the lead is taken as ``model_loop`` takes it.
-    An encoder with 1/T extension resolves so finely that nothing is rounded.
-    """
-    from pmac_comp.physics.model.drive import simulate
-
-    dynamic, held_Nm = dynamic_model(model, wave), load_torque_Nm(model)
-    rounds = model.bench.encoder.extension == "none"
-
-    def run(
-        commanded: FloatArray,
-        desired: FloatArray | None,
-        torque: FloatArray | None,
-        resting_Nm: float = 0.0,
-        /,
-    ) -> LoopSignals:
-        found = simulate(
-            dynamic,
-            commanded,
-            desired_position_m=desired,
-            torque_feedforward_Nm=beside_load(torque, held_Nm),
-            start=Start(held_Nm + resting_Nm),
-            quantise=rounds,
-        )
-        table = beside_wave(found.true_table_position_m, commanded, wave)
-        return LoopSignals(found.true_motor_position_m, table, found.torque_command_Nm)
-
-    return run
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.constant import constant_torque
-from pmac_comp.physics.compensate.design import load_torque_Nm, model_loop
+from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.model.resting import start_of
 
 if TYPE_CHECKING:

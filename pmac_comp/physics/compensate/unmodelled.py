@@ -34,10 +34,10 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import LoopRunner
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.promise import MotionPromise
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
 

@@ -27,9 +27,10 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.compensate.design import LoopRunner, aims, design_motions
+from pmac_comp.physics.compensate.design import aims, design_motions
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadWave
+from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 
 _REACH_FRAC = 0.4  # of the travel

@@ -12,8 +12,8 @@ from pmac_comp.physics.compensate.constant import (
     constant_torque,
     with_constant_torque,
 )
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid

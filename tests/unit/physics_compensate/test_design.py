@@ -13,12 +13,11 @@ from pmac_comp.physics.compensate.design import (
     NutGap,
     design_law,
     design_motions,
-    load_torque_Nm,
-    model_loop,
     slower_law,
     start_law,
 )
 from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s, evaluate_law
+from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel

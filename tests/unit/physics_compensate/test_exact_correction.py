@@ -7,7 +7,6 @@ import pytest
 from scipy.signal.windows import hann
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.compensate.design import LoopSignals
 from pmac_comp.physics.compensate.exact import (
     Aim,
     Learning,
@@ -16,6 +15,7 @@ from pmac_comp.physics.compensate.exact import (
     exact_correction,
     faded,
 )
+from pmac_comp.physics.compensate.loop import LoopSignals
 from pmac_comp.physics.signals.trajectory import sinusoid
 
 PERIOD_s = 442e-6

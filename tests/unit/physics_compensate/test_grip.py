@@ -5,9 +5,9 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.grip import gripping_law, gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid

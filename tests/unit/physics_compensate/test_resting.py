@@ -5,14 +5,10 @@ import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import (
-    design_law,
-    design_motions,
-    load_torque_Nm,
-    model_loop,
-)
+from pmac_comp.physics.compensate.design import design_law, design_motions
 from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.resting import resting_moves, with_unwinding
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.ripple import Kind, TurnTorque, turn_torque, with_turn_torque
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.simulator.closed_loop import closed_loop_capture

@@ -5,8 +5,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start, with_starts
 from pmac_comp.physics.compensate.unmodelled import unmodelled
 from pmac_comp.physics.model.drive import DriveModel

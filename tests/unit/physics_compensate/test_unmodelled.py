@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.promise import MotionPromise
 from pmac_comp.physics.compensate.unmodelled import (
     Unmodelled,

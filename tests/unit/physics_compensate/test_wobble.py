@@ -7,9 +7,10 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import model_loop, start_law
+from pmac_comp.physics.compensate.design import start_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.promise import Static, expect
 from pmac_comp.physics.compensate.wobble import with_wobble
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid

@@ -7,8 +7,8 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.constant import BY_PLACE, LOAD, UNEVEN
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import STATIC_EFFECTS, model_loop
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import STATIC_EFFECTS, model_loop
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid

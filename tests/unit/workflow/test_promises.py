@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.physics.compensate.design import model_loop
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.compensate.promise import counted_loop, promise, run_with_law
+from pmac_comp.physics.compensate.loop import counted_loop, model_loop
+from pmac_comp.physics.compensate.promise import promise, run_with_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.card import Card

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.exact import Aim, Learning
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.report.repeated import learning_section

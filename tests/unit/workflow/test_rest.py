@@ -11,7 +11,8 @@ import pytest
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.context import Context
-from pmac_comp.physics.compensate.design import design_law, model_loop
+from pmac_comp.physics.compensate.design import design_law
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.card import Card
