@@ -334,6 +334,11 @@ class Bench(_Table):
         return facts
 
     @property
+    def travel_m(self) -> tuple[float, float]:
+        """Lowest and highest position of the travel in m."""
+        return self.travel.min_mm / MM_PER_M, self.travel.max_mm / MM_PER_M
+
+    @property
     def mid_travel_m(self) -> float:
         """Middle of the travel in m."""
         return 0.5 * (self.travel.min_mm + self.travel.max_mm) / MM_PER_M

@@ -47,9 +47,7 @@ def remarks(bench: Bench) -> list[str]:
             f"I10 gives a servo period of {bench.servo_period_s * US_PER_S:.3f} us, "
             f"servo_period_us says {rounded_us:g} us; I10 is used"
         )
-    ends = [
-        bench.screw_position_m(mm / MM_PER_M) for mm in (bench.travel.min_mm, bench.travel.max_mm)
-    ]
+    ends = [bench.screw_position_m(end_m) for end_m in bench.travel_m]
     if min(ends) < 0.0 or max(ends) > bench.screw.length_mm / MM_PER_M:
         out.append(
             f"the travel puts the nut at {min(ends) * MM_PER_M:.0f} to "
@@ -88,7 +86,8 @@ def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:
     from pmac_comp.physics.model.margin import sensitivity_peak
 
     drive = DriveModel.base(bench) if model is None else model
-    places_m = (bench.travel.min_mm / MM_PER_M, bench.mid_travel_m, bench.travel.max_mm / MM_PER_M)
+    low_m, high_m = bench.travel_m
+    places_m = (low_m, bench.mid_travel_m, high_m)
     peaks = [(sensitivity_peak(drive, place_m), place_m) for place_m in places_m]
     peak, place_m = max(peaks, key=lambda pair: pair[0].value)
     if peak.value <= _PEAK_OF_SENSITIVITY:

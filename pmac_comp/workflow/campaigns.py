@@ -22,7 +22,7 @@ def calibration_motions(bench: Bench) -> list[Motion]:
     Fits the travel, the safety limits and the rated speed of the bench. In one sinusoid the way
     of the motion and its speed go together (correlation 0.9): amplitudes and frequencies part them.
     """
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     middle, span = 0.5 * (low + high), high - low
     period = bench.servo_period_s
     speed = bench.usable_speed_m_per_s
@@ -92,7 +92,7 @@ def require_scale(bench: Bench, what: str) -> None:
 
 def lead_motions(bench: Bench) -> list[Motion]:
     """One slow run over the travel and back."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     margin = 1e-4  # a cyclic lead that ends before the travel does is an error of its full size
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
@@ -110,7 +110,7 @@ def verification_motions(
 ) -> list[Motion]:
     """Motions drawn by a seed: sinusoids within the rated speed and jerk-limited trapezoids."""
     rng = np.random.default_rng(seed)
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     span, speed = high - low, bench.usable_speed_m_per_s
     allowed = bench.safety.max_acceleration_m_per_s2
     acceleration = min(allowed, 10.0)
@@ -159,7 +159,7 @@ def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
     The targets are not at multiples of the pitch, so that a periodic error is met at different
     phases (ISO 230-2:2014, clause 5.3.1).
     """
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     span = high - low
     step = 0.9 * span / (n_targets - 1)
     start = low + 0.05 * span
@@ -180,7 +180,7 @@ def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
 
 def ringing_motion(bench: Bench) -> Motion:
     """A move whose acceleration jumps: no S-curve, so that it excites the drive's resonance."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
         distance_m=0.15 * (high - low),

@@ -276,7 +276,7 @@ def _has(key: str, *laws: LawParameters | None) -> bool:
 
 def reference_motion(bench: Bench) -> tr.Trajectory:
     """Move there and back at the usual speed and acceleration, in the middle of the travel."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     return tr.trapezoid(
         period_s=bench.servo_period_s,
         distance_m=0.3 * (high - low),

@@ -56,7 +56,7 @@ class Motion:
 def check_motion(motion: Motion, bench: Bench) -> None:
     """Refuse a motion that leaves the travel or passes the safety limits, all reasons at once."""
     t = motion.trajectory
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     speed = float(np.max(np.abs(t.velocity_m_per_s)))
     acceleration = float(np.max(np.abs(t.acceleration_m_per_s2)))
     refusals: list[SafetyRefusal] = []

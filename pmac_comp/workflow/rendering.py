@@ -224,7 +224,7 @@ def entries_over_travel(
         The travel needs more entries than fit.
     """
     scales = Scales.of(bench)
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     reach = max(abs(low), abs(high)) + 2.0 * spacing_m
     # The zero of the motor is knot 0; both signs get the same number of knots.
     half = math.ceil(reach / spacing_m)
@@ -245,8 +245,8 @@ def _seam(
     exact: np.ndarray, half: int, spacing_ct: int, bench: Bench, scales: Scales
 ) -> np.ndarray:
     """Entries beyond the travel blended so that the two ends of the table meet."""
-    reach_ct = max(abs(bench.travel.min_mm), abs(bench.travel.max_mm)) / MM_PER_M
-    used = math.ceil(scales.counts(reach_ct) / spacing_ct)
+    reach_m = max(abs(end_m) for end_m in bench.travel_m)
+    used = math.ceil(scales.counts(reach_m) / spacing_ct)
     out = exact.copy()
     if half - used < 1:
         return out

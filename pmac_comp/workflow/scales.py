@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray, IntArray
-from pmac_comp.base.units import MM_PER_M, UM_PER_M, UM_PER_MM
+from pmac_comp.base.units import UM_PER_M, UM_PER_MM
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.safety import Limits
 
@@ -70,13 +70,13 @@ class Scales:
     def limits(self, bench: Bench) -> Limits:
         """Safety limits of a bench in counts."""
         um_per_ct = self.motor_m_per_ct * UM_PER_M
-        safety = bench.safety
+        safety, (low_m, high_m) = bench.safety, bench.travel_m
         return Limits(
             max_correction_ct=safety.max_correction_um / um_per_ct,
             max_slope=safety.max_slope_um_per_mm / UM_PER_MM,
             max_step_ct=safety.max_enable_step_um / um_per_ct,
-            min_position_ct=self.counts(bench.travel.min_mm / MM_PER_M),
-            max_position_ct=self.counts(bench.travel.max_mm / MM_PER_M),
+            min_position_ct=self.counts(low_m),
+            max_position_ct=self.counts(high_m),
             um_per_ct=um_per_ct,
             hardest_ct_per_s2=self.counts(safety.max_acceleration_m_per_s2),
         )

@@ -96,7 +96,7 @@ def require_covered(bench: Bench, lead: LeadMap) -> None:
 
 def covered_m(bench: Bench, lead: LeadMap) -> tuple[float, float] | None:
     """Range in m that was measured, None if that is the travel but for little at its ends."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     known = np.flatnonzero((lead.error_m != 0.0) | (lead.reversal_m != 0.0))
     if known.size == 0:
         return None
@@ -108,7 +108,7 @@ def covered_m(bench: Bench, lead: LeadMap) -> tuple[float, float] | None:
 
 def _faded(bench: Bench, lead: LeadMap) -> LeadMap:
     """The map over the whole travel; beyond what was measured it runs to zero within 10 mm."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     spacing, first, last = lead.spacing_m, lead.position_m[0], lead.position_m[-1]
     before = np.arange(1, max(1, round((first - low) / spacing)) + 1)[::-1]
     after = np.arange(1, max(1, round((high - last) / spacing)) + 1)

@@ -25,7 +25,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
@@ -175,7 +175,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     long and slow: on those a load holds the nut near the force at which it changes its flank.
     """
     period = bench.servo_period_s
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     middle, span = 0.5 * (low + high), high - low
     speed = bench.usable_speed_m_per_s
     acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)

@@ -16,7 +16,6 @@ are left where 0.37 to 0.95 are with it.
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import REST_CYCLES, CompensationLaw, evaluate_law
@@ -34,7 +33,7 @@ def resting_moves(bench: Bench) -> tuple[Trajectory, ...]:
     """Jerk-limited moves there and back, of a bench's usual distances, speeds and places."""
     from scipy.stats.qmc import Halton
 
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     span, fastest = high - low, bench.usable_speed_m_per_s
     hardest = min(5.0, bench.safety.max_acceleration_m_per_s2)
     drawn = Halton(4, scramble=False).random(_N_MOVES)

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.design import aims, design_motions
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
@@ -157,7 +156,7 @@ def _typical(errors: Sequence[FloatArray]) -> float:
 
 def _fastest(bench: Bench) -> Trajectory:
     """A move at the highest speed."""
-    low, high = bench.travel.min_mm / MM_PER_M, bench.travel.max_mm / MM_PER_M
+    low, high = bench.travel_m
     reach = _REACH_FRAC * (high - low)
     return trapezoid(
         period_s=bench.servo_period_s,
