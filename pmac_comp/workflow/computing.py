@@ -25,6 +25,7 @@ from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
+from pmac_comp.physics.compensate.motions import HARD_MOVE_m_per_s2, MOVE_S_CURVE_s
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.compensate.trim import shows_reversal, trimmed_law, with_drag
 from pmac_comp.physics.compensate.unmodelled import model_law
@@ -521,8 +522,8 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         times = f"{law.turn_order:.0f} times a turn"
         out[f"torque that ripples {times}, share of it %"] = 100.0 * law.turn_share
     if law.torque_impulse_Nm_s3_per_m != 0.0:
-        # By a step of the jerk as a move of 5 m/s2 with an S-curve of 15 ms begins with.
-        kick_Nm = law.torque_impulse_Nm_s3_per_m * 5.0 / 0.015
+        # By the step of the jerk with which a hard move begins.
+        kick_Nm = law.torque_impulse_Nm_s3_per_m * HARD_MOVE_m_per_s2 / MOVE_S_CURVE_s
         out["impulse against ringing as a hard move begins, one pass, Nm"] = kick_Nm
     if law.torque_place_Nm_per_m != 0.0:
         lead_m_per_rad = law.turn_m / (2.0 * math.pi)

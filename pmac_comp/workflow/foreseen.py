@@ -14,9 +14,10 @@ from pmac_comp.base.errors import AmplitudeExceeded, ConfigError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import design_motions, start_law
+from pmac_comp.physics.compensate.design import start_law
 from pmac_comp.physics.compensate.exact import Aim, LEARNING_CUTOFF_Hz, zero_phase
 from pmac_comp.physics.compensate.loop import model_loop
+from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.workflow.dynamic_law import without_fed_forward
 from pmac_comp.workflow.late_scale import in_time
 from pmac_comp.workflow.motions import Motion

@@ -18,9 +18,10 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law_cost import law_cost_cycles, servo_cost_cycles
 from pmac_comp.machine.controller.link import Link
 from pmac_comp.machine.controller.processor_load import ProcessorLoad, read_load
-from pmac_comp.physics.compensate.design import design_motions, slower_law
+from pmac_comp.physics.compensate.design import slower_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
+from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.workflow.routes import LATENCY_CYCLES
 

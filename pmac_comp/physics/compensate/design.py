@@ -30,7 +30,8 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.loop import LoopRunner
-from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
+from pmac_comp.physics.compensate.motions import design_motions
+from pmac_comp.physics.signals.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -165,57 +166,6 @@ class Stribeck:
     guide_frac: float
     torque_Nm: float
     speed_m_per_s: float
-
-
-def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
-    """Motions over the usable range of a bench on which the coefficients are refined.
-
-    Sinusoids from slow to the acceleration limit and jerk-limited trapezoids, fast and slow, hard
-    and soft, at places over the travel. Verification motions are drawn elsewhere. Two of them are
-    long and slow: on those a load holds the nut near the force at which it changes its flank.
-    """
-    period = bench.servo_period_s
-    low, high = bench.travel_m
-    middle, span = 0.5 * (low + high), high - low
-    speed = bench.usable_speed_m_per_s
-    acceleration = min(bench.safety.max_acceleration_m_per_s2, 10.0)
-
-    def sine(amplitude: float, frequency: float, place: float, cycles: float) -> Trajectory:
-        amplitude = min(amplitude, 0.2 * span)
-        omega = 2.0 * math.pi * frequency
-        amplitude = min(amplitude, 0.9 * speed / omega, 0.9 * acceleration / omega**2)
-        return sinusoid(
-            period_s=period,
-            amplitude_m=amplitude,
-            frequency_Hz=frequency,
-            cycles=cycles,
-            centre_m=middle + place * span,
-            dwell_s=0.05,
-        )
-
-    def move(fast: float, hard: float, place: float) -> Trajectory:
-        return trapezoid(
-            period_s=period,
-            distance_m=0.2 * span,
-            speed_m_per_s=0.8 * fast * speed,
-            acceleration_m_per_s2=min(5.0, acceleration) * hard,
-            s_curve_s=0.015,
-            start_m=middle + place * span,
-            dwell_s=0.1,
-        )
-
-    return (
-        sine(0.010, 1.0, 0.0, 2.0),
-        sine(0.010, 2.0, -0.3, 3.0),
-        sine(0.010, 5.0, 0.0, 5.0),
-        sine(0.025, 2.0, 0.25, 3.0),
-        sine(0.050, 0.8, 0.0, 2.0),
-        move(1.0, 1.0, -0.3),
-        move(0.5, 0.5, 0.1),
-        move(0.7, 0.35, 0.2),
-        move(0.5, 0.8, -0.4),
-        sine(0.045, 0.7, 0.2, 2.0),
-    )
 
 
 def design_law(

@@ -1,8 +1,7 @@
 """What is left of the table's lag while the command rests, from a drive model.
 
-What lives here: moves with rests, and the regression of the lag that the model leaves there on what
-the law would hold. What may not: captures, counts. Imports ``physics.signals``, ``files`` and
-``base`` beside the law.
+What lives here: the regression of the lag that the model leaves at rests on what the law would
+hold. What may not: captures, counts.
 
 As a drive comes to rest the screw unwinds and the table comes along, at once or within some
 hundredths of a second. How far hangs on every figure of a move where a nut has play (0.4 to 0.7 in
@@ -20,35 +19,13 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import REST_CYCLES, CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.loop import LoopRunner
-from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
+from pmac_comp.physics.compensate.motions import resting_moves
+from pmac_comp.physics.signals.trajectory import Trajectory
 
 _N_MOVES = 24
-_S_CURVE_s = 0.015
 _DWELL_CYCLES = 250  # of those the last ones count, once friction has faded
 _COUNTED_CYCLES = 100
 _LEAST_LEFT_FRAC = 0.05
-
-
-def resting_moves(bench: Bench) -> tuple[Trajectory, ...]:
-    """Jerk-limited moves there and back, of a bench's usual distances, speeds and places."""
-    from scipy.stats.qmc import Halton
-
-    low, high = bench.travel_m
-    span, fastest = high - low, bench.usable_speed_m_per_s
-    hardest = min(5.0, bench.safety.max_acceleration_m_per_s2)
-    drawn = Halton(4, scramble=False).random(_N_MOVES)
-    return tuple(
-        trapezoid(
-            period_s=bench.servo_period_s,
-            distance_m=(0.05 + 0.15 * distance) * span,
-            speed_m_per_s=(0.2 + 0.6 * speed) * fastest,
-            acceleration_m_per_s2=(0.3 + 0.7 * hard) * hardest,
-            s_curve_s=_S_CURVE_s,
-            start_m=low + (0.05 + 0.7 * place) * span,
-            dwell_s=_DWELL_CYCLES * bench.servo_period_s,
-        )
-        for distance, speed, hard, place in drawn
-    )
 
 
 def with_unwinding(
@@ -80,7 +57,8 @@ def with_unwinding(
         viscous_uneven_s=0.0,
         torque_constant_Nm=load_Nm,
     )
-    runs = [_lags(own, loop, motion, latency_cycles) for motion in resting_moves(bench)]
+    moves = resting_moves(bench, n_moves=_N_MOVES, dwell_cycles=_DWELL_CYCLES)
+    runs = [_lags(own, loop, move, latency_cycles) for move in moves]
     held, left = (np.concatenate(column) for column in zip(*runs, strict=True))
     held, left = held - held.mean(), left - left.mean()
     square = float(held @ held)

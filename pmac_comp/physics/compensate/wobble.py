@@ -26,14 +26,13 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.compensate.design import aims, design_motions
+from pmac_comp.physics.compensate.design import aims
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.compensate.loop import LoopRunner
-from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
+from pmac_comp.physics.compensate.motions import design_motions, fastest_move
+from pmac_comp.physics.signals.trajectory import Trajectory
 
-_REACH_FRAC = 0.4  # of the travel
-_HARDEST_m_per_s2 = 5.0
 _PROBE_Nm = 0.1  # at the highest speed
 WORTH = 0.2  # of an aim: a wobble that makes less is left
 _IN_ITS_PLACE = (
@@ -78,7 +77,7 @@ def with_wobble(
         The law itself where it would gain little.
     """
     # A wobble shakes fast moves, friction by the turn and torque that ripples slow ones as well.
-    motions = (*design_motions(bench), _fastest(bench))
+    motions = (*design_motions(bench), fastest_move(bench))
     asked = [aims(loop, motion) for motion in motions]
 
     def errors(law: CompensationLaw, loop: LoopRunner, wave: LeadWave | None) -> list[FloatArray]:
@@ -152,18 +151,3 @@ def _typical(errors: Sequence[FloatArray]) -> float:
     """Rms over all motions."""
     joined = _joined(errors)
     return math.sqrt(float(joined @ joined) / (2.0 * len(errors)))
-
-
-def _fastest(bench: Bench) -> Trajectory:
-    """A move at the highest speed."""
-    low, high = bench.travel_m
-    reach = _REACH_FRAC * (high - low)
-    return trapezoid(
-        period_s=bench.servo_period_s,
-        distance_m=reach,
-        speed_m_per_s=bench.usable_speed_m_per_s,
-        acceleration_m_per_s2=min(_HARDEST_m_per_s2, bench.safety.max_acceleration_m_per_s2),
-        s_curve_s=0.015,
-        start_m=0.5 * (low + high - reach),
-        dwell_s=0.05,
-    )

@@ -5,11 +5,12 @@ import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.design import design_law, design_motions
+from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
-from pmac_comp.physics.compensate.resting import resting_moves, with_unwinding
+from pmac_comp.physics.compensate.motions import design_motions, resting_moves
+from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.campaigns import verification_motions
@@ -69,7 +70,7 @@ def test_a_drive_without_friction_has_no_lag_at_rest() -> None:
 
 
 def test_moves_stay_within_travel_and_limits() -> None:
-    moves = resting_moves(BENCH)
+    moves = resting_moves(BENCH, n_moves=24, dwell_cycles=250)
     assert len({m.n for m in moves}) > 10
     for move in moves:
         assert BENCH.travel.min_mm / 1e3 <= move.position_m.min()

@@ -9,9 +9,10 @@ import pytest
 from pmac_comp.base.errors import AmplitudeExceeded, ConfigError, NotIdentifiable
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.physics.compensate.design import design_law, design_motions, start_law
+from pmac_comp.physics.compensate.design import design_law, start_law
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.loop import model_loop
+from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.workflow import beyond_model, computing
 from pmac_comp.workflow.campaigns import lead_motions

@@ -1,0 +1,115 @@
+"""Motions of a bench on which laws are fitted and judged in a model, one sample per servo period.
+
+What lives here: how far, fast and hard they are, and where in the travel; places and reaches are
+shares of the travel, speeds and accelerations shares of the highest. What may not: motions that a
+controller runs (``workflow.campaigns``): a law is verified on none of these.
+"""
+
+import math
+
+from pmac_comp.files.bench import Bench
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
+
+HARD_MOVE_m_per_s2 = 5.0  # no move is harder, whatever a bench allows
+MOVE_S_CURVE_s = 0.015  # in which a move reaches its acceleration
+_HARD_SINE_m_per_s2 = 10.0
+_SINE_ROOM = 0.9  # a sinusoid that grows or fades asks for more than in full swing
+
+
+def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
+    """Motions over the usable range of a bench on which the coefficients of a law are refined.
+
+    Sinusoids from slow to the acceleration limit and jerk-limited moves, fast and slow, hard and
+    soft, at places over the travel. Two of them are long and slow: on those a load holds the nut
+    near the force at which it changes its flank.
+    """
+    low_m, high_m = bench.travel_m
+    middle_m, span_m = 0.5 * (low_m + high_m), high_m - low_m
+    fastest_m_per_s = bench.usable_speed_m_per_s
+    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
+
+    def sine(amplitude_m: float, frequency_Hz: float, place: float, cycles: float) -> Trajectory:
+        omega = 2.0 * math.pi * frequency_Hz
+        most_m = _SINE_ROOM * fastest_m_per_s / omega, _SINE_ROOM * hardest_m_per_s2 / omega**2
+        return sinusoid(
+            period_s=bench.servo_period_s,
+            amplitude_m=min(amplitude_m, 0.2 * span_m, *most_m),
+            frequency_Hz=frequency_Hz,
+            cycles=cycles,
+            centre_m=middle_m + place * span_m,
+            dwell_s=0.05,
+        )
+
+    def move(fast: float, hard: float, place: float) -> Trajectory:
+        return trapezoid(
+            period_s=bench.servo_period_s,
+            distance_m=0.2 * span_m,
+            speed_m_per_s=0.8 * fast * fastest_m_per_s,
+            acceleration_m_per_s2=_hardest_move_m_per_s2(bench) * hard,
+            s_curve_s=MOVE_S_CURVE_s,
+            start_m=middle_m + place * span_m,
+            dwell_s=0.1,
+        )
+
+    return (
+        sine(0.010, 1.0, 0.0, 2.0),
+        sine(0.010, 2.0, -0.3, 3.0),
+        sine(0.010, 5.0, 0.0, 5.0),
+        sine(0.025, 2.0, 0.25, 3.0),
+        sine(0.050, 0.8, 0.0, 2.0),
+        move(1.0, 1.0, -0.3),
+        move(0.5, 0.5, 0.1),
+        move(0.7, 0.35, 0.2),
+        move(0.5, 0.8, -0.4),
+        sine(0.045, 0.7, 0.2, 2.0),
+    )
+
+
+def resting_moves(bench: Bench, *, n_moves: int, dwell_cycles: int) -> tuple[Trajectory, ...]:
+    """Moves there and back, of a bench's usual distances, speeds and places, and their rests.
+
+    Parameters
+    ----------
+    bench : Bench
+        Travel, limits, period.
+    n_moves : int
+        How many; they are spread evenly over what is usual.
+    dwell_cycles : int
+        Servo cycles of each rest.
+    """
+    from scipy.stats.qmc import Halton
+
+    low_m, high_m = bench.travel_m
+    span_m, fastest_m_per_s = high_m - low_m, bench.usable_speed_m_per_s
+    drawn = Halton(4, scramble=False).random(n_moves)
+    return tuple(
+        trapezoid(
+            period_s=bench.servo_period_s,
+            distance_m=(0.05 + 0.15 * distance) * span_m,
+            speed_m_per_s=(0.2 + 0.6 * fast) * fastest_m_per_s,
+            acceleration_m_per_s2=(0.3 + 0.7 * hard) * _hardest_move_m_per_s2(bench),
+            s_curve_s=MOVE_S_CURVE_s,
+            start_m=low_m + (0.05 + 0.7 * place) * span_m,
+            dwell_s=dwell_cycles * bench.servo_period_s,
+        )
+        for distance, fast, hard, place in drawn
+    )
+
+
+def fastest_move(bench: Bench) -> Trajectory:
+    """A long move at the highest speed, in the middle of the travel."""
+    low_m, high_m = bench.travel_m
+    reach_m = 0.4 * (high_m - low_m)
+    return trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=reach_m,
+        speed_m_per_s=bench.usable_speed_m_per_s,
+        acceleration_m_per_s2=_hardest_move_m_per_s2(bench),
+        s_curve_s=MOVE_S_CURVE_s,
+        start_m=0.5 * (low_m + high_m - reach_m),
+        dwell_s=0.05,
+    )
+
+
+def _hardest_move_m_per_s2(bench: Bench) -> float:
+    return min(HARD_MOVE_m_per_s2, bench.safety.max_acceleration_m_per_s2)
