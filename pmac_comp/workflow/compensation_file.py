@@ -25,6 +25,7 @@ from pmac_comp.workflow.backlash import backlash_table, forward_part
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 
+EXACT = "exact"  # in the provenance of a law: what its motion's correction was computed with
 _VERSION = 1
 _MOTION = ("motion_time_s", "motion_position_m", "motion_correction_m")
 ROUTES = ("table", "law", "servo", "cam", "program")
@@ -76,15 +77,21 @@ class Compensation:
         return hashlib.sha256(acting.encode()).hexdigest()
 
     @property
+    def exact(self) -> Mapping[str, Any]:
+        """What is noted of the one motion's correction: aim, room, errors by pass; else empty."""
+        noted: Mapping[str, Any] = self.law.provenance.get(EXACT, {})
+        return noted
+
+    @property
     def aim(self) -> Aim:
         """Which error the correction of the one motion takes away."""
-        told = self.law.provenance.get("exact", {}).get("aim")
+        told = self.exact.get("aim")
         return Aim.MECHANICAL if told == Aim.MECHANICAL.value else Aim.TOTAL
 
     @property
     def learned(self) -> tuple[Mapping[str, Any], ...]:
         """Each learning from runs that its correction went through; empty for the model's own."""
-        return tuple(self.law.provenance.get("exact", {}).get("learned", ()))
+        return tuple(self.exact.get("learned", ()))
 
     @property
     def marks(self) -> dict[str, str]:

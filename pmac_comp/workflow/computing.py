@@ -6,7 +6,6 @@ law (``physics.compensate``), registers, conversations.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from pmac_comp.machine.controller.comp_table import CT16_PER_CT
 from pmac_comp.machine.controller.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
-from pmac_comp.physics.compensate.law import CompensationLaw, coefficient_names
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap, LeadWave
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.motions import HARD_MOVE_m_per_s2, MOVE_S_CURVE_s
@@ -37,7 +36,12 @@ from pmac_comp.workflow.bench_remarks import loop_remarks
 from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.campaigns import verification_motions
-from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.compensation_file import (
+    EXACT,
+    Compensation,
+    check_route,
+    write_compensation,
+)
 from pmac_comp.workflow.dynamic_law import (
     GAVE_WAY,
     NO_TIME_FOR_DRAG,
@@ -83,6 +87,7 @@ _CUT_FRAC = 0.999  # of the limit: what reaches it was cut
 _CyclesOf = Callable[[CompensationLaw], int]  # servo cycles between passes that leave time
 _DRAGS_m = 0.15e-6  # a drag that makes more than that, the aim of e_r, is worth fewer passes
 _SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a law
+_TRIM_EXPLAINED = "trim_explained"  # in a law's provenance: share of the rest that captures tell
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
 
@@ -170,15 +175,8 @@ def compute_compensation(
     if captures:
         if progress is not None:
             progress("holding the law against the captures", 0.8)
-        trimmed, explained = trimmed_law(law, model_loop(model, wave), captures, lead)
-        trim = {
-            name: getattr(trimmed, name) - getattr(law, name)
-            for name in coefficient_names()
-            if getattr(trimmed, name) != getattr(law, name)
-        }
-        trim |= law.provenance.get("trim", {})
-        provenance = {**law.provenance, "trim": trim, "trim_explained": explained}
-        law = replace(trimmed, provenance=provenance)
+        law, explained = trimmed_law(law, model_loop(model, wave), captures, lead)
+        law = law.noting({_TRIM_EXPLAINED: explained})
         # What the captures moved into the law must not stay in the backlash table as well.
         lead = static_map(bench, route, slow, law, limit, per_turn_m) if slow else None
     loop = model_loop(without_fed_forward(model))
@@ -207,7 +205,7 @@ def _with_drag_that_fits(
     more = _with_drag(model, law, captures, lead, wave)
     if route != "law" or cycles_of(more) <= law.every_cycles:
         return more
-    return replace(law, provenance={**law.provenance, NO_TIME_FOR_DRAG: more.drag_m})
+    return law.noting({NO_TIME_FOR_DRAG: more.drag_m})
 
 
 def _with_drag(
@@ -246,7 +244,7 @@ def _against_wobble(
     )
     if more == law or law.turn_friction_Nm == law.turn_share == 0.0:
         return more
-    return replace(more, provenance={**more.provenance, GAVE_WAY: True})
+    return more.noting({GAVE_WAY: True})
 
 
 def _takes_up(
@@ -328,7 +326,7 @@ def _for_motion(
         said["needed_um"] = uncut_um + beside_um
     return Compensation(
         route,
-        replace(law, provenance={**law.provenance, "exact": said}),
+        law.noting({EXACT: said}),
         lead,
         motion_time_s=motion.trajectory.time_s,
         motion_position_m=motion.position_m,
@@ -499,7 +497,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         "fitted on motions up to m/s": law.valid_speed_m_per_s,
         "fitted on motions up to m/s2": law.valid_acceleration_m_per_s2,
     }
-    explained = law.provenance.get("trim_explained", 0.0)
+    explained = law.provenance.get(_TRIM_EXPLAINED, 0.0)
     if explained:
         out["corrected by the captures, share of the rest explained %"] = 100.0 * explained
     out["friction torque Nm"] = law.torque_coulomb_Nm
@@ -563,8 +561,7 @@ def _describe_motion(bench: Bench, compensation: Compensation) -> dict[str, Any]
     position, correction = compensation.motion_position_m, compensation.motion_correction_m
     if position is None or correction is None:
         return {}
-    exact = compensation.law.provenance.get("exact", {})
-    history = exact.get("error_um", [math.nan])
+    history = compensation.exact.get("error_um", [math.nan])
     aim = compensation.aim.value
     out = {
         "route": compensation.route,
@@ -605,14 +602,13 @@ def limits_report(bench: Bench, compensation: Compensation) -> list[str]:
     limit_um = bench.safety.max_correction_um
     correction = compensation.motion_correction_m
     if correction is not None:
-        exact = compensation.law.provenance.get("exact", {})
-        room_um = exact.get("room_um", limit_um)
+        room_um = compensation.exact.get("room_um", limit_um)
         sent_um = np.abs(faded(correction)) * UM_PER_M
         share = float(np.mean(sent_um > _CUT_FRAC * room_um))
         cut = f"{100 * share:.1f} % of the motion is cut at max_correction_um = {limit_um:g} um"
         if room_um < limit_um:
             cut += f", of which the lead table beside it takes {limit_um - room_um:.3g} um"
-        needed_um = exact.get("needed_um")
+        needed_um = compensation.exact.get("needed_um")
         if needed_um is not None:
             cut += f"; uncut all of it would take up to {needed_um:.3g} um"
         return [cut] if share else []

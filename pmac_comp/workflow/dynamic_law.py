@@ -126,8 +126,7 @@ def dynamic_law(
     law = with_constant_torque(law, loop, captures)
     if not {LOAD, BY_PLACE} & law.provenance.keys():
         law = _with_own_cable(law, model)
-    said = {"turn_explained": found.explained, "grip_explained": grip}
-    return replace(law, provenance={**law.provenance, **said})
+    return law.noting({"turn_explained": found.explained, "grip_explained": grip})
 
 
 def _with_own_cable(law: CompensationLaw, model: "DriveModel") -> CompensationLaw:
@@ -149,7 +148,7 @@ def _noting_grip(
     found, grip = gripping_law(friction, loop, captures)
     if grip == 0.0 or slides(model, found.torque_breakaway_m):
         return law
-    return replace(law, provenance={**law.provenance, GRIP: found.torque_breakaway_m})
+    return law.noting({GRIP: found.torque_breakaway_m})
 
 
 def _friction_Nm(model: "DriveModel") -> float:
@@ -292,7 +291,7 @@ def with_unmodelled(
     )
     if rest is None:
         return law
-    return replace(law, provenance={**law.provenance, "unmodelled": rest.as_mapping()})
+    return law.noting({"unmodelled": rest.as_mapping()})
 
 
 def wobble_of(bench: Bench, lead: LeadMap | None) -> LeadWave | None:

@@ -27,7 +27,7 @@ from pmac_comp.physics.compensate.exact import (
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.compensation_file import EXACT, Compensation
 from pmac_comp.workflow.late_scale import read_together, scale_age_s
 from pmac_comp.workflow.motions import Motion
 
@@ -107,13 +107,11 @@ class Refinement:
         """
         if compensation.motion_correction_m is None or not self.is_gain:
             return None
-        law = compensation.law
-        exact = law.provenance.get("exact", {})
-        learned = [*exact.get("learned", []), self._told()]
-        said = {**exact, "aim": Aim.TOTAL.value, "learned": learned}
+        learned = [*compensation.learned, self._told()]
+        said = {**compensation.exact, "aim": Aim.TOTAL.value, "learned": learned}
         return replace(
             compensation,
-            law=replace(law, provenance={**law.provenance, "exact": said}),
+            law=compensation.law.noting({EXACT: said}),
             motion_correction_m=self.learning.correction_m,
         )
 
@@ -289,7 +287,7 @@ def refine_motion(
     switch(axis, context, compensation, on=False)
     without = centred_rms_um(total(nothing))
     switch(axis, context, compensation, on=True)
-    room_um = compensation.law.provenance.get("exact", {}).get("room_um")
+    room_um = compensation.exact.get("room_um")
     limit = (room_um or axis.bench.safety.max_correction_um) / UM_PER_M
     learned = learn(
         total,

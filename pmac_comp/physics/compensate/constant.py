@@ -13,7 +13,7 @@ either way, is viscous friction that differs between the directions.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -96,7 +96,7 @@ def with_constant_torque(
         return law
     law = with_load(law, constant_Nm=found.torque_Nm)
     noted = {"torque_Nm": found.torque_Nm, "two_std_Nm": found.two_std_Nm}
-    return replace(law, provenance={**law.provenance, LOAD: noted})
+    return law.noting({LOAD: noted})
 
 
 def _with_uneven(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw:
@@ -108,9 +108,8 @@ def _with_uneven(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw
         "two_std_Nm_s_per_m": found.uneven_two_std_Nm_s_per_m,
         "speed_m_per_s": found.fastest_m_per_s,
     }
-    trim = {**law.provenance.get("trim", {}), "torque_uneven_Nm_s_per_m": found.uneven_Nm_s_per_m}
-    law = law.with_values(torque_uneven_Nm_s_per_m=found.uneven_Nm_s_per_m)
-    return replace(law, provenance={**law.provenance, "trim": trim, UNEVEN: noted})
+    more = {"torque_uneven_Nm_s_per_m": found.uneven_Nm_s_per_m}
+    return law.with_values(**more).with_trim(more).noting({UNEVEN: noted})
 
 
 def with_load(
@@ -119,10 +118,8 @@ def with_load(
     """Law that sends more, constant and along the travel; kept as ``trim``."""
     both = {"torque_constant_Nm": constant_Nm, "torque_place_Nm_per_m": slope_Nm_per_m}
     more = {name: value for name, value in both.items() if value != 0.0}
-    trim = dict(law.provenance.get("trim", {}))
-    trim |= {name: trim.get(name, 0.0) + value for name, value in more.items()}
-    law = law.with_values(**{name: getattr(law, name) + value for name, value in more.items()})
-    return replace(law, provenance={**law.provenance, "trim": trim})
+    values = {name: getattr(law, name) + value for name, value in more.items()}
+    return law.with_values(**values).with_trim(more)
 
 
 def _with_load_by_place(law: CompensationLaw, found: ConstantTorque) -> CompensationLaw:
@@ -137,7 +134,7 @@ def _with_load_by_place(law: CompensationLaw, found: ConstantTorque) -> Compensa
         "two_std_Nm_per_m": found.slope_two_std_Nm_per_m,
         "reach_m": found.reach_m,
     }
-    return replace(law, provenance={**law.provenance, BY_PLACE: noted})
+    return law.noting({BY_PLACE: noted})
 
 
 def constant_torque(

@@ -11,7 +11,6 @@ motor went.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,15 +61,13 @@ def gripping_law(
     explained = 1.0 - left_m[best] / max(left_m[law.torque_breakaway_m], 1e-30)
     if explained < _LEAST_GAIN_FRAC:
         return law, 0.0
-    change = {_NAME: best - law.torque_breakaway_m}
-    trim = {**law.provenance.get("trim", {}), **change}
-    provenance = {**law.provenance, "trim": trim}
-    return replace(law, torque_breakaway_m=best, provenance=provenance), explained
+    moved = law.with_trim({_NAME: best - law.torque_breakaway_m})
+    return moved.with_values(torque_breakaway_m=best), explained
 
 
 def gripping_torque(law: CompensationLaw, capture: Capture) -> FloatArray:
     """Torque in N m, shape (n,), that gives the law's model the drive's friction in one run."""
-    own_m = law.torque_breakaway_m - law.provenance.get("trim", {}).get(_NAME, 0.0)
+    own_m = law.torque_breakaway_m - law.trim.get(_NAME, 0.0)
     return _missing_Nm(law, capture, own_m, law.torque_breakaway_m)
 
 

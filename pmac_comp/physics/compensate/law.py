@@ -125,6 +125,7 @@ and 4 um of play both together leave six tenths of e_r in sinusoids and three qu
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -167,6 +168,7 @@ _NOT_NEGATIVE = (
     "torque_wobble_Nm_s3_per_m3",
     "drag_m",
 )
+_TRIM = "trim"  # in the provenance
 _COMPUTE_AGAIN = "Compute the compensation again from a model."
 
 
@@ -240,7 +242,8 @@ class CompensationLaw:
     every_cycles : int
         Servo cycles between two passes of the law; 2 halves what PLC 0 costs.
     provenance : dict
-        Model digest, bench digest, effects, time of the fit.
+        Where it comes from, what captures showed beyond the model and moved (``trim``): file and
+        digests, effects, and notes under the keys of the modules that look for it.
     """
 
     inertia_s2: float = 0.0
@@ -370,6 +373,22 @@ class CompensationLaw:
     def with_values(self, **values: float) -> "CompensationLaw":
         """Copy with some coefficients replaced."""
         return replace(self, **values)  # type: ignore[arg-type]
+
+    def noting(self, said: Mapping[str, Any]) -> "CompensationLaw":
+        """The same law with more in its provenance."""
+        return replace(self, provenance={**self.provenance, **said})
+
+    @property
+    def trim(self) -> Mapping[str, float]:
+        """By how much captures moved coefficients, by name: the rest of each is the model's."""
+        moved: Mapping[str, float] = self.provenance.get(_TRIM, {})
+        return moved
+
+    def with_trim(self, changes: Mapping[str, float]) -> "CompensationLaw":
+        """The same law with a note that captures moved it by these changes, beside earlier ones."""
+        trim = dict(self.trim)
+        trim |= {name: trim.get(name, 0.0) + change for name, change in changes.items()}
+        return self.noting({_TRIM: trim})
 
     @property
     def largest_correction_m(self) -> float:

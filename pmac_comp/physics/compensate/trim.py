@@ -10,7 +10,7 @@ are taken over; what they do not explain stays for ``diagnose``.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,7 +59,7 @@ def trimmed_law(
     Returns
     -------
     CompensationLaw, float
-        The law itself and 0 where nothing is gained.
+        The law itself and 0 where nothing is gained; the change is kept as ``trim``.
     """
     usable = [c for c in captures if c.table_position_m is not None]
     if not usable:
@@ -74,8 +74,10 @@ def trimmed_law(
     explained = 1.0 - best.left_m / max(whole, 1e-30)
     if best is fits[0] and explained < _LEAST_GAIN_FRAC:
         return law, 0.0
-    values = _less(law, best.changes, {})
-    return law.with_values(**values, breakaway_m=best.breakaway_m), explained
+    values = _less(law, best.changes, {}) | {"breakaway_m": best.breakaway_m}
+    moved = {name: value - getattr(law, name) for name, value in values.items()}
+    trim = {name: change for name, change in moved.items() if change != 0.0}
+    return law.with_values(**values).with_trim(trim), explained
 
 
 def with_drag(
@@ -96,7 +98,7 @@ def with_drag(
     Parameters
     ----------
     law : CompensationLaw
-        With its ``trim`` in its provenance where captures moved it.
+        With its ``trim`` where captures moved it.
     loop : LoopRunner
         Closed loop of the model.
     captures : sequence of Capture
@@ -116,7 +118,7 @@ def with_drag(
     rippling = law.gap_half_m > 0.0 and law.turn_share != 0.0
     if len(usable) < 2 or law.bed_share > 0.0 or law.inertia_s2 <= 0.0 or rippling:
         return law
-    trim, own_m = _trim(law), _own_breakaway_m(law)
+    own_m = _own_breakaway_m(law)
     runs = [_run(law, loop, capture, lead) for capture in usable]
     without = _Columns.of(law, runs, own_m)
     fits = [_Columns.of(law, runs, own_m, distance_m) for distance_m in _DRAGS_OVER_m]
@@ -125,7 +127,7 @@ def with_drag(
     explained = 1.0 - left_m / max(without.left_m(), 1e-30)
     if drag >= 0.0 or explained < _LEAST_DRAG_FRAC or not best.holds_across(without):
         return law
-    values = _less(law, changes, trim)
+    values = _less(law, changes, law.trim)
     values |= {"drag_m": -float(drag), "drag_distance_m": best.distance_m}
     if law.torque_limit_Nm > 0.0:
         Nm_per_m = torque_Nm_s2_per_m / law.inertia_s2
@@ -133,20 +135,13 @@ def with_drag(
         for torque, offset in _SAME_FORCE.items():
             moved_m = values[offset] - getattr(law, offset)
             values[torque] = getattr(law, torque) + Nm_per_m * moved_m
-    moved = {n: value - getattr(law, n) + trim.get(n, 0.0) for n, value in values.items()}
-    provenance = {**law.provenance, "trim": {**trim, **moved}, DRAG: explained}
-    return replace(law.with_values(**values), provenance=provenance)
-
-
-def _trim(law: CompensationLaw) -> Mapping[str, float]:
-    """What captures moved of a law already, by coefficient."""
-    moved: Mapping[str, float] = law.provenance.get("trim", {})
-    return moved
+    moved = {name: value - getattr(law, name) for name, value in values.items()}
+    return law.with_values(**values).with_trim(moved).noting({DRAG: explained})
 
 
 def _own_breakaway_m(law: CompensationLaw) -> float:
     """Break-away distance of the model, before captures moved it."""
-    return law.breakaway_m - _trim(law).get("breakaway_m", 0.0)
+    return law.breakaway_m - law.trim.get("breakaway_m", 0.0)
 
 
 def _less(
@@ -293,7 +288,7 @@ def shows_reversal(
     Parameters
     ----------
     law : CompensationLaw
-        With its ``trim`` in its provenance where captures moved it.
+        With its ``trim`` where captures moved it.
     loop : LoopRunner
         Closed loop of the model.
     captures : sequence of Capture
@@ -305,7 +300,7 @@ def shows_reversal(
     if not usable:
         return True  # nothing speaks against it
     own_m = _own_breakaway_m(law)
-    changes = np.array([_trim(law).get(name, 0.0) for name in _names(law)])
+    changes = np.array([law.trim.get(name, 0.0) for name in _names(law)])
     without, beside = [], []
     for run in (_run(law, loop, capture, lead) for capture in usable):
         terms, rest = _terms(law, run, law.breakaway_m, own_m)

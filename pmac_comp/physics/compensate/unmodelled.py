@@ -90,7 +90,7 @@ def unmodelled(
     Parameters
     ----------
     law : CompensationLaw
-        With its torque per turn, and with ``trim`` in its provenance where captures moved it.
+        With its torque per turn, and with its ``trim`` where captures moved it.
     loop : LoopRunner
         Closed loop of the model.
     captures : sequence of Capture
@@ -179,8 +179,7 @@ def turn_torque_Nm(law: CompensationLaw, position_m: FloatArray, period_s: float
 
 def model_law(law: CompensationLaw) -> CompensationLaw:
     """The law as the model alone gives it: without what captures added to it."""
-    trim = law.provenance.get("trim", {})
-    own = {name: getattr(law, name) - change for name, change in trim.items()}
+    own = {name: getattr(law, name) - change for name, change in law.trim.items()}
     return law.without_turn().with_values(**own)
 
 
