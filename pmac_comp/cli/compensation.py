@@ -92,8 +92,8 @@ def compensate(
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
     from pmac_comp.workflow.commands import capture_paths
+    from pmac_comp.workflow.compensate import aim_of, compensate_files
     from pmac_comp.workflow.compensation_file import check_route
-    from pmac_comp.workflow.computing import aim_of, compensate_files
     from pmac_comp.workflow.routes import MOTION_ROUTES
     from pmac_comp.workflow.static_map import Limit
 

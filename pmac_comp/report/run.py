@@ -9,7 +9,7 @@ from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import told_by
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
-from pmac_comp.workflow.computing import describe
+from pmac_comp.workflow.compensation_text import describe
 from pmac_comp.workflow.demo import RunResult
 from pmac_comp.workflow.positioning_sheet import begun
 from pmac_comp.workflow.verification import Verification

@@ -27,7 +27,8 @@ from pmac_comp.workflow.campaigns import (
     verification_motions,
 )
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.computing import compute_compensation, describe, table_remarks
+from pmac_comp.workflow.compensation_text import describe, table_remarks
+from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import (
     Deployment,
     context_of,

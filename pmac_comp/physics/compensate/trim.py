@@ -32,7 +32,8 @@ _DRAGS_OVER_m = (1e-3, 2e-3, 4e-3, 8e-3, 16e-3)  # within which a cable chain or
 # it 2.4 (with 10 000 counts), 6 and 17 %.
 _LEAST_DRAG_FRAC = 0.015
 _UNEVEN = "viscous_uneven_s"
-DRAG = "drag_explained"  # of a law's provenance: share of the rest that a drag explains
+# Of a law's provenance: share of the rest that the captures' corrections and a drag explain.
+TRIM_EXPLAINED, DRAG = "trim_explained", "drag_explained"
 _SAME_FORCE = {"torque_viscous_Nm_s_per_m": "viscous_s", "torque_coulomb_Nm": "coulomb_m"}
 _TERMS = ("inertia_s2", "viscous_s", "coulomb_m", "compliance_slope_per_m")
 

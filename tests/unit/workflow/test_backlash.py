@@ -30,7 +30,7 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.computing import table_remarks
+from pmac_comp.workflow.compensation_text import table_remarks
 from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign

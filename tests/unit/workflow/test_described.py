@@ -10,9 +10,10 @@ import pytest
 from pmac_comp.base.errors import AmplitudeExceeded, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.exact import Aim
-from pmac_comp.workflow import computing
+from pmac_comp.workflow import compensate
+from pmac_comp.workflow.compensate import compensate_files
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import compensate_files, describe
+from pmac_comp.workflow.compensation_text import describe
 from pmac_comp.workflow.difference import law_rows
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.rendering import law_parameters
@@ -38,9 +39,9 @@ def test_a_motion_cut_by_the_limit_offers_the_smaller_aim(
 ) -> None:
     drive = SimpleNamespace(effects=())
     monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
-    monkeypatch.setattr(computing, "check_amplitude", lambda *a: None)
-    monkeypatch.setattr(computing, "compute_compensation", lambda *a, **k: "cut")
-    monkeypatch.setattr(computing, "limits_report", lambda *a: ["26.0 % of the motion is cut"])
+    monkeypatch.setattr(compensate, "check_amplitude", lambda *a: None)
+    monkeypatch.setattr(compensate, "compute_compensation", lambda *a, **k: "cut")
+    monkeypatch.setattr(compensate, "limits_report", lambda *a: ["26.0 % of the motion is cut"])
     out = tmp_path / "c.json"
     with pytest.raises(AmplitudeExceeded, match=r"26\.0 %") as refused:
         compensate_files("paper", Path("m.json"), out, route=route, command=MOTION, aim=aim)
@@ -64,8 +65,8 @@ def test_a_motion_that_its_correction_makes_too_hard_is_refused_before_it_is_wri
     )
     drive = SimpleNamespace(effects=())
     monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
-    monkeypatch.setattr(computing, "check_amplitude", lambda *a: None)
-    monkeypatch.setattr(computing, "compute_compensation", lambda *a, **k: bent)
+    monkeypatch.setattr(compensate, "check_amplitude", lambda *a: None)
+    monkeypatch.setattr(compensate, "compute_compensation", lambda *a, **k: bent)
     out = tmp_path / "c.json"
     with pytest.raises(SafetyRefusal, match="acceleration"):
         compensate_files("paper", Path("m.json"), out, route="program", command=MOTION)

@@ -14,10 +14,11 @@ from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import beyond_model, computing
+from pmac_comp.workflow import beyond_model, compensate, computing
 from pmac_comp.workflow.campaigns import lead_motions
+from pmac_comp.workflow.compensate import compensate_files
 from pmac_comp.workflow.compensation_file import ROUTES
-from pmac_comp.workflow.computing import compensate_files, compute_compensation
+from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.foreseen import (
     check_amplitude,
     check_options,
@@ -89,7 +90,7 @@ def test_a_table_without_slow_runs_is_refused_first(tmp_path: Path) -> None:
 def test_a_correction_far_beyond_the_limit_is_refused_first(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, route: str
 ) -> None:
-    monkeypatch.setattr(computing, "load_bench", lambda _: limited(10.0))
+    monkeypatch.setattr(compensate, "load_bench", lambda _: limited(10.0))
     out = tmp_path / "c.json"
     with pytest.raises(AmplitudeExceeded, match="of 10 um") as refused:
         compensate_files(

@@ -20,10 +20,11 @@ from pmac_comp.physics.compensate.exact import Aim, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import computing, upload_flow
+from pmac_comp.workflow import compensate, computing, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import compute_compensation, limits_report
+from pmac_comp.workflow.compensation_text import limits_report
+from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.outcome import Spread
@@ -274,7 +275,7 @@ def test_a_known_motion_that_gets_worse_is_named(route: str) -> None:
     def remarks(offset_m: FloatArray, aim: Aim) -> list[str]:
         law = CompensationLaw(provenance={"exact": {"aim": aim.value}})
         known = replace(COMPENSATION, route=route, law=law, motion_correction_m=offset_m)
-        return computing._expected_worse(BENCH, known, drive)
+        return compensate._expected_worse(BENCH, known, drive)
 
     found = compute_compensation(BENCH, drive, route=route, motion=MOTION)
     assert found.motion_correction_m is not None
