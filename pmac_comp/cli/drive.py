@@ -133,7 +133,7 @@ def predict(
     interpolated. Positions are those of motor and table before encoder and scale round them; zero
     is the middle of a count. An earlier prediction is replaced, a captured run is not.
     """
-    from pmac_comp.workflow.identification import predict_files
+    from pmac_comp.workflow.prediction import predict_files
 
     result = predict_files(
         bench,
