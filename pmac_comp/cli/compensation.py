@@ -364,7 +364,8 @@ def verify(
     from pmac_comp.workflow.commands import capture_paths
     from pmac_comp.workflow.compensation_file import check_bench, named_compensation
     from pmac_comp.workflow.previews import preview_verification, require_standing
-    from pmac_comp.workflow.verify import verify_files, verify_on_controller
+    from pmac_comp.workflow.verify import verify_on_controller
+    from pmac_comp.workflow.verify_stored import verify_files
 
     if law is not None:
         check_bench(law, bench)

@@ -16,11 +16,7 @@ from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.workflow.bench_remarks import loop_remarks
 from pmac_comp.workflow.beyond_model import made_with, shown_remarks
 from pmac_comp.workflow.campaigns import verification_motions
-from pmac_comp.workflow.compensation_file import (
-    Compensation,
-    check_route,
-    write_compensation,
-)
+from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.compensation_text import describe, limits_report, table_remarks
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.dynamic_law import (

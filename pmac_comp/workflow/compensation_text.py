@@ -18,9 +18,7 @@ from pmac_comp.physics.compensate.motions import HARD_MOVE_m_per_s2, MOVE_S_CURV
 from pmac_comp.physics.compensate.trim import TRIM_EXPLAINED
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.cam import render_cam
-from pmac_comp.workflow.compensation_file import (
-    Compensation,
-)
+from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import CUT_FRAC
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.routes import TORQUE_ROUTES

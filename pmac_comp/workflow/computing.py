@@ -28,11 +28,7 @@ from pmac_comp.physics.model import slots
 from pmac_comp.workflow.approach import approach
 from pmac_comp.workflow.backlash import has_backlash
 from pmac_comp.workflow.beyond_model import shown_by_runs
-from pmac_comp.workflow.compensation_file import (
-    EXACT,
-    Compensation,
-    check_route,
-)
+from pmac_comp.workflow.compensation_file import EXACT, Compensation, check_route
 from pmac_comp.workflow.dynamic_law import (
     GAVE_WAY,
     NO_TIME_FOR_DRAG,
@@ -42,15 +38,8 @@ from pmac_comp.workflow.dynamic_law import (
     without_fed_forward,
     wobble_of,
 )
-from pmac_comp.workflow.foreseen import (
-    check_options,
-    check_slow_runs,
-    require_motion,
-)
-from pmac_comp.workflow.law_cost import (
-    ASKED,
-    fitting_cycles,
-)
+from pmac_comp.workflow.foreseen import check_options, check_slow_runs, require_motion
+from pmac_comp.workflow.law_cost import ASKED, fitting_cycles
 from pmac_comp.workflow.motions import Motion, is_allowed
 from pmac_comp.workflow.rendering import lead_table
 from pmac_comp.workflow.repeated import with_offset

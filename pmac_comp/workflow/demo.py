@@ -35,6 +35,7 @@ from pmac_comp.workflow.deploy import (
     deploy,
 )
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
+from pmac_comp.workflow.kept_runs import KeptRuns
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.simulated import (
@@ -45,7 +46,7 @@ from pmac_comp.workflow.simulated import (
     warm_up,
 )
 from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import KeptRuns, verify_axis
+from pmac_comp.workflow.verify import verify_axis
 
 _STATIC_RUNS = 2  # the standard wants five; the demo is to be short
 

@@ -29,12 +29,13 @@ from pmac_comp.workflow.deploy import context_of, deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.identification import identify_captures, load_model
+from pmac_comp.workflow.kept_runs import KeptRuns
 from pmac_comp.workflow.outcome import WORSE, MotionOutcome, quadratic_mean
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.upload_flow import removal_command
 from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import KeptRuns, verify_axis
+from pmac_comp.workflow.verify import verify_axis
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel

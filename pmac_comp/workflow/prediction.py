@@ -15,12 +15,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import (
-    PREDICTED,
-    Capture,
-    read_capture,
-    write_capture,
-)
+from pmac_comp.files.capture import PREDICTED, Capture, read_capture, write_capture
 from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.commands import read_command

@@ -1,10 +1,10 @@
-"""Before and after: measured on fresh runs, alternating, or read from stored captures.
+"""Before and after, measured on fresh runs that alternate.
 
-What lives here: which runs are made, in which order, and what belongs together. What may not: the
-statistics (``outcome``), plots (``report``).
+What lives here: which runs are made on a controller and in which order, and what is left of an
+interrupted session. What may not: the statistics (``outcome``), what stored and fresh runs share
+(``summing_up``), plots (``report``).
 """
 
-import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,251 +12,49 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.base.atomic import atomic_write_text
-from pmac_comp.base.documents import document
-from pmac_comp.base.errors import ConfigError, PmacCompError
+from pmac_comp.base.errors import PmacCompError
 from pmac_comp.base.progress import Progress
-from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import PREDICTED, Capture, predicted_remarks, write_capture
+from pmac_comp.files.bench import load_bench
+from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_state import read_law_head
 from pmac_comp.physics.compensate.exact import Aim
-from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import borrowing_in, require_new
 from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion, verification_motions
 from pmac_comp.workflow.compensation_file import (
     Compensation,
-    check_acted,
-    edited_remarks,
     named_compensation,
-    read_compensation,
     write_compensation,
 )
 from pmac_comp.workflow.deploy import context_to_look
 from pmac_comp.workflow.identification import load_model
-from pmac_comp.workflow.late_scale import scale_age_s, scale_remarks
+from pmac_comp.workflow.kept_runs import RESULT, KeptRuns, earlier_runs
 from pmac_comp.workflow.law_cost import require_time_left
 from pmac_comp.workflow.motions import Motion, parse_motion
-from pmac_comp.workflow.outcome import (
-    MotionOutcome,
-    Ratio,
-    error_signals,
-    outcome_of,
-    sensor_floor_um,
-)
-from pmac_comp.workflow.own_ringing import own_ringing_remarks
+from pmac_comp.workflow.outcome import outcome_of
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import Promiser, true_errors
-from pmac_comp.workflow.repeated import Refinement, learned_remarks, refine_motion
-from pmac_comp.workflow.ringing import RingingOutcome, is_ringing, ringing_of
+from pmac_comp.workflow.repeated import Refinement, refine_motion
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
-from pmac_comp.workflow.same_axis import (
-    captures_of,
-    check_one_motion,
-    check_side_marks,
-    check_two_sides,
-)
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.sign_test import check_law_sign
 from pmac_comp.workflow.simulated import Truth
-from pmac_comp.workflow.static_check import STATIC_RUNS, StaticOutcome, approaches, is_static
-from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks
-
-_RESULT = "verification.json"
-_LEARNED = "learned.json"
-_NO_FILE = (
-    "no compensation file was named: the lead error is still in the mechanical error before, and "
-    "nothing is promised; --compensation FILE takes it out, --model FILE beside it promises"
+from pmac_comp.workflow.static_check import STATIC_RUNS
+from pmac_comp.workflow.summing_up import (
+    Pair,
+    ringing_outcome,
+    scale_age_of,
+    static_outcome,
+    summed_up,
 )
-Pair = tuple[list[Capture], list[Capture]]
+from pmac_comp.workflow.verification import Verification
 
-
-def verify_files(
-    bench: str,
-    before: Sequence[Path],
-    after: Sequence[Path],
-    *,
-    model: Path | None = None,
-    law: Path | None = None,
-) -> Verification:
-    """Verification of stored captures; pairs are formed by motion, else by order.
-
-    Raises
-    ------
-    ConfigError
-        Captures are of another axis or had another compensation or none, cannot be paired, are on
-        both sides, or a pair is of two motions.
-    CaptureError
-        Command, motor and table of a capture are no positions of one axis.
-    """
-    loaded = load_bench(bench)
-    check_two_sides(before, after)
-    sides = [captures_of(before, loaded), captures_of(after, loaded)]
-    for path, capture in zip([*before, *after], [*sides[0], *sides[1]], strict=True):
-        require_positions(capture, loaded, path.name)
-    check_side_marks(*(_by_name(*side) for side in zip((before, after), sides, strict=True)))
-    sides[1] = [capture.with_attributes(compensation="on") for capture in sides[1]]
-    compensation = None if law is None else read_compensation(law)
-    runs = _by_name(after, sides[1])
-    told = check_acted(runs, compensation, str(law), loaded)
-    remarks = (
-        *predicted_remarks([*sides[0], *sides[1]]),
-        *told,
-        *_unknown_remarks(runs),
-        *([_NO_FILE] if law is None else []),
-    )
-    static, ringing = _special(loaded, sides)
-    first, second = ([c for c in side if not _is_special(c)] for side in sides)
-    if not first and not second and (static is not None or ringing is not None):
-        groups: dict[str, Pair] = {}
-    else:
-        groups = _paired(first, second)
-        for name, pair in groups.items():
-            check_one_motion(name, [*pair[0], *pair[1]])
-    drive = None if model is None else load_model(model, loaded)
-    promiser = Promiser.of(loaded, compensation, drive)
-    outcomes = [
-        outcome_of(
-            name,
-            a,
-            b,
-            lead=compensation.lead if compensation else None,
-            table_correction=compensation.table_correction(loaded) if compensation else None,
-            scale_age_s=_age_s(compensation),
-            promise=_promise_of(promiser, b[0]),
-        )
-        for name, (a, b) in groups.items()
-    ]
-    return summed_up(
-        outcomes,
-        list(groups.values()),
-        loaded,
-        compensation,
-        simulated=any(_is_simulated(capture) for side in sides for capture in side),
-        ringing=ringing,
-        static=static,
-        remarks=remarks,
-    )
-
-
-def _by_name(paths: Sequence[Path], captures: Sequence[Capture]) -> dict[str, Capture]:
-    return {str(path): capture for path, capture in zip(paths, captures, strict=True)}
-
-
-def _promise_of(promiser: Promiser | None, after: Capture) -> Mapping[str, float] | None:
-    """Promise for a stored run; one of a known motion goes by the command that was drawn."""
-    drawn = promiser is not None and promiser.compensation.route in MOTION_ROUTES
-    if promiser is None or (drawn and not after.tells_desired):
-        return None
-    return promiser.of_run(after)
-
-
-def _unknown_remarks(runs: Mapping[str, Capture]) -> tuple[str, ...]:
-    """That runs with compensation do not tell what it added."""
-    silent = [Path(name).name for name, run in runs.items() if not run.tells_desired]
-    if not silent:
-        return ()
-    return (
-        f"{len(silent)} of {len(runs)} runs with it have no column desired_position_mm "
-        f"({', '.join(silent[:3])}{', ...' if silent[3:] else ''}), so what the compensation added "
-        "is not known: of their motions e_r and e_c cannot be told, only the total error is judged",
-    )
-
-
-def _is_special(capture: Capture) -> bool:
-    return is_static(capture) or is_ringing(capture)
-
-
-def _is_simulated(capture: Capture) -> bool:
-    source = str(capture.attributes.get("source", ""))
-    return "simulated" in source or source == PREDICTED
-
-
-def _special(
-    bench: Bench, sides: Sequence[Sequence[Capture]]
-) -> tuple[StaticOutcome | None, RingingOutcome | None]:
-    """Positioning and ringing where the stored captures hold their motions."""
-    static = _static(([c for c in sides[0] if is_static(c)], [c for c in sides[1] if is_static(c)]))
-    rings = [[c for c in side if is_ringing(c)] for side in sides]
-    ringing = _ringing(bench, (rings[0], rings[1])) if all(rings) else None
-    return static, ringing
-
-
-def _paired(before: Sequence[Capture], after: Sequence[Capture]) -> dict[str, Pair]:
-    groups: dict[str, Pair] = {}
-    names = [str(c.attributes.get("motion", "")) for c in [*before, *after]]
-    if all(names):
-        for side, captures in enumerate((before, after)):
-            for capture in captures:
-                name = str(capture.attributes["motion"])
-                groups.setdefault(name, ([], []))[side].append(capture)
-        whole = {name: pair for name, pair in groups.items() if pair[0] and pair[1]}
-        if whole:
-            return whole
-    if len(before) != len(after) or not before:
-        raise ConfigError(
-            f"{len(before)} captures before and {len(after)} after cannot be paired.",
-            code="PC-VER-002",
-            hint="Give the same motions on both sides, in the same order.",
-        )
-    return {f"run {i + 1}": ([a], [b]) for i, (a, b) in enumerate(zip(before, after, strict=True))}
-
-
-class KeptRuns:
-    """Runs of a verification in a folder, each written when it is gathered.
-
-    Parameters
-    ----------
-    folder : Path or None
-        Made if it is missing; None keeps nothing.
-    """
-
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
-        self.names: dict[str, list[str]] = {"before": [], "after": []}
-        self._counts: dict[str, int] = {}
-
-    def keep(self, capture: Capture) -> None:
-        """Write one run under its kind, side and number."""
-        if self.folder is None:
-            return
-        side = "after" if capture.attributes.get("compensation") == "on" else "before"
-        kind = "static_" if is_static(capture) else "ringing_" if is_ringing(capture) else ""
-        number = self._counts.get(kind + side, 0) + 1
-        self._counts[kind + side] = number
-        self.folder.mkdir(parents=True, exist_ok=True)
-        name = f"{kind}{side}_{number:02d}.h5"
-        write_capture(self.folder / name, capture)
-        self.names[side].append(name)
-
-    def write_result(self, verification: Verification) -> None:
-        """Write the result of the runs beside them; a later one takes its place."""
-        if self.folder is not None:
-            result = {**verification.as_result(), "files": self.names}
-            atomic_write_text(self.folder / _RESULT, document(result))
-
-    def left(self, motor: int, compared: str) -> str:
-        """What an interrupted verification leaves, for people; ``compared`` are more options."""
-        stands = (
-            f"Tables and law are as the last run had them: `pmac-comp status` shows whether they "
-            f"act and whether motor #{motor} is enabled."
-        )
-        n = sum(len(names) for names in self.names.values())
-        if self.folder is None or n == 0:
-            return f"{stands} No run was kept (--out DIR keeps each one as it is made)."
-        folder = shlex.quote(str(self.folder))
-        return (
-            f"{stands} {n} runs are kept: `pmac-comp verify --before {folder} --after {folder} "
-            f"{compared}` compares the motions that were run on both sides."
-        )
-
-
-# On a controller ----------------------------------------------------------------------------------
+_LEARNED = "learned.json"
 
 
 def verify_on_controller(
@@ -286,7 +84,7 @@ def verify_on_controller(
     """
     compensation = named_compensation(law)
     if out is not None:
-        require_new(_earlier_runs(out), out)
+        require_new(earlier_runs(out), out)
     kept = KeptRuns(out)
     stated = load_bench(bench)
     chosen = [parse_motion(text, stated) for text in motions] or verification_motions(stated, seed)
@@ -334,7 +132,7 @@ def _interruption(learned: Refinement, kept_as: str, out: Path | None) -> Keyboa
     for note in (*learned.lines(), kept_as):
         error.add_note(note)
     if out is not None:
-        error.add_note(f"The result so far is in {out / _RESULT}.")
+        error.add_note(f"The result so far is in {out / RESULT}.")
     return error
 
 
@@ -366,12 +164,6 @@ def keep_learned(
         f"`pmac-comp upload {shlex.quote(url)} {shlex.quote(str(path))} --bench "
         f"{shlex.quote(bench)}` puts what was learned in its place"
     )
-
-
-def _earlier_runs(folder: Path) -> list[Path]:
-    """What an earlier verification left in a folder: runs of two sessions are never mixed."""
-    found = (folder.glob(pattern) for pattern in ("*before_*.h5", "*after_*.h5", _RESULT))
-    return sorted(path for paths in found for path in paths)
 
 
 @contextmanager
@@ -454,7 +246,7 @@ def verify_axis(
                 after,
                 lead=compensation.lead,
                 table_correction=correction,
-                scale_age_s=_age_s(compensation),
+                scale_age_s=scale_age_of(compensation),
                 promise=None if promiser is None else promiser.of_run(after[0]),
                 truth=true_errors(found, before, after, compensation, correction),
             )
@@ -466,8 +258,8 @@ def verify_axis(
         axis.bench,
         compensation,
         simulated=axis.simulated or truth is not None,
-        ringing=None if rings is None else _ringing(axis.bench, rest.pop(0)),
-        static=None if static is None else _static(rest.pop(0)),
+        ringing=None if rings is None else ringing_outcome(axis.bench, rest.pop(0)),
+        static=None if static is None else static_outcome(rest.pop(0)),
         remarks=runs.remarks,
     )
 
@@ -497,70 +289,3 @@ def alternating(
                     keep(capture)
                 sides[on].append(capture)
         yield sides
-
-
-def _age_s(compensation: Compensation | None) -> float:
-    """Time by which the scale is read after the encoder, as the compensation file says."""
-    return 0.0 if compensation is None else scale_age_s(compensation.law.provenance)
-
-
-def _ringing(bench: Bench, pair: Pair) -> RingingOutcome:
-    return ringing_of(*pair, bench.known.resonance_Hz)
-
-
-def _static(pair: Pair) -> StaticOutcome | None:
-    before, after = (None if len(side) < 2 else approaches(side) for side in pair)
-    if before is None and after is None:
-        return None
-    return StaticOutcome(before, after, (*pair[0], *pair[1]))
-
-
-def summed_up(
-    outcomes: Sequence[MotionOutcome],
-    groups: Sequence[Pair],
-    bench: Bench,
-    compensation: Compensation | None,
-    *,
-    simulated: bool,
-    ringing: RingingOutcome | None = None,
-    static: StaticOutcome | None = None,
-    remarks: Sequence[str] = (),
-) -> Verification:
-    """Verification of outcomes and their runs; all motions together beside each one."""
-    lead = None if compensation is None else compensation.lead
-    table = None if compensation is None else compensation.table_correction(bench)
-    age_s = _age_s(compensation)
-    first = [[error_signals(c, lead, None, age_s) for c in pair[0]] for pair in groups]
-    second = [[error_signals(c, lead, table, age_s) for c in pair[1]] for pair in groups]
-    told: list[str] = []
-    if compensation is not None:
-        told = [*scale_remarks(compensation.law), *edited_remarks(compensation)]
-        told += learned_remarks(compensation)
-
-    def together(which: str) -> Ratio | None:
-        if not first or not second:
-            return None
-        sides = [[getattr(s, which) for run in runs for s in run] for runs in (first, second)]
-        found = Ratio.of(sides[0], sides[1], bench.servo_period_s)
-        return found if math.isfinite(found.value) else None
-
-    floor = sensor_floor_um(bench)
-    own = own_ringing_remarks(outcomes, first, second, floor, bench.servo_period_s)
-    found = Verification(
-        tuple(outcomes),
-        floor,
-        simulated,
-        tuple(c for pair in groups for c in pair[0]),
-        tuple(c for pair in groups for c in pair[1]),
-        lead,
-        table,
-        age_s,
-        route="" if compensation is None else compensation.route,
-        aim=Aim.TOTAL if compensation is None else compensation.aim,
-        mechanical=together("mechanical_m"),
-        total=together("total_m"),
-        static=static,
-        ringing=ringing,
-    )
-    verdict = verdict_remarks(outcomes, floor, holds_lag=found.holds_lag)
-    return replace(found, remarks=(*verdict, *own, *told, *static_remarks(static), *remarks))

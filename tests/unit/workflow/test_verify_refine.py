@@ -13,7 +13,7 @@ import pytest
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.exact import Learning
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import verify
+from pmac_comp.workflow import kept_runs, verify
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation, write_compensation
 from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.verification import Verification
@@ -119,7 +119,7 @@ def test_each_run_of_a_verification_is_written_once(
         written.append(path.name)
         write_capture(path, capture)
 
-    monkeypatch.setattr(verify, "write_capture", write)
+    monkeypatch.setattr(kept_runs, "write_capture", write)
     learning = Learning(np.zeros(50), (2.0, 0.6), converged=True, confirmed_um=(0.6,))
     desk = Desk(tmp_path, monkeypatch)
     desk.verify(lambda *_: Refinement("sine", 9.0, 2.0, learning))
