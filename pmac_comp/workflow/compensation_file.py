@@ -1,4 +1,8 @@
-"""The compensation as a file: law, lead map and provenance, one JSON for every route."""
+"""The compensation: law, lead map, correction of a motion, and its file, one JSON for every route.
+
+What lives here: what is uploaded as data, and the tables that follow from it. What may not: how it
+is computed (``computing``) and put on a controller (``deploy``).
+"""
 
 import hashlib
 import json
@@ -14,24 +18,19 @@ from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.reading import why
-from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
 from pmac_comp.physics.compensate.exact import Aim
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.backlash import backlash_table, forward_part
 from pmac_comp.workflow.rendering import RenderedTable, lead_table
-from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 
 EXACT = "exact"  # in the provenance of a law: what its motion's correction was computed with
 _VERSION = 1
 _MOTION = ("motion_time_s", "motion_position_m", "motion_correction_m")
 ROUTES = ("table", "law", "servo", "cam", "program")
-_NOTHING_m = 1e-8  # desired and commanded position are the same: far below a count
-_CLEAR_um = 1.0  # a correction that a run shows
-_DIGEST, _ROUTE = "compensation_digest", "compensation_route"  # attributes of runs with it
+DIGEST_MARK, ROUTE_MARK = "compensation_digest", "compensation_route"  # of runs with it
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class Compensation:
     @property
     def marks(self) -> dict[str, str]:
         """Attributes by which a run with it tells later which compensation acted."""
-        return {_DIGEST: self.digest, _ROUTE: self.route}
+        return {DIGEST_MARK: self.digest, ROUTE_MARK: self.route}
 
     def table(self, bench: Bench) -> RenderedTable[CompTable] | None:
         """Compensation table of the static part, None without one."""
@@ -141,10 +140,8 @@ def write_compensation(path: Path, compensation: Compensation) -> None:
 
 
 def _document(compensation: Compensation) -> dict[str, Any]:
-    arrays = {
-        name: _numbers(getattr(compensation, name))
-        for name in ("motion_time_s", "motion_position_m", "motion_correction_m")
-    }
+    """All of a compensation as JSON takes it, without its digest."""
+    arrays = {name: _numbers(getattr(compensation, name)) for name in _MOTION}
     lead = compensation.lead
     return {
         "compensation_version": _VERSION,
@@ -234,84 +231,8 @@ def check_bench(path: Path, bench: str) -> None:
         )
 
 
-def check_acted(
-    runs: Mapping[str, Capture], expected: Compensation | None, file: str, bench: Bench
-) -> tuple[str, ...]:
-    """Refuse stored runs with another compensation than the one that is named.
-
-    Parameters
-    ----------
-    runs : Mapping of str to Capture
-        The runs with it, by their names; those that `verify` made tell what acted.
-    expected : Compensation or None
-        Whose promise they are held against; None for none.
-    file : str
-        Where it was read from.
-    bench : Bench
-        Counts of its tables, servo period of its law.
-
-    Returns
-    -------
-    tuple of str
-        What a person should know: runs that do not tell, or that had several without a file.
-
-    Raises
-    ------
-    ConfigError
-        A run tells of another compensation, or shows that none acted.
-    """
-    acted = {name: str(run.attributes.get(_DIGEST, "")) for name, run in runs.items()}
-    if expected is None:
-        several = len(set(filter(None, acted.values())))
-        told = f"the runs with compensation were made with {several} different ones"
-        return (told,) * (several > 1)
-    other = [name for name, digest in acted.items() if digest not in {"", expected.digest}]
-    if other:
-        routes = sorted({str(runs[name].attributes.get(_ROUTE, "")) for name in other})
-        raise ConfigError(
-            f"{', '.join(other)}: made with another compensation (route {', '.join(routes)}) than "
-            f"that of {file} (route {expected.route}).",
-            code="PC-VER-007",
-            hint="Name with --compensation the file that stood on the controller, or leave it out: "
-            "the errors are compared then without its promise and lead.",
-        )
-    silent = [name for name, digest in acted.items() if not digest]
-    if not silent:
-        return ()
-    for name in silent:
-        _require_corrected(name, runs[name], expected, file, bench)
-    return (
-        f"{len(silent)} of {len(runs)} runs with it do not tell which compensation acted: that it "
-        f"was {file} is taken as said",
-    )
-
-
-def _require_corrected(
-    name: str, run: Capture, expected: Compensation, file: str, bench: Bench
-) -> None:
-    """Refuse a run whose desired position is its command though a compensation corrects there."""
-    r_m, desired_m = run.commanded_position_m, run.desired_position_m
-    if desired_m is None or expected.route in MOTION_ROUTES:
-        return  # such a one corrects its own motion only, a program in the command itself
-    if float(np.max(np.abs((desired_m - r_m)[run.mask]), initial=0.0)) > _NOTHING_m:
-        return
-    table, meant_m = expected.table_correction(bench), np.zeros(r_m.size)
-    if expected.route in TORQUE_ROUTES:
-        meant_m = evaluate_law(expected.law, r_m, run.sample_period_s).correction_m
-    if table is not None:
-        meant_m = meant_m + table(r_m)
-    most_um = float(np.max(np.abs(meant_m[run.mask]), initial=0.0)) * UM_PER_M
-    if most_um > _CLEAR_um:
-        raise ConfigError(
-            f"{name}: no compensation acted in it, its desired position is the commanded one; "
-            f"{file} corrects by up to {most_um:.1f} um there.",
-            code="PC-WRK-007",
-            hint="Give runs that were made with it under --after; `pmac-comp verify URL "
-            "--compensation FILE` makes both sides.",
-        )
-
-
 def _from_mapping(data: dict[str, Any]) -> Compensation:
+    """Compensation from the JSON of a file; ValueError, KeyError or TypeError where it is none."""
     known = {f.name for f in fields(CompensationLaw)}
     unknown = set(data["law"]) - known
     if unknown:

@@ -7,16 +7,25 @@ What lives here: what of them belongs together, and what they must not be. What 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from pmac_comp.base.errors import ConfigError
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import PREDICTED, Capture, predicted_remarks
+from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.physics.identify.plausibility import require_positions
-from pmac_comp.workflow.compensation_file import check_acted, read_compensation
+from pmac_comp.workflow.compensation_file import (
+    DIGEST_MARK,
+    ROUTE_MARK,
+    Compensation,
+    read_compensation,
+)
 from pmac_comp.workflow.identification import load_model
 from pmac_comp.workflow.outcome import outcome_of
 from pmac_comp.workflow.promises import Promiser
 from pmac_comp.workflow.ringing import RingingOutcome, is_ringing
-from pmac_comp.workflow.routes import MOTION_ROUTES
+from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import (
     captures_of,
     check_one_motion,
@@ -33,6 +42,8 @@ from pmac_comp.workflow.summing_up import (
 )
 from pmac_comp.workflow.verification import Verification
 
+_NOTHING_m = 1e-8  # desired and commanded position are the same: far below a count
+_CLEAR_um = 1.0  # a correction that a run shows
 _NO_FILE = (
     "no compensation file was named: the lead error is still in the mechanical error before, and "
     "nothing is promised; --compensation FILE takes it out, --model FILE beside it promises"
@@ -66,7 +77,7 @@ def verify_files(
     sides[1] = [capture.with_attributes(compensation="on") for capture in sides[1]]
     compensation = None if law is None else read_compensation(law)
     runs = _by_name(after, sides[1])
-    told = check_acted(runs, compensation, str(law), loaded)
+    told = _check_acted(runs, compensation, str(law), loaded)
     remarks = (
         *predicted_remarks([*sides[0], *sides[1]]),
         *told,
@@ -110,6 +121,83 @@ def verify_files(
 def _by_name(paths: Sequence[Path], captures: Sequence[Capture]) -> dict[str, Capture]:
     """Captures by the paths they were read from."""
     return {str(path): capture for path, capture in zip(paths, captures, strict=True)}
+
+
+def _check_acted(
+    runs: Mapping[str, Capture], expected: Compensation | None, file: str, bench: Bench
+) -> tuple[str, ...]:
+    """Refuse stored runs with another compensation than the one that is named.
+
+    Parameters
+    ----------
+    runs : Mapping of str to Capture
+        The runs with it, by their names; those that `verify` made tell what acted.
+    expected : Compensation or None
+        Whose promise they are held against; None for none.
+    file : str
+        Where it was read from.
+    bench : Bench
+        Counts of its tables, servo period of its law.
+
+    Returns
+    -------
+    tuple of str
+        What a person should know: runs that do not tell, or that had several without a file.
+
+    Raises
+    ------
+    ConfigError
+        A run tells of another compensation, or shows that none acted.
+    """
+    acted = {name: str(run.attributes.get(DIGEST_MARK, "")) for name, run in runs.items()}
+    if expected is None:
+        several = len(set(filter(None, acted.values())))
+        told = f"the runs with compensation were made with {several} different ones"
+        return (told,) * (several > 1)
+    other = [name for name, digest in acted.items() if digest not in {"", expected.digest}]
+    if other:
+        routes = sorted({str(runs[name].attributes.get(ROUTE_MARK, "")) for name in other})
+        raise ConfigError(
+            f"{', '.join(other)}: made with another compensation (route {', '.join(routes)}) than "
+            f"that of {file} (route {expected.route}).",
+            code="PC-VER-007",
+            hint="Name with --compensation the file that stood on the controller, or leave it out: "
+            "the errors are compared then without its promise and lead.",
+        )
+    silent = [name for name, digest in acted.items() if not digest]
+    if not silent:
+        return ()
+    for name in silent:
+        _require_corrected(name, runs[name], expected, file, bench)
+    return (
+        f"{len(silent)} of {len(runs)} runs with it do not tell which compensation acted: that it "
+        f"was {file} is taken as said",
+    )
+
+
+def _require_corrected(
+    name: str, run: Capture, expected: Compensation, file: str, bench: Bench
+) -> None:
+    """Refuse a run whose desired position is its command though a compensation corrects there."""
+    r_m, desired_m = run.commanded_position_m, run.desired_position_m
+    if desired_m is None or expected.route in MOTION_ROUTES:
+        return  # such a one corrects its own motion only, a program in the command itself
+    if float(np.max(np.abs((desired_m - r_m)[run.mask]), initial=0.0)) > _NOTHING_m:
+        return
+    table, meant_m = expected.table_correction(bench), np.zeros(r_m.size)
+    if expected.route in TORQUE_ROUTES:
+        meant_m = evaluate_law(expected.law, r_m, run.sample_period_s).correction_m
+    if table is not None:
+        meant_m = meant_m + table(r_m)
+    most_um = float(np.max(np.abs(meant_m[run.mask]), initial=0.0)) * UM_PER_M
+    if most_um > _CLEAR_um:
+        raise ConfigError(
+            f"{name}: no compensation acted in it, its desired position is the commanded one; "
+            f"{file} corrects by up to {most_um:.1f} um there.",
+            code="PC-WRK-007",
+            hint="Give runs that were made with it under --after; `pmac-comp verify URL "
+            "--compensation FILE` makes both sides.",
+        )
 
 
 def _promise_of(promiser: Promiser | None, after: Capture) -> Mapping[str, float] | None:
