@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
+from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
@@ -55,6 +55,14 @@ _SHARPENED_FRAC = 0.4
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
+_START_FRICTION_FRAC = 0.9  # of the friction torque that the model has in motion
+_TORQUE_FRAC = 0.9  # of the drive's limit: the rest is left to the loop
+# Of the regression of the start: friction turns over within this speed, and has all its level
+# beyond that.
+_TURNS_OVER_m_per_s = 2e-3
+_CLEAR_m_per_s = 1e-2
+_ENDS = 5  # samples at both ends of a motion, where differences are one-sided
+_UNIFORM_COLUMNS = [0, 2, 4, 6]  # those that do not change along the travel
 # A move counts twice: its steps of the jerk ring the drive and send the nut across its gap, which
 # is what limits a law, and there are more sinusoids.
 _MOVE_COUNTS = 2.0
@@ -251,6 +259,7 @@ def design_law(
 
 
 def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
+    """The law with the gap of a nut, as its fit begins."""
     coulomb_m = max(law.coulomb_m, LEAST_COULOMB_m)
     # What has no width of its own: over a part of what friction winds up.
     width_m = max(_FLANK_FRAC * coulomb_m, law.inertia_s2 * gap.edge_m_per_s2)
@@ -266,6 +275,7 @@ def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
 
 
 def _swinging(bed: SwungBed, law: CompensationLaw) -> CompensationLaw:
+    """The law with a bed that swings, as its fit begins."""
     return replace(
         law,
         bed_share=bed.share,
@@ -276,6 +286,7 @@ def _swinging(bed: SwungBed, law: CompensationLaw) -> CompensationLaw:
 
 
 def _gripping_slow(stribeck: Stribeck, law: CompensationLaw) -> CompensationLaw:
+    """The law with friction that is higher near standstill, as its fit begins."""
     return replace(
         law,
         stribeck_m=stribeck.guide_frac * abs(law.coulomb_m),
@@ -290,6 +301,7 @@ def _largest_jerk(motion: Trajectory) -> float:
 
 
 def _largest(values: FloatArray) -> float:
+    """Largest size of values."""
     return float(np.max(np.abs(values)))
 
 
@@ -310,7 +322,7 @@ def slower_law(
         lookahead_s=law.lookahead_s + later_s,
     )
     chosen = tuple(motions or design_motions(bench))
-    slower = _refined(start, loop, chosen, latency_cycles, None, most=_FEW_STEPS)
+    slower = _refined(start, loop, chosen, latency_cycles, None, most_steps=_FEW_STEPS)
     return replace(slower, gap_width_m=law.gap_width_m)
 
 
@@ -338,20 +350,24 @@ def start_law(
     rows, errors, torques = [], [], []
     for motion in motions:
         signals = loop(motion.position_m, None, None)
-        row, valid = _regressors(signals.motor_position_m, period, bench.mid_travel_m)
+        row, clear = _regressors(signals.motor_position_m, period, bench.mid_travel_m)
         error = signals.table_position_m - signals.motor_position_m
-        rows.append(row[valid])
-        errors.append((error - error[0])[valid])
-        torques.append(signals.torque_Nm[valid])
+        rows.append(row[clear])
+        errors.append((error - error[0])[clear])
+        torques.append(signals.torque_Nm[clear])
     matrix = np.concatenate(rows)
-    offset, *_ = np.linalg.lstsq(matrix[:, :7], -np.concatenate(errors), rcond=None)
-    torque, *_ = np.linalg.lstsq(matrix[:, [0, 2, 4, 6]], np.concatenate(torques), rcond=None)
+    inertia_s2, rise, viscous_s, _, coulomb_m, _, _ = np.linalg.lstsq(
+        matrix, -np.concatenate(errors), rcond=None
+    )[0].tolist()
+    _, _, friction_Nm, jerk_Nm_s3_per_m = np.linalg.lstsq(
+        matrix[:, _UNIFORM_COLUMNS], np.concatenate(torques), rcond=None
+    )[0].tolist()
     ahead_s = nominal_delay_s(bench) if delay_s is None else delay_s
     law = CompensationLaw(
-        inertia_s2=float(offset[0]),
-        viscous_s=float(offset[2]),
-        coulomb_m=float(offset[4]),
-        compliance_slope_per_m=float(offset[1] / offset[0]) if offset[0] > 0.0 else 0.0,
+        inertia_s2=inertia_s2,
+        viscous_s=viscous_s,
+        coulomb_m=coulomb_m,
+        compliance_slope_per_m=rise / inertia_s2 if inertia_s2 > 0.0 else 0.0,
         breakaway_m=_START_BREAKAWAY_m,
         lookahead_s=latency_cycles * period + ahead_s,
         origin_m=bench.mid_travel_m,
@@ -364,24 +380,24 @@ def start_law(
         return law
     return replace(
         law,
-        torque_jerk_Nm_s3_per_m=float(torque[3]),
-        torque_coulomb_Nm=0.9 * float(torque[2]),
+        torque_jerk_Nm_s3_per_m=jerk_Nm_s3_per_m,
+        torque_coulomb_Nm=_START_FRICTION_FRAC * friction_Nm,
         torque_breakaway_m=_START_BREAKAWAY_m,
-        torque_limit_Nm=0.9 * bench.drive.torque_limit_Nm,
+        torque_limit_Nm=_TORQUE_FRAC * bench.drive.torque_limit_Nm,
     )
 
 
 def _regressors(
-    position: FloatArray, period: float, origin: float
-) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
+    position_m: FloatArray, period_s: float, origin_m: float
+) -> tuple[FloatArray, BoolArray]:
     """Columns a, a x, v, v x, s, s x, jerk of a smooth motion and where direction is clear."""
-    v = np.gradient(position, period)
-    a = np.gradient(v, period)
-    j = np.gradient(a, period)
-    x = position - origin
-    s = np.tanh(v / 2e-3)
-    moving = np.abs(v) > 1e-2
-    moving[:5] = moving[-5:] = False
+    v = np.gradient(position_m, period_s)
+    a = np.gradient(v, period_s)
+    j = np.gradient(a, period_s)
+    x = position_m - origin_m
+    s = np.tanh(v / _TURNS_OVER_m_per_s)
+    moving = np.abs(v) > _CLEAR_m_per_s
+    moving[:_ENDS] = moving[-_ENDS:] = False
     return np.column_stack([a, a * x, v, v * x, s, s * x, j]), moving
 
 
@@ -389,38 +405,24 @@ def _refined(
     start: CompensationLaw,
     loop: LoopRunner,
     motions: Sequence[Trajectory],
-    latency: int,
+    latency_cycles: int,
     progress: Progress | None,
     *,
-    most: int = _MOST_STEPS,
+    most_steps: int = _MOST_STEPS,
 ) -> CompensationLaw:
+    """The law whose free coefficients leave the least of the errors of motions in a loop."""
     from scipy.optimize import least_squares
 
-    has_gap, has_torque = start.gap_half_m > 0.0, start.torque_limit_Nm > 0.0
-    scales = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
-    if start.torque_constant_Nm == 0.0:
-        # A drive without load is the same both ways: a constant would fit the motions, not it.
-        scales.pop("torque_constant_Nm", None)
-    lower = dict(_LOWEST)
-    if has_gap:
-        scales |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
-        scales |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
-        lower["coulomb_m"] = LEAST_COULOMB_m
-        lower["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
-    if start.bed_share > 0.0 and has_torque:
-        scales |= _BED_TORQUE_SCALES
-    if start.has_stribeck:
-        scales |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})
-    names = list(scales)
-    size = np.array([scales[name] for name in names])
+    sizes, lowest = _free(start)
+    names, size = list(sizes), np.array(list(sizes.values()))
     first = np.array([getattr(start, name) for name in names]) / size
-    lowest = np.array([lower.get(name, -np.inf) for name in names]) / size
+    lower = np.array([lowest.get(name, -np.inf) for name in names]) / size
     wanted = [aims(loop, motion) for motion in motions]
 
     def residual(point: FloatArray) -> FloatArray:
         law = _with_values(start, names, point * size)
         parts = zip(motions, wanted, strict=True)
-        return np.concatenate([_errors(law, loop, m, latency, aim) for m, aim in parts])
+        return np.concatenate([_errors(law, loop, m, latency_cycles, aim) for m, aim in parts])
 
     tell = progress or (lambda _text, _fraction: None)
 
@@ -431,10 +433,10 @@ def _refined(
     with working() as threads:
         solved = least_squares(
             residual,
-            np.maximum(first, lowest + 0.05),
-            bounds=(lowest, np.inf),
+            np.maximum(first, lower + 0.05),
+            bounds=(lower, np.inf),
             diff_step=[1e-3],
-            max_nfev=most,
+            max_nfev=most_steps,
             xtol=1e-4,
             ftol=1e-3,
             workers=threads.map,
@@ -443,7 +445,31 @@ def _refined(
     return _with_values(start, names, solved.x * size)
 
 
+def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
+    """Coefficients of a law that are fitted, with the size of a typical change, and their bounds.
+
+    Of a term that the law begins without, none is free.
+    """
+    has_torque = start.torque_limit_Nm > 0.0
+    sizes = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
+    if start.torque_constant_Nm == 0.0:
+        # A drive without load is the same both ways: a constant would fit the motions, not it.
+        sizes.pop("torque_constant_Nm", None)
+    lowest = dict(_LOWEST)
+    if start.gap_half_m > 0.0:
+        sizes |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
+        sizes |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
+        lowest["coulomb_m"] = LEAST_COULOMB_m
+        lowest["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
+    if start.bed_share > 0.0 and has_torque:
+        sizes |= _BED_TORQUE_SCALES
+    if start.has_stribeck:
+        sizes |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})
+    return sizes, lowest
+
+
 def _with_values(law: CompensationLaw, names: Sequence[str], values: FloatArray) -> CompensationLaw:
+    """The law with fitted coefficients."""
     given = dict(zip(names, values.tolist(), strict=True))
     # A limit here and none of the fit: near one that is not even reached it ends elsewhere.
     fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), _FASTEST_FADE_per_s)
@@ -465,18 +491,20 @@ def _errors(
     law: CompensationLaw,
     loop: LoopRunner,
     motion: Trajectory,
-    latency: int,
-    aims: tuple[float, float],
+    latency_cycles: int,
+    aim: tuple[float, float],
 ) -> FloatArray:
-    """Residual mechanical error and total error of one motion as shares of the aims."""
-    sent = evaluate_law(law, motion.position_m, motion.sample_period_s, latency_cycles=latency)
+    """Residual mechanical error and total error of one motion as shares of their aims."""
+    sent = evaluate_law(
+        law, motion.position_m, motion.sample_period_s, latency_cycles=latency_cycles
+    )
     desired = motion.position_m + sent.correction_m
     signals = loop(motion.position_m, desired, sent.torque_Nm)
     residual = signals.table_position_m - signals.motor_position_m + sent.correction_m
     total = signals.table_position_m - motion.position_m
     # Where the nut stood before the run began, or where the load let it, is no error of the law.
     residual = residual - residual.mean()
-    both = np.concatenate([residual / aims[0], (total - total[0]) / aims[1]])
+    both = np.concatenate([residual / aim[0], (total - total[0]) / aim[1]])
     counts = _MOVE_COUNTS if _has_steps(motion) else 1.0
     return np.asarray(both[::_DECIMATION] * (counts / math.sqrt(motion.n)))
 
