@@ -111,6 +111,68 @@ class _Wave:
     responses: FloatArray
 
 
+@dataclass(frozen=True)
+class _Runs:
+    """Captures, and what the loop of a model makes of their commands.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        Its turn and its break-away distance are used, and what it has room for.
+    loop : LoopRunner
+        Closed loop of the model.
+    captures : tuple of Capture
+        Runs without compensation.
+    plain : tuple of LoopSignals
+        The loop's signals along them.
+    rests_m : tuple of ndarray, shape (n, 2) each
+        Motor, and table minus motor, that the model does not explain.
+    delay_s : float
+        From the torque command to the torque at the shaft.
+    """
+
+    law: CompensationLaw
+    loop: LoopRunner
+    captures: tuple[Capture, ...]
+    plain: tuple[LoopSignals, ...]
+    rests_m: tuple[FloatArray, ...]
+    delay_s: float
+
+    @classmethod
+    def of(
+        cls, law: CompensationLaw, loop: LoopRunner, captures: Sequence[Capture], delay_s: float
+    ) -> "_Runs":
+        """Captures with what the loop makes of them."""
+        plain = tuple(loop(capture.commanded_position_m, None, None) for capture in captures)
+        rests_m = tuple(_rest_m(law, loop, capture) for capture in captures)
+        return cls(law, loop, tuple(captures), plain, rests_m, delay_s)
+
+    def wave(self, order: int, kind: Kind) -> _Wave:
+        """What a wave of an order does in all runs."""
+        both = zip(self.captures, self.plain, strict=True)
+        shapes = [self.shapes(c, order, _goes_with(self.law, c, one, kind)) for c, one in both]
+        return _Wave(order, kind, self.responses(shapes))
+
+    def shapes(self, capture: Capture, order: int, size: FloatArray) -> list[FloatArray]:
+        """Cosine and sine of an order over the turn along a run, times a size."""
+        v = _speed(capture)
+        place_m = capture.motor_position_m + v * self.delay_s
+        angle = order * 2.0 * math.pi * place_m / self.law.turn_m
+        return [size * np.cos(angle), size * np.sin(angle)]
+
+    def responses(self, shapes: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        """Motor and table minus motor in m per N m of torque shapes, shape (n, shapes, 2)."""
+        parts = []
+        for capture, without, own in zip(self.captures, self.plain, shapes, strict=True):
+            r = capture.commanded_position_m
+            moved = [self.loop(r, None, -_PROBE_Nm * shape) for shape in own]
+            motor = [m.motor_position_m - without.motor_position_m for m in moved]
+            error = [_table_minus_motor(m) - _table_minus_motor(without) for m in moved]
+            both = np.stack([np.column_stack(motor), np.column_stack(error)], axis=2)
+            parts.append(both[::_DECIMATION] / _PROBE_Nm)
+        return np.concatenate(parts)
+
+
 def turn_torque(
     law: CompensationLaw,
     loop: LoopRunner,
@@ -131,39 +193,22 @@ def turn_torque(
     drive_delay_s : float
         From the torque command to the torque at the shaft.
     """
-    rests = [_rest(law, loop, capture) for capture in captures]
-    rest = np.concatenate([r[::_DECIMATION] for r in rests])
-    orders = cogging_orders(captures, [r[:, _MOTOR] for r in rests], law.turn_m)
-    plain = [loop(capture.commanded_position_m, None, None) for capture in captures]
-
-    def wave(order: int, kind: Kind) -> _Wave:
-        goes_with = [_goes_with(law, c, one, kind) for c, one in zip(captures, plain, strict=True)]
-        shapes = [
-            _shapes(law, c, order, drive_delay_s, size)
-            for c, size in zip(captures, goes_with, strict=True)
-        ]
-        return _Wave(order, kind, _responses(loop, captures, plain, shapes))
-
-    once = wave(1, Kind.GRIPS)
-    coggings = [wave(order, Kind.PUSHES) for order in orders]
-    rippling = _ripple(law, loop, captures, plain, rests, drive_delay_s)
-    ripples = [] if rippling is None else [wave(rippling[0], Kind.RIPPLES)]
-    pairs = [(_nothing(once), second) for second in (once, *ripples)] if not coggings else []
-    for first in coggings:
-        others = [other for other in coggings if other is not first]
-        gripping = wave(first.order, Kind.GRIPS)
-        pairs += [(first, second) for second in (once, gripping, *others, *ripples)]
-    steady = _responses(loop, captures, plain, [_steady_shapes(law, c) for c in captures])
-    tried = [(*pair, np.hstack([*(one.responses for one in pair), steady])) for pair in pairs]
-    first, second, responses = min(tried, key=lambda one: float(_missed(one[2], rest).sum()))
-    found = _regression(responses[:, :, _MOTOR], rest[:, _MOTOR])
-    least = _missed(responses, rest)
+    runs = _Runs.of(law, loop, captures, drive_delay_s)
+    rest_m = np.concatenate([rest[::_DECIMATION] for rest in runs.rests_m])
+    steady = runs.responses([_steady_shapes(law, capture) for capture in captures])
+    tried = [
+        (first, second, np.hstack([first.responses, second.responses, steady]))
+        for first, second in _candidates(runs)
+    ]
+    first, second, responses = min(tried, key=lambda one: float(_missed(one[2], rest_m).sum()))
+    found = _regression(responses[:, :, _MOTOR], rest_m[:, _MOTOR])
+    least = _missed(responses, rest_m)
     # Share of the residual's power that a wave explains beyond all else, where it explains more.
-    shares = [_missed(_without(responses, pair), rest) - least for pair in (_FIRST, _SECOND)]
+    shares = [_missed(_without(responses, pair), rest_m) - least for pair in (_FIRST, _SECOND)]
     gains = [float(gain) if gain > _LEAST_GAIN_FRAC else 0.0 for gain in map(np.max, shares)]
-    ripple_Nm, ripple_phase_rad = _wave(found[_FIRST], gains[0])
-    second_size, second_phase_rad = _wave(found[_SECOND], gains[1])
-    per_acceleration, per_speed = _torque_of_motion(law, captures, plain)
+    ripple_Nm, ripple_phase_rad = _as_sine(found[_FIRST], gains[0])
+    second_size, second_phase_rad = _as_sine(found[_SECOND], gains[1])
+    per_acceleration, per_speed = _torque_of_motion(runs)
     return TurnTorque(
         order=first.order if ripple_Nm else 0,
         ripple_Nm=ripple_Nm,
@@ -178,29 +223,45 @@ def turn_torque(
     )
 
 
-def _nothing(like: _Wave) -> _Wave:
-    return _Wave(0, Kind.PUSHES, np.zeros_like(like.responses))
+def _candidates(runs: _Runs) -> list[tuple[_Wave, _Wave]]:
+    """Pairs of a cogging, or none, and a second wave, of which a law has room for one."""
+    motor_m = [rest_m[:, _MOTOR] for rest_m in runs.rests_m]
+    orders = cogging_orders(runs.captures, motor_m, runs.law.turn_m)
+    once = runs.wave(1, Kind.GRIPS)
+    coggings = [runs.wave(order, Kind.PUSHES) for order in orders]
+    rippling = _rippling(runs)
+    ripples = [] if rippling is None else [runs.wave(rippling[0], Kind.RIPPLES)]
+    if not coggings:
+        nothing = _Wave(0, Kind.PUSHES, np.zeros_like(once.responses))
+        return [(nothing, second) for second in (once, *ripples)]
+    pairs: list[tuple[_Wave, _Wave]] = []
+    for first in coggings:
+        others = [other for other in coggings if other is not first]
+        gripping = runs.wave(first.order, Kind.GRIPS)
+        pairs += [(first, second) for second in (once, gripping, *others, *ripples)]
+    return pairs
 
 
-def _missed(responses: FloatArray, rest: FloatArray) -> FloatArray:
+def _missed(responses: FloatArray, rest_m: FloatArray) -> FloatArray:
     """Share of its power that the waves leave of motor and of table minus motor, shape (2,).
 
     The motor tells how large they are. But a wave of a high order hardly moves it and shakes the
     table where it passes the first mode: whether it is worth its time, and which of several orders
     is, shows in both.
     """
-    found = _regression(responses[:, :, _MOTOR], rest[:, _MOTOR])
-    left = rest - np.einsum("ijk,j->ik", responses, found)
-    return np.asarray(np.sum(left**2, axis=0) / np.maximum(np.sum(rest**2, axis=0), 1e-30))
+    found = _regression(responses[:, :, _MOTOR], rest_m[:, _MOTOR])
+    left = rest_m - np.einsum("ijk,j->ik", responses, found)
+    return np.asarray(np.sum(left**2, axis=0) / np.maximum(np.sum(rest_m**2, axis=0), 1e-30))
 
 
 def _without(responses: FloatArray, pair: slice) -> FloatArray:
+    """Responses of all waves but one."""
     fewer = responses.copy()
     fewer[:, pair] = 0.0
     return fewer
 
 
-def _wave(found: FloatArray, gain_frac: float) -> tuple[float, float]:
+def _as_sine(found: FloatArray, gain_frac: float) -> tuple[float, float]:
     """Amplitude and phase of a sine from its cosine and sine parts; nothing without a gain."""
     if gain_frac <= 0.0:
         return 0.0, 0.0
@@ -220,12 +281,9 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
     captures : sequence of Capture
         Runs without compensation, hard ones among them.
     """
-    loop, delay_s = model_loop(model), delay.drive_delay_s(model)
     pitch_m = 2.0 * math.pi * model.bench.lead_m_per_rad
     law = CompensationLaw(turn_m=pitch_m, torque_limit_Nm=model.bench.drive.torque_limit_Nm)
-    plain = [loop(capture.commanded_position_m, None, None) for capture in captures]
-    rests = [_rest(law, loop, capture) for capture in captures]
-    found = _ripple(law, loop, captures, plain, rests, delay_s)
+    found = _rippling(_Runs.of(law, model_loop(model), captures, delay.drive_delay_s(model)))
     if found is None:
         return None
     order, (cosine, sine) = found
@@ -305,14 +363,7 @@ def _order_scores(
     return scores
 
 
-def _ripple(
-    law: CompensationLaw,
-    loop: LoopRunner,
-    captures: Sequence[Capture],
-    plain: Sequence[LoopSignals],
-    rests: Sequence[FloatArray],
-    delay_s: float,
-) -> tuple[int, FloatArray] | None:
+def _rippling(runs: _Runs) -> tuple[int, FloatArray] | None:
     """Ripple of the torque that the motor's residual shows: order per turn, cosine and sine part.
 
     None without one. The parts are the share of the torque that the motor lacks.
@@ -325,33 +376,40 @@ def _ripple(
     ------
     Scatter of the share by leaving out one run after another (jackknife, Efron 1982).
     """
+    law, n = runs.law, len(runs.captures)
     no_room = law.gap_half_m > 0.0 and law.bed_share > 0.0
-    if no_room or law.torque_limit_Nm == 0.0 or len(captures) < _LEAST_RUNS:
+    if no_room or law.torque_limit_Nm == 0.0 or n < _LEAST_RUNS:
         return None
-    answer = _pulse_answer(loop, captures[0])
-    orders = range(1, _HIGHEST_ORDER + 1)
-    normal, moment = (
-        np.empty((len(captures), len(orders), 2, 2)),
-        np.empty((len(captures), len(orders), 2)),
-    )
-    for k, (capture, one, rest) in enumerate(zip(captures, plain, rests, strict=True)):
-        length = next_fast_len(capture.n + answer.size)
-        gains = rfft(answer, length)
-        left = rest[:, _MOTOR] - rest[:, _MOTOR].mean()
-        torque = _goes_with(law, capture, one, Kind.RIPPLES)
-        for i, order in enumerate(orders):
-            shapes = np.array(_shapes(law, capture, order, delay_s, torque))
-            moved = irfft(rfft(shapes, length) * gains, length)[:, : capture.n]
-            moved -= moved.mean(axis=1, keepdims=True)
-            normal[k, i], moment[k, i] = moved @ moved.T, moved @ left
+    normal, moment = _ripple_equations(runs)
     share = _solved(normal.sum(0), moment.sum(0))
     others = _solved(normal.sum(0) - normal, moment.sum(0) - moment)
-    n = len(captures)
     variance = (n - 1.0) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=(0, 2))
     sure = np.hypot(*share.T) / np.sqrt(np.maximum(variance, 1e-30))
     best = int(np.argmax(sure))
     told = sure[best] > _SURE and np.hypot(*share[best]) > _LEAST_SHARE
     return (best + 1, share[best]) if told else None
+
+
+def _ripple_equations(runs: _Runs) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of a ripple of each order in each run: matrix and right side.
+
+    Shapes (runs, orders, 2, 2) and (runs, orders, 2): by cosine and sine.
+    """
+    n = len(runs.captures)
+    normal, moment = np.empty((n, _HIGHEST_ORDER, 2, 2)), np.empty((n, _HIGHEST_ORDER, 2))
+    answer = _pulse_answer(runs.loop, runs.captures[0])
+    together = zip(runs.captures, runs.plain, runs.rests_m, strict=True)
+    for k, (capture, one, rest_m) in enumerate(together):
+        length = next_fast_len(capture.n + answer.size)
+        gains = rfft(answer, length)
+        left = rest_m[:, _MOTOR] - rest_m[:, _MOTOR].mean()
+        torque = _goes_with(runs.law, capture, one, Kind.RIPPLES)
+        for i in range(_HIGHEST_ORDER):
+            shapes = np.array(runs.shapes(capture, i + 1, torque))
+            moved = irfft(rfft(shapes, length) * gains, length)[:, : capture.n]
+            moved -= moved.mean(axis=1, keepdims=True)
+            normal[k, i], moment[k, i] = moved @ moved.T, moved @ left
+    return normal, moment
 
 
 def _solved(normal: FloatArray, moment: FloatArray) -> FloatArray:
@@ -380,21 +438,19 @@ def _pulse_answer(loop: LoopRunner, like: Capture) -> FloatArray:
     return np.asarray(moved[at : at + round(_PULSE_LASTS_s / period)] / _PROBE_Nm)
 
 
-def _torque_of_motion(
-    law: CompensationLaw, captures: Sequence[Capture], plain: Sequence[LoopSignals]
-) -> tuple[float, float]:
+def _torque_of_motion(runs: _Runs) -> tuple[float, float]:
     """Torque of the model per acceleration in N m per m/s2, per speed in N m per m/s."""
     columns, torques = [], []
-    for capture, one in zip(captures, plain, strict=True):
+    for capture, one in zip(runs.captures, runs.plain, strict=True):
         v = _speed(capture)
         a = np.gradient(v, capture.sample_period_s)
-        columns.append(np.column_stack([a, v, _state(law, capture), np.ones_like(v)]))
+        columns.append(np.column_stack([a, v, _state(runs.law, capture), np.ones_like(v)]))
         torques.append(one.torque_Nm)
     found = _regression(np.concatenate(columns), np.concatenate(torques))
     return float(found[0]), float(found[1])
 
 
-def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:
+def _rest_m(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArray:
     """Motor and table minus motor that the model does not explain, m, shape (n, 2)."""
     missing = gripping_torque(law, capture)
     held_Nm = held_at_start_Nm(capture)
@@ -403,11 +459,11 @@ def _rest(law: CompensationLaw, loop: LoopRunner, capture: Capture) -> FloatArra
     table = capture.table_position_m
     if table is None:
         return np.column_stack([motor, np.zeros(capture.n)])
-    error = table - capture.motor_position_m - _error(simulated)
+    error = table - capture.motor_position_m - _table_minus_motor(simulated)
     return np.column_stack([motor, error - np.mean(error)])
 
 
-def _error(signals: LoopSignals) -> FloatArray:
+def _table_minus_motor(signals: LoopSignals) -> FloatArray:
     return signals.table_position_m - signals.motor_position_m
 
 
@@ -420,15 +476,6 @@ def _goes_with(
     return plain.torque_Nm if kind is Kind.RIPPLES else np.ones(capture.n)
 
 
-def _shapes(
-    law: CompensationLaw, capture: Capture, order: int, delay_s: float, size: FloatArray
-) -> list[FloatArray]:
-    """Cosine and sine of an order over the turn, times a size."""
-    v = _speed(capture)
-    angle = order * 2.0 * math.pi * (capture.motor_position_m + v * delay_s) / law.turn_m
-    return [size * np.cos(angle), size * np.sin(angle)]
-
-
 def _steady_shapes(law: CompensationLaw, capture: Capture) -> list[FloatArray]:
     """What else friction may have that the model has not, so that it is not put on the turn."""
     state, v = _state(law, capture), _speed(capture)
@@ -436,35 +483,17 @@ def _steady_shapes(law: CompensationLaw, capture: Capture) -> list[FloatArray]:
 
 
 def _speed(capture: Capture) -> FloatArray:
+    """Commanded speed in m/s, shape (n,)."""
     return np.gradient(capture.commanded_position_m, capture.sample_period_s)
 
 
 def _state(law: CompensationLaw, capture: Capture) -> FloatArray:
+    """Direction of the motor's friction along a run, -1 to 1, shape (n,)."""
     return friction_state(_speed(capture), law.torque_breakaway_m, capture.sample_period_s)
 
 
-def _responses(
-    loop: LoopRunner,
-    captures: Sequence[Capture],
-    plain: Sequence[LoopSignals],
-    shapes: Sequence[Sequence[FloatArray]],
-) -> FloatArray:
-    """Motor and table minus motor in m per N m of torque shapes, shape (n, shapes, 2).
-
-    ``plain`` are the loop's signals without them.
-    """
-    parts = []
-    for capture, without, own in zip(captures, plain, shapes, strict=True):
-        r = capture.commanded_position_m
-        moved = [loop(r, None, -_PROBE_Nm * shape) for shape in own]
-        motor = [m.motor_position_m - without.motor_position_m for m in moved]
-        error = [_error(m) - _error(without) for m in moved]
-        both = np.stack([np.column_stack(motor), np.column_stack(error)], axis=2)
-        parts.append(both[::_DECIMATION] / _PROBE_Nm)
-    return np.concatenate(parts)
-
-
 def _regression(matrix: FloatArray, rest: FloatArray) -> FloatArray:
+    """Coefficients of columns of any size, shape (columns,)."""
     scale = np.maximum(np.sqrt(np.mean(matrix**2, axis=0)), 1e-30)
     found, *_ = np.linalg.lstsq(matrix / scale, rest, rcond=1e-5)
     return np.asarray(found / scale)
