@@ -135,22 +135,22 @@ def learn(
     Learning
         The best offset met, never a worse one than the start.
     """
-    offset = np.zeros(n) if start_m is None else finite_array("start_m", start_m).copy()
-    best, best_error, best_um = offset, np.zeros(n), math.inf
-    history: list[float] = []
-    errors: list[FloatArray] = []
-    retreats = 0
+    tried_m = [np.zeros(n) if start_m is None else finite_array("start_m", start_m).copy()]
+    errors_m: list[FloatArray] = []
+    history_um: list[float] = []
+    best = retreats = 0
     left_out: Sequence[slice] = ()
     converged, ended = False, f"the {passes} passes allowed were made"
     interrupted = False
 
-    def measured(tried: FloatArray) -> FloatArray:
-        error = total_error_of(tried)
-        return error - np.mean(error)
+    def measured(offset_m: FloatArray) -> FloatArray:
+        error_m = total_error_of(offset_m)
+        return error_m - np.mean(error_m)
 
     for number in range(passes + 1):
+        best_before_um = min(history_um, default=math.inf)
         try:
-            error = measured(offset)
+            errors_m.append(measured(tried_m[-1]))
         except KeyboardInterrupt:
             complete = number - 1  # the first run is that before learning
             if not keeps_interrupted or complete < 1:
@@ -158,20 +158,19 @@ def learn(
             interrupted = True
             ended = f"it was interrupted after {complete} pass{'es' if complete > 1 else ''}"
             break
-        left_um = rms_um(error)
-        history.append(left_um)
-        errors.append(error)
-        gained = best_um - left_um
-        if gained > 0.0:
-            best, best_error, best_um = offset.copy(), error, left_um
-        least_um = max(_LEAST_GAIN_FRAC * best_um, _LEAST_GAIN_OF_FIRST_FRAC * history[0])
-        if number > 0 and abs(gained) < least_um:
+        left_um = rms_um(errors_m[-1])
+        history_um.append(left_um)
+        best = int(np.argmin(history_um))
+        least_um = max(
+            _LEAST_GAIN_FRAC * history_um[best], _LEAST_GAIN_OF_FIRST_FRAC * history_um[0]
+        )
+        if number > 0 and abs(best_before_um - left_um) < least_um:
             converged, ended = (
                 True,
                 f"the last pass changed the error by less than {least_um:.2f} um",
             )
             break
-        if left_um > (1.0 + _GROWTH_FRAC) * best_um:
+        if left_um > (1.0 + _GROWTH_FRAC) * history_um[best]:
             retreats += 1
             if retreats > _MOST_RETREATS:
                 ended = f"the error grew {retreats} times and was taken back"
@@ -180,25 +179,26 @@ def learn(
                 left_out = rests
             else:
                 cutoff_Hz *= _RETREAT
-        step = _step(best_error, period_s, cutoff_Hz, left_out)
-        offset = np.clip(best - _GAIN * step, -limit_m, limit_m)
+        step_m = _step(errors_m[best], period_s, cutoff_Hz, left_out)
+        tried_m.append(np.clip(tried_m[best] - _GAIN * step_m, -limit_m, limit_m))
     confirm = 0 if interrupted else confirm
-    fresh = _fresh_runs(partial(measured, best), confirm, keeps_interrupted=keeps_interrupted)
-    if len(fresh) < confirm:
+    again = partial(measured, tried_m[best])
+    fresh_m = _fresh_runs(again, confirm, keeps_interrupted=keeps_interrupted)
+    if len(fresh_m) < confirm:
         interrupted, ended = True, f"{ended}; the fresh runs after it were interrupted"
-    scatter_um = rms_um(np.array(fresh) - np.mean(fresh, axis=0)) if len(fresh) > 1 else 0.0
+    scatter_um = rms_um(np.array(fresh_m) - np.mean(fresh_m, axis=0)) if len(fresh_m) > 1 else 0.0
     # In one band: after a retreat less of the same error lies below the cutoff.
-    learnable = [rms_um(_step(error, period_s, cutoff_Hz, left_out)) for error in errors]
+    learnable_um = [rms_um(_step(error, period_s, cutoff_Hz, left_out)) for error in errors_m]
     return Learning(
-        best,
-        tuple(history),
-        converged or learnable[int(np.argmin(history))] <= _NOISE_MARGIN * scatter_um,
-        cutoff_Hz,
-        tuple(learnable),
-        tuple(rms_um(run) for run in fresh),
-        scatter_um,
-        ended,
-        interrupted,
+        correction_m=tried_m[best],
+        history_um=tuple(history_um),
+        converged=converged or learnable_um[best] <= _NOISE_MARGIN * scatter_um,
+        cutoff_Hz=cutoff_Hz,
+        learnable_um=tuple(learnable_um),
+        confirmed_um=tuple(rms_um(run) for run in fresh_m),
+        scatter_um=scatter_um,
+        ended=ended,
+        interrupted=interrupted,
     )
 
 
