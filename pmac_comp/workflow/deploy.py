@@ -1,8 +1,8 @@
 """A compensation on a connected axis: put on part by part, switched for comparisons.
 
-What lives here: the order in which the parts of a route go onto the card, and the guarded sign
-test before the first use. What may not: the transactions themselves (``machine.controller``), the
-computing (``computing``).
+What lives here: what forbids a route, the order in which its parts go onto the card, with the
+guarded sign tests (``sign_test``) between them, and the switch of what stands. What may not: the
+transactions themselves (``machine.controller``), the computing (``computing``).
 """
 
 from collections.abc import Sequence
@@ -10,10 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pmac_comp.base.errors import (
-    ControllerState,
-    SafetyRefusal,
-)
+from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
@@ -52,20 +49,9 @@ from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.workflow.as_described import description_refusals
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.backlash import take_up_variables
-from pmac_comp.workflow.cam import (
-    CAM_PROGRAM,
-    deploy_program,
-    in_use_refusals,
-    render_cam,
-)
-from pmac_comp.workflow.compensation_file import (
-    Compensation,
-)
-from pmac_comp.workflow.law_cost import (
-    cost_refusals,
-    require_time_left,
-    servo_cost_refusals,
-)
+from pmac_comp.workflow.cam import CAM_PROGRAM, deploy_program, in_use_refusals, render_cam
+from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.law_cost import cost_refusals, require_time_left, servo_cost_refusals
 from pmac_comp.workflow.motion_owners import motion_refusals
 from pmac_comp.workflow.owners import time_motor_refusals
 from pmac_comp.workflow.program import deploy_motion
@@ -137,9 +123,24 @@ def deploy(axis: Axis, compensation: Compensation, context: Context) -> Deployme
 
 
 def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> Deployment:
+    """Tables, then the law or the motion; each part is whole before the next one begins."""
+    parts, notes = _put_tables(axis, compensation, context)
+    acts = True
+    if compensation.route in TORQUE_ROUTES:
+        law, said, acts = _put_law(axis, compensation, context)
+        parts.append(law)
+        notes += said
+    if compensation.route == "program":
+        parts.append(deploy_motion(axis, compensation, context))
+    return Deployment(ControllerState.NEW, tuple(parts), tuple(notes), axis.motor, acts)
+
+
+def _put_tables(
+    axis: Axis, compensation: Compensation, context: Context
+) -> tuple[list[UploadResult], list[str]]:
+    """Tables of a compensation, a cam's motion with them, and their signs measured; in words."""
     parts: list[UploadResult] = []
     notes: list[str] = []
-    acts = True
     tables = tables_of(compensation, axis.bench)
     stale = stale_tables(axis, compensation, tables)
     if tables:
@@ -160,32 +161,38 @@ def _deploy_parts(axis: Axis, compensation: Compensation, context: Context) -> D
         with TableUpload(axis.link, context, tables, without=stale) as upload:
             parts.append(upload.execute())
         notes += check_table_sign(axis, tables, context, back_to_ct=place_ct)
+    return parts, notes
+
+
+def _put_law(
+    axis: Axis, compensation: Compensation, context: Context
+) -> tuple[UploadResult, list[str], bool]:
+    """Program and bank of a law, what was done in words, and whether it was armed."""
+    notes: list[str] = []
     if compensation.route == "law":
         every = compensation.law.every_cycles
         notes += law_install.install_law(axis.link, context, axis.motor, every_cycles=every)
         notes += check_law_sign(axis, context)
     if compensation.route == "servo":
         law_install.require_open_servo(axis.link, context, axis.motor)
-    if compensation.route in TORQUE_ROUTES:
-        parameters = law_parameters(compensation.law, axis.scales)
-        clamp = _clamp_ct(axis, context, compensation)
-        parts.append(law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp))
-        if motors.read_motor(axis.link, axis.motor).status.is_closed_loop:
-            notes.append(require_time_left(axis.link, axis.bench, compensation.route))
-            context.progress("arming the law", *UNKNOWN)
-            law_arming.arm(axis.link, context)
-            notes.append("the law is armed; its gain ramped up")
-        else:
-            acts = False
-            if law_state.read_law_head(axis.link, context.block).is_armed:
-                law_arming.disarm(axis.link, context)  # it would act as soon as the loop is closed
-            notes.append("the law is loaded and not armed: the motor's loop is open")
-    if compensation.route == "program":
-        parts.append(deploy_motion(axis, compensation, context))
-    return Deployment(ControllerState.NEW, tuple(parts), tuple(notes), axis.motor, acts)
+    parameters = law_parameters(compensation.law, axis.scales)
+    clamp = _clamp_ct(axis, context, compensation)
+    part = law_upload.upload_law(axis.link, context, parameters, clamp_ct=clamp)
+    is_closed = motors.read_motor(axis.link, axis.motor).status.is_closed_loop
+    if is_closed:
+        notes.append(require_time_left(axis.link, axis.bench, compensation.route))
+        context.progress("arming the law", *UNKNOWN)
+        law_arming.arm(axis.link, context)
+        notes.append("the law is armed; its gain ramped up")
+    else:
+        if law_state.read_law_head(axis.link, context.block).is_armed:
+            law_arming.disarm(axis.link, context)  # it would act as soon as the loop is closed
+        notes.append("the law is loaded and not armed: the motor's loop is open")
+    return part, notes, is_closed
 
 
 def _clamp_ct(axis: Axis, context: Context, compensation: Compensation) -> float:
+    """Amplitude at which the running law clamps, counts."""
     # The same length through two roundings must not pass the limit by a bit.
     return min(
         compensation.law.amplitude_limit_m / axis.scales.motor_m_per_ct,
@@ -272,6 +279,7 @@ def law_download(axis: Axis, context: Context) -> list[str]:
 
 
 def _download_lines(missing: Sequence[programs.Program]) -> list[str]:
+    """Lines that write programs onto a card."""
     return [
         line
         for program in missing
