@@ -36,9 +36,8 @@ def compare_files(
     if loaded.scale is None:
         return _compare_rigid(given[0] + given[1], loaded, progress)
     found = compare_models(*given, loaded, progress=progress)
-    model = found.identification.model
     commands = [prepare(capture, loaded).commanded_m for capture in parted(*given)[1]]
-    ways = () if model is None else compare_alternatives(model, commands, progress=progress)
+    ways = compare_alternatives(found.identification.model, commands, progress=progress)
     return {
         "kind": "comparison",
         **_of_what([*given[0], *given[1]], loaded),

@@ -5,7 +5,7 @@ foreseen within seconds (``foreseen``), the words for its figures (``compensatio
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
@@ -46,6 +46,9 @@ from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.same_axis import captures_of
 from pmac_comp.workflow.static_map import Limit
 from pmac_comp.workflow.tables import sum_remarks
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 _LIKE_VERIFIED = 0  # seed of motions on which a compensation is looked at before it is uploaded
 
@@ -148,7 +151,7 @@ def aim_of(text: str) -> Aim:
         ) from error
 
 
-def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> list[str]:
+def _expected_worse(bench: Bench, compensation: Compensation, drive: "DriveModel") -> list[str]:
     """Remarks on motions like those that ``verify`` draws, which the model expects to get worse."""
     promiser = Promiser.of(bench, compensation, drive)
     if promiser is None or bench.scale is None:
@@ -158,7 +161,9 @@ def _expected_worse(bench: Bench, compensation: Compensation, drive: Any) -> lis
     return worse_remarks(promiser, verification_motions(bench, _LIKE_VERIFIED))
 
 
-def _promised_of_motion(bench: Bench, compensation: Compensation, drive: Any) -> dict[str, Any]:
+def _promised_of_motion(
+    bench: Bench, compensation: Compensation, drive: "DriveModel"
+) -> dict[str, Any]:
     """What is promised for the one motion of a compensation, as `verify` will run it."""
     promiser = None if bench.scale is None else Promiser.of(bench, compensation, drive)
     said = None if promiser is None else promiser.of_known()

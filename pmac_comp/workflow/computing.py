@@ -7,7 +7,7 @@ registers, conversations.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,6 +46,9 @@ from pmac_comp.workflow.repeated import with_offset
 from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.static_map import Limit, bench_map, static_map
 
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
 CUT_FRAC = 0.999  # of the limit: what reaches it was cut
 _CyclesOf = Callable[[CompensationLaw], int]  # servo cycles between passes that leave time
 _DRAGS_m = 0.15e-6  # a drag that makes more than that, the aim of e_r, is worth fewer passes
@@ -54,7 +57,7 @@ _SHAKES = 0.6  # of an aim: a wobble that makes more is worth fewer passes of a 
 
 def compute_compensation(
     bench: Bench,
-    model: Any,
+    model: "DriveModel",
     *,
     route: str,
     slow: tuple[Capture, ...] = (),
@@ -158,7 +161,7 @@ def compute_compensation(
 
 def _with_drag_that_fits(
     cycles_of: _CyclesOf,
-    model: Any,
+    model: "DriveModel",
     route: str,
     law: CompensationLaw,
     captures: tuple[Capture, ...],
@@ -173,7 +176,7 @@ def _with_drag_that_fits(
 
 
 def _with_drag(
-    model: Any,
+    model: "DriveModel",
     law: CompensationLaw,
     captures: tuple[Capture, ...],
     lead: LeadMap | None,
@@ -187,7 +190,7 @@ def _with_drag(
 
 def _against_wobble(
     bench: Bench,
-    model: Any,
+    model: "DriveModel",
     route: str,
     law: CompensationLaw,
     wave: LeadWave | None,
@@ -212,7 +215,7 @@ def _against_wobble(
 
 
 def _takes_up(
-    model: Any,
+    model: "DriveModel",
     law: CompensationLaw,
     route: str,
     captures: tuple[Capture, ...],
@@ -230,7 +233,7 @@ def _takes_up(
 
 def _law_that_fits(
     bench: Bench,
-    model: Any,
+    model: "DriveModel",
     route: str,
     captures: tuple[Capture, ...],
     slow: tuple[Capture, ...],
@@ -260,7 +263,7 @@ def _law_that_fits(
 
 def _for_motion(
     bench: Bench,
-    model: Any,
+    model: "DriveModel",
     route: str,
     law: CompensationLaw,
     lead: LeadMap | None,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from pmac_comp.workflow.routes import LATENCY_CYCLES, MOTION_ROUTES, TORQUE_ROUT
 from pmac_comp.workflow.run_cut import LEAD_IN_s, TAIL_s
 from pmac_comp.workflow.simulated import Truth
 
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
 
 @dataclass(frozen=True)
 class Promiser:
@@ -55,7 +58,9 @@ class Promiser:
     exact: LoopRunner
 
     @classmethod
-    def of(cls, bench: Bench, compensation: Compensation | None, drive: Any) -> "Promiser | None":
+    def of(
+        cls, bench: Bench, compensation: Compensation | None, drive: "DriveModel | None"
+    ) -> "Promiser | None":
         """None without a model or a compensation: nothing is promised."""
         if compensation is None or drive is None:
             return None

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pmac_comp.base.errors import PmacCompError
 from pmac_comp.base.progress import Progress
@@ -53,6 +53,9 @@ from pmac_comp.workflow.summing_up import (
     summed_up,
 )
 from pmac_comp.workflow.verification import Verification
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
 
 _LEARNED = "learned.json"
 
@@ -201,7 +204,7 @@ def verify_axis(
     *,
     repeats: int = 1,
     static_runs: int = 0,
-    drive: Any = None,
+    drive: "DriveModel | None" = None,
     truth: Callable[[], Truth | None] | None = None,
     keep: Callable[[Capture], None] | None = None,
     progress: Progress | None = None,

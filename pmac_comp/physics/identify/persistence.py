@@ -51,8 +51,6 @@ def to_model_file(
         The captures.
     """
     model = identification.model
-    if model is None:
-        raise ModelError("This identification has no model to store.", code="PC-IDN-030")
     parameters = {}
     keys = {}
     for spec in model.specs:

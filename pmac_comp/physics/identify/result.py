@@ -127,7 +127,7 @@ class Identification:
 
     Parameters
     ----------
-    model : DriveModel or None
+    model : DriveModel
         The fitted model, ready for ``simulate``.
     parameters : Mapping of str to ParameterEstimate
         Estimates by name, SI.
@@ -147,7 +147,7 @@ class Identification:
         Static lead error estimated beside the dynamics.
     """
 
-    model: "DriveModel | None"
+    model: "DriveModel"
     parameters: Mapping[str, ParameterEstimate]
     correlation_names: tuple[str, ...]
     correlation: FloatArray
