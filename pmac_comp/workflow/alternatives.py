@@ -1,12 +1,9 @@
-"""What a user would do instead of model-based compensation, simulated on one identified drive.
+"""What a user would do instead of model-based compensation, as rows of a table.
 
 What lives here: feedback from the scale, notch filter, friction feedforward and iterative learning
-on the commands of runs that were not used for fitting. What may not: measurement; every figure
-is of the identified model taken as the plant, on its own unquantised positions.
-
-The compiled loop closes on the scale through two reading terms: the reading that the controller
-uses gets table minus motor added, with a weight, and that of the scale gets its weight taken away,
-so that what the response calls motor and table still can be told apart.
+beside this project's law, on the commands of runs that were not used for fitting; what has a free
+choice takes the best. What may not: how such a way runs a motion (``other_ways``); measurement:
+every figure is of the identified model taken as the plant, on its own unquantised positions.
 """
 
 import math
@@ -14,44 +11,30 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import iirnotch
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NonFinite
 from pmac_comp.base.progress import Progress
-from pmac_comp.base.units import MM_PER_M, UM_PER_M
-from pmac_comp.files.bench import Bench, Controller
+from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.exact import exact_correction, faded
 from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop, without_static
 from pmac_comp.physics.compensate.resting import with_unwinding
-from pmac_comp.physics.model import slots as s
-from pmac_comp.physics.model.drive import DriveModel, simulate
-from pmac_comp.physics.model.effect import split_name
-from pmac_comp.physics.model.quasi_static import mechanical_error_m, modes_Hz, motor_torque_Nm
-from pmac_comp.physics.model.terms import Coordinate, Site, TableTerm
-from pmac_comp.physics.signals.trajectory import trapezoid
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.quasi_static import modes_Hz
+from pmac_comp.workflow.other_ways import Errors, Way, friction_Nm, offset_m, scaled_bench, settles
 
 BASIS = (
     "simulated, not measured: the identified full model is the plant, on the commands of the "
     "captures that were not used for fitting; without sensor rounding, static errors and the mean "
     "of each run; ways that use the model know their plant exactly"
 )
-_REACH_m = 10.0  # of the reading terms: beyond any travel
-_SCALINGS = tuple(2.0 ** (i / 3.0) for i in range(-9, 10))
+_SCALINGS = tuple(2.0 ** (i / 3.0) for i in range(-9, 10))  # of the loop gains that are tried
 _TRIED = 7  # scalings below the largest stable one among which the best is taken
-_WINDOW_s = 0.25  # what is left in one must fade to this share in the next, or to this level:
-_FADED = 0.6
-_CALM_m = 1e-9
-_MOST_REPEATS = 300
-_AGREED_m = 2e-9
-_LINEAR = frozenset({"viscous", "payload", "actuator_delay", "current_bandwidth"})
-_NOTCH_QUALITY = 1.0
-_WEIGHTS = (0.1, 0.25, 0.5, 0.75)
-_SHARES = (0.5, 0.7, 0.85, 1.0)
-_SMOOTH_m_per_s = 1e-3
+_WEIGHTS = (0.1, 0.25, 0.5, 0.75)  # of the scale in a blend with the motor that are tried
+_SHARES = (0.5, 0.7, 0.85, 1.0)  # of the model's friction torque that are tried
 
 
 @dataclass(frozen=True)
@@ -78,134 +61,6 @@ class AlternativeRow:
     residual_rms_um: float | None
     total_rms_um: float | None
     total_per_motion_um: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Way:
-    """A way of running one motion: drive with its controller, weight of the scale, inputs.
-
-    Parameters
-    ----------
-    model : DriveModel
-        Plant with the controller's gains.
-    weight : float
-        Share of the scale in the position that the controller uses, 0 (motor) to 1 (table).
-    dual : bool
-        Position loop on the scale, velocity loop on the motor; then ``weight`` is not used.
-    correction_m, torque_Nm : callable or None
-        Of the command, shape (n,): what is added to command and controller output.
-    """
-
-    model: DriveModel
-    weight: float = 0.0
-    dual: bool = False
-    correction_m: Callable[[FloatArray], FloatArray] | None = None
-    torque_Nm: Callable[[FloatArray], FloatArray] | None = None
-
-    def run(self, command_m: FloatArray) -> "Errors":
-        """Errors of one motion; raises NonFinite if the loop diverges."""
-        if self.dual:
-            motor, table = dual_positions_m(self.model, command_m)
-            return Errors(table - motor, None, table - command_m)
-        added = None if self.correction_m is None else self.correction_m(command_m)
-        torque = None if self.torque_Nm is None else self.torque_Nm(command_m)
-        motor, table = positions_m(self.model, command_m, added, torque, weight=self.weight)
-        residual = None if added is None else table - motor + added
-        return Errors(table - motor, residual, table - command_m)
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of one motion in m, shape (n,) each."""
-
-    mechanical_m: FloatArray
-    residual_m: FloatArray | None
-    total_m: FloatArray
-
-
-def positions_m(
-    model: DriveModel,
-    command_m: FloatArray,
-    correction_m: FloatArray | None = None,
-    torque_Nm: FloatArray | None = None,
-    *,
-    weight: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Motor and table position in m, shape (n,), with a loop closed on a blend of the two.
-
-    Parameters
-    ----------
-    model : DriveModel
-        The drive.
-    command_m, correction_m, torque_Nm : ndarray, shape (n,)
-        Command, what is added to it, and what is added to the controller's output.
-    weight : float
-        The controller sees ``(1 - weight) motor + weight table``, for position and velocity.
-
-    Raises
-    ------
-    NonFinite
-        The loop diverges.
-    """
-    response = simulate(
-        model,
-        command_m,
-        desired_position_m=None if correction_m is None else command_m + correction_m,
-        torque_feedforward_Nm=torque_Nm,
-        extra_terms=_blend(model, weight) if weight else (),
-    )
-    if not weight:
-        return response.motor_position_m, response.table_position_m
-    seen, motor = response.motor_position_m, response.table_position_m
-    return motor, (seen - (1.0 - weight) * motor) / weight
-
-
-def dual_positions_m(model: DriveModel, command_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Motor and table position in m, shape (n,): position loop on the scale, velocity on the motor.
-
-    The compiled loop uses one reading. What its proportional and integral parts lack, the gains
-    times table minus motor, enters as torque and is found by repetition until it stands still.
-
-    Raises
-    ------
-    NonFinite
-        The loop diverges, or the repetition does, as it must with a loop that is not stable.
-
-    Source
-    ------
-    Turbo PMAC Software Reference Manual, Ixx03 (position feedback) and Ixx04 (velocity feedback).
-    """
-    vector = model.kernel_vector()
-    cascade = vector[s.LAW] > 0.5
-    proportional = vector[s.CASCADE_GAIN] * vector[s.CASCADE_KP] if cascade else vector[s.KP]
-    per_cycle = 0.0 if cascade else vector[s.KI] * vector[s.PERIOD]
-    torque = np.zeros(command_m.size)
-    before = np.full(command_m.size, math.inf)
-    for _ in range(_MOST_REPEATS):
-        response = simulate(model, command_m, torque_feedforward_Nm=torque)
-        table, error = response.table_position_m, response.mechanical_error_m
-        if np.max(np.abs(table - before)) < _AGREED_m:
-            return response.motor_position_m, table
-        before = table
-        torque = -proportional * error - per_cycle * (np.cumsum(error) - error)
-    raise NonFinite("The dual loop does not settle on one motion.", code="PC-ALT-001")
-
-
-def _blend(model: DriveModel, weight: float) -> tuple[TableTerm, ...]:
-    """Terms by which the controller sees the blend, and the second reading is the motor's."""
-    radians = _REACH_m / model.bench.lead_m_per_rad
-
-    def line(coordinate: Coordinate, site: Site, reach: float, factor: float) -> TableTerm:
-        ends = np.array([-_REACH_m, _REACH_m]) * factor
-        return TableTerm(coordinate, site, -reach, 2.0 * reach, ends)
-
-    table, angle = Coordinate.TABLE_POSITION_M, Coordinate.MOTOR_ANGLE_RAD
-    return (
-        line(table, Site.MOTOR_READING_M, _REACH_m, weight),
-        line(angle, Site.MOTOR_READING_M, radians, -weight),
-        line(table, Site.TABLE_READING_M, _REACH_m, -1.0),
-        line(angle, Site.TABLE_READING_M, radians, 1.0),
-    )
 
 
 def compare_alternatives(
@@ -354,67 +209,6 @@ def _law(plant: DriveModel, commands: Sequence[FloatArray]) -> AlternativeRow:
     return _row("this project's law", how, way, commands)
 
 
-def offset_m(model: DriveModel, command_m: FloatArray) -> FloatArray:
-    """Model's offset for a command: the quasi-static mechanical error with opposite sign, in m."""
-    motion = _motion(model, command_m)
-    return -mechanical_error_m(model, *motion)
-
-
-def friction_Nm(model: DriveModel, command_m: FloatArray) -> FloatArray:
-    """Friction torque of the model for a command in N m: what moves it slowly, by direction."""
-    position, speed, _, direction = _motion(model, command_m)
-    still = np.zeros(command_m.size)
-    slow = direction * np.minimum(np.abs(speed), _SMOOTH_m_per_s)
-    return motor_torque_Nm(model, position, slow, still, direction)
-
-
-def _motion(
-    model: DriveModel, command_m: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    period = model.bench.servo_period_s
-    speed = np.gradient(command_m, period)
-    return command_m, speed, np.gradient(speed, period), np.tanh(speed / _SMOOTH_m_per_s)
-
-
-def settles(way: Way) -> bool:
-    """Whether the loop is stable without sliding friction, at both ends and in the middle.
-
-    Friction hides an unstable loop as long as the axis stands: it is left out, and what a short
-    move leaves must fade.
-    """
-    bench = way.model.bench
-    half = 0.45 * (bench.travel.max_mm - bench.travel.min_mm) / MM_PER_M
-    window = round(_WINDOW_s / bench.servo_period_s)
-    smooth = replace(way, model=_without_sliding(way.model), correction_m=None, torque_Nm=None)
-    for place in (-half, 0.0, half):
-        move = trapezoid(
-            period_s=bench.servo_period_s,
-            distance_m=0.02 if place <= 0.0 else -0.02,
-            speed_m_per_s=0.1,
-            acceleration_m_per_s2=2.0,
-            s_curve_s=0.015,
-            start_m=bench.mid_travel_m + place,
-            dwell_s=3.0 * _WINDOW_s,
-        )
-        try:
-            total = smooth.run(move.position_m).total_m
-        except NonFinite:
-            return False
-        early, late = np.ptp(total[-2 * window : -window]), np.ptp(total[-window:])
-        if late > max(_FADED * early, _CALM_m):
-            return False
-    return True
-
-
-def _without_sliding(model: DriveModel) -> DriveModel:
-    kept = tuple(name for name in model.effects if split_name(name)[0] in _LINEAR)
-    prefixes = ("chain", *(split_name(name)[0] for name in kept))
-    values = {k: v for k, v in model.parameters.items() if k.split(".")[0] in prefixes}
-    if "chain.efficiency" in values:
-        values["chain.efficiency"] = 1.0
-    return replace(model, effects=kept, parameters=values)
-
-
 def _best_gain(
     start: Way, command: FloatArray, *, notch_Hz: float | None = None
 ) -> tuple[float, float, Way | None]:
@@ -432,45 +226,6 @@ def _best_gain(
     left = [(_total_um(way, command), scaling, way) for scaling, way in stable[-_TRIED:]]
     _, scaling, way = min(left, key=lambda item: item[0])
     return scaling, stable[-1][0], way
-
-
-def scaled_bench(bench: Bench, scaling: float, *, notch_Hz: float | None = None) -> Bench:
-    """Bench whose loop gains are scaled, and with a notch; acceleration feedforward stays.
-
-    Source
-    ------
-    Turbo PMAC Software Reference Manual, Ixx30-Ixx39: Ixx30 multiplies the whole law, the notch is
-    (1 + N1 z^-1 + N2 z^-2) / (1 + D1 z^-1 + D2 z^-2) and has its gain at rest in Ixx30.
-    """
-    control = bench.controller
-    changed: Controller
-    if control.kind == "pmac":
-        changed = control.model_copy(update={"ivariables": _scaled_pmac(bench, scaling, notch_Hz)})
-    elif control.si is not None and control.kind == "si":
-        names = ("Kp_Nm_per_mm", "Ki_Nm_per_mm_s", "Kd_Nm_s_per_mm", "Kvff_Nm_s_per_mm")
-        values = {name: scaling * getattr(control.si, name) for name in names}
-        changed = control.model_copy(update={"si": control.si.model_copy(update=values)})
-    elif control.cascade is not None:
-        gain = {"kv_V_per_m_per_s": scaling * control.cascade.kv_V_per_m_per_s}
-        changed = control.model_copy(update={"cascade": control.cascade.model_copy(update=gain)})
-    else:
-        changed = control
-    return bench.model_copy(update={"controller": changed})
-
-
-def _scaled_pmac(bench: Bench, scaling: float, notch_Hz: float | None) -> dict[str, float]:
-    motor = bench.encoder.motor_number
-    given = dict(bench.controller.ivariables)
-    gain, forward = given.get(f"I{motor}30", 2000.0), given.get(f"I{motor}35", 0.0)
-    at_rest = 1.0
-    if notch_Hz is not None:
-        b, a = iirnotch(notch_Hz, _NOTCH_QUALITY, fs=1.0 / bench.servo_period_s)
-        at_rest = float(b[0])
-        coefficients = (b[1] / b[0], b[2] / b[0], a[1], a[2])
-        given |= {f"I{motor}{36 + i}": float(value) for i, value in enumerate(coefficients)}
-    given[f"I{motor}30"] = gain * scaling * at_rest
-    given[f"I{motor}35"] = forward / scaling
-    return given
 
 
 def _total_um(way: Way, command: FloatArray) -> float:
