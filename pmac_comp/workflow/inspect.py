@@ -1,4 +1,8 @@
-"""Looking at a controller: who answers, what the motors do, what compensation is on it."""
+"""Looking at a controller: who answers, what the motors do, what compensation is on it.
+
+What lives here: questions to a card and the words for what they tell, and the terminal. What may
+not: anything that changes a card or a journal.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -68,48 +72,8 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
     with open_axis(url, bench) as axis:
         readings = motors.read_motors(axis.link, axis.bench.motor_numbers)
         context = context_to_look(axis, journal or DEFAULT_JOURNAL)
-        since = waiting.number_since_ours(axis.link, context)
-        state = judged_tables(axis.link, context, since)
-        block = LawBlock.from_p_block(axis.bench.controller.p_block)
-        head = law_state.read_law_head(axis.link, block)
-        form = law_goal.running_form(axis.link, context, head)
-        law = _law_text(axis.link, block, form, head)
-        other = law_elsewhere(axis.link, context, axis.motor) if form is LawForm.NONE else None
-        if other is not None:
-            law += f" of this bench file; PLC 0 is the law of the p_block from P{other}"
-        elsewhere = waiting.open_elsewhere(axis.link, context)
-        flash = flash_refusals(read_head(axis.link, context))
-        guard = _guard_text(axis.link, context)
-        lease = lease_text(read_lease(axis.link, context), read_clock(axis.link))
-        claimed = claim_refusal(read_claim(axis.link), context)
+        compensation = _compensation_status(axis, context)
         load = read_load(axis.link, axis.bench.servo_period_s)
-    told = []
-    if still_open := "; ".join(waiting.left_open(context)):
-        told.append(f"{still_open}: run `pmac-comp recover`")
-    if elsewhere:
-        told.append("a change from another folder or host has not ended: `pmac-comp recover` there")
-    refusals = [*flash, *([] if claimed is None else [claimed])]
-    told += [f"{r.message[0].lower()}{r.message[1:]} {r.advice}" for r in refusals]
-    # Of a card that answers alike, beside what is known of this one.
-    told = [*(told or ["nothing"]), *filter(None, [left_open_alike(context)])]
-    compensation = {
-        "tables": ", ".join(f"{t.kind.value} #{t.motor}, {len(t.entries)} entries" for t in
-                            state.tables) or "none",
-        "tables_act": state.i51,
-        "verdict": state.decision.state.value,
-        "why": f"tables: {_why(state, axis)}; law: {law}",
-        "left_open": "; ".join(told),
-        "last_change": (recovery.last_change(context) or "none from this folder")
-        + ("; another folder or host has changed the controller since" if since else ""),
-        "guard": guard,
-        "lease": lease,
-        "law": form.name.lower(),
-        "law_bank": head.bank,
-        "law_gain": head.gain,
-        "law_correction_ct": head.correction_ct,
-        "law_torque_dac": head.torque_dac,
-        "clamped_passes": head.n_clamped,
-    }  # fmt: skip
     return {
         "motors": [
             {
@@ -124,6 +88,49 @@ def controller_status(url: str, bench: str, journal: Path | None = None) -> dict
         "compensation": compensation,
         "processor": {"summary": load_text(load)} | ({} if load is None else load.as_dict()),
     }
+
+
+def _compensation_status(axis: Axis, context: Context) -> dict[str, Any]:
+    """Tables, law, guard and lease on a card, and what was left open of changes to them."""
+    link = axis.link
+    since = waiting.number_since_ours(link, context)
+    state = judged_tables(link, context, since)
+    head = law_state.read_law_head(link, context.block)
+    form = law_goal.running_form(link, context, head)
+    tables = ", ".join(
+        f"{table.kind.value} #{table.motor}, {len(table.entries)} entries" for table in state.tables
+    )
+    changed = "; another folder or host has changed the controller since" if since else ""
+    return {
+        "tables": tables or "none",
+        "tables_act": state.i51,
+        "verdict": state.decision.state.value,
+        "why": f"tables: {_why(state, axis)}; law: {_law_text(axis, context, form, head)}",
+        "left_open": _left_open_text(link, context),
+        "last_change": (recovery.last_change(context) or "none from this folder") + changed,
+        "guard": _guard_text(link, context),
+        "lease": lease_text(read_lease(link, context), read_clock(link)),
+        "law": form.name.lower(),
+        "law_bank": head.bank,
+        "law_gain": head.gain,
+        "law_correction_ct": head.correction_ct,
+        "law_torque_dac": head.torque_dac,
+        "clamped_passes": head.n_clamped,
+    }
+
+
+def _left_open_text(link: Link, context: Context) -> str:
+    """Changes that have not ended and what forbids the next one, with the way out; or nothing."""
+    told = []
+    if still_open := "; ".join(waiting.left_open(context)):
+        told.append(f"{still_open}: run `pmac-comp recover`")
+    if waiting.open_elsewhere(link, context):
+        told.append("a change from another folder or host has not ended: `pmac-comp recover` there")
+    claimed = claim_refusal(read_claim(link), context)
+    refusals = [*flash_refusals(read_head(link, context)), *([] if claimed is None else [claimed])]
+    told += [f"{r.message[0].lower()}{r.message[1:]} {r.advice}" for r in refusals]
+    # Of a card that answers alike, beside what is known of this one.
+    return "; ".join([*(told or ["nothing"]), *filter(None, [left_open_alike(context)])])
 
 
 def judged_tables(link: Link, context: Context, since: int) -> TableStatus:
@@ -158,7 +165,16 @@ def _guard_text(link: Link, context: Context) -> str:
     return "runs (PLC 1)"
 
 
-def _law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:
+def _law_text(axis: Axis, context: Context, form: LawForm, head: law_state.LawHead) -> str:
+    """Whether a law acts, and which p_block that of another bench file has."""
+    said = _own_law_text(axis.link, context.block, form, head)
+    other = law_elsewhere(axis.link, context, axis.motor) if form is LawForm.NONE else None
+    if other is None:
+        return said
+    return f"{said} of this bench file; PLC 0 is the law of the p_block from P{other}"
+
+
+def _own_law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:
     if form is LawForm.NONE and head.form is not LawForm.NONE and head.correction_ct:
         return (
             "its program was stopped; its last correction stands: `pmac-comp remove` takes it off"
