@@ -14,6 +14,10 @@ from pmac_comp.workflow.static_check import STATIC_NAME
 
 # A sinusoid that grows or fades within a cycle is accelerated by this much more than A omega^2.
 _RAMP_ACCELERATION = 1.113
+# No motion is harder, whatever a bench allows.
+_CALIBRATION_m_per_s2 = 8.0
+_VERIFICATION_m_per_s2 = 10.0  # of its sinusoids
+_GOLDEN = 0.6180339887  # multiples of it spread evenly over an interval
 
 
 def calibration_motions(bench: Bench) -> list[Motion]:
@@ -22,43 +26,49 @@ def calibration_motions(bench: Bench) -> list[Motion]:
     Fits the travel, the safety limits and the rated speed of the bench. In one sinusoid the way
     of the motion and its speed go together (correlation 0.9): amplitudes and frequencies part them.
     """
-    low, high = bench.travel_m
-    middle, span = 0.5 * (low + high), high - low
-    period = bench.servo_period_s
-    speed = bench.usable_speed_m_per_s
-    acceleration = min(bench.safety.max_acceleration_m_per_s2, 8.0)
+    low_m, high_m = bench.travel_m
+    middle_m, span_m = 0.5 * (low_m + high_m), high_m - low_m
+    fastest_m_per_s = bench.usable_speed_m_per_s
+    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _CALIBRATION_m_per_s2)
 
-    def sine(name: str, amplitude: float, frequency: float, place: float, n: float) -> Motion:
-        omega = 2.0 * math.pi * frequency
-        room = min(0.15, 0.95 * (0.5 - abs(place))) * span
-        amplitude = min(amplitude, room, 0.9 * speed / omega, 0.85 * acceleration / omega**2)
+    def sine(
+        name: str, amplitude_m: float, frequency_Hz: float, place: float, cycles: float
+    ) -> Motion:
+        """Sinusoid about a place: a share of the travel, from its middle."""
+        omega = 2.0 * math.pi * frequency_Hz
         shape = tr.sinusoid(
-            period_s=period,
-            amplitude_m=amplitude,
-            frequency_Hz=frequency,
-            cycles=n,
-            centre_m=middle + place * span,
+            period_s=bench.servo_period_s,
+            amplitude_m=min(
+                amplitude_m,
+                min(0.15, 0.95 * (0.5 - abs(place))) * span_m,
+                0.9 * fastest_m_per_s / omega,
+                0.85 * hardest_m_per_s2 / omega**2,
+            ),
+            frequency_Hz=frequency_Hz,
+            cycles=cycles,
+            centre_m=middle_m + place * span_m,
         )
         return Motion(name, shape)
 
-    def move(name: str, distance: float, fraction: float, start: float) -> Motion:
+    def move(name: str, distance: float, fast: float, start: float) -> Motion:
+        """Move by a share of the travel at a share of the highest speed, from a place."""
         shape = tr.trapezoid(
-            period_s=period,
-            distance_m=distance * span,
-            speed_m_per_s=fraction * speed,
-            acceleration_m_per_s2=min(3.0, acceleration),
+            period_s=bench.servo_period_s,
+            distance_m=distance * span_m,
+            speed_m_per_s=fast * fastest_m_per_s,
+            acceleration_m_per_s2=min(3.0, hardest_m_per_s2),
             s_curve_s=0.02,
-            start_m=middle + start * span,
+            start_m=middle_m + start * span_m,
         )
         return Motion(name, shape)
 
     slow = tr.triangle(
-        period_s=period,
-        amplitude_m=min(2e-3, 0.05 * span),
-        speed_m_per_s=min(2e-3, speed),
+        period_s=bench.servo_period_s,
+        amplitude_m=min(2e-3, 0.05 * span_m),
+        speed_m_per_s=min(2e-3, fastest_m_per_s),
         cycles=2,
-        centre_m=middle,
-        acceleration_m_per_s2=min(0.5, acceleration),
+        centre_m=middle_m,
+        acceleration_m_per_s2=min(0.5, hardest_m_per_s2),
     )
     return [
         sine("sine_low_end", 0.010, 4.0, -0.40, 8.0),
@@ -92,15 +102,15 @@ def require_scale(bench: Bench, what: str) -> None:
 
 def lead_motions(bench: Bench) -> list[Motion]:
     """One slow run over the travel and back."""
-    low, high = bench.travel_m
-    margin = 1e-4  # a cyclic lead that ends before the travel does is an error of its full size
+    low_m, high_m = bench.travel_m
+    margin_m = 1e-4  # a cyclic lead that ends before the travel does is an error of its full size
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
-        distance_m=high - low - 2.0 * margin,
+        distance_m=high_m - low_m - 2.0 * margin_m,
         speed_m_per_s=min(0.06, 0.3 * bench.usable_speed_m_per_s),
         acceleration_m_per_s2=min(0.5, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.05,
-        start_m=low + margin,
+        start_m=low_m + margin_m,
     )
     return [Motion("lead_run", shape)]
 
@@ -110,47 +120,60 @@ def verification_motions(
 ) -> list[Motion]:
     """Motions drawn by a seed: sinusoids within the rated speed and jerk-limited trapezoids."""
     rng = np.random.default_rng(seed)
-    low, high = bench.travel_m
-    span, speed = high - low, bench.usable_speed_m_per_s
-    allowed = bench.safety.max_acceleration_m_per_s2
-    acceleration = min(allowed, 10.0)
-    period = bench.servo_period_s
-    motions: list[Motion] = []
-    for _ in range(n_sine):
-        frequency = float(np.exp(rng.uniform(np.log(0.7), np.log(5.0))))
-        omega = 2.0 * math.pi * frequency
-        most = min(0.05, 0.1 * span, 0.95 * speed / omega, 0.98 * acceleration / omega**2)
-        amplitude = float(rng.uniform(0.7, 1.0)) * most
-        amplitude = min(amplitude, allowed / (_RAMP_ACCELERATION * omega**2))
-        centre = float(rng.uniform(low + 1.2 * amplitude, high - 1.2 * amplitude))
-        name = (
-            f"sine {amplitude * MM_PER_M:.1f} mm {frequency:.2f} Hz at {centre * MM_PER_M:.0f} mm"
-        )
-        cycles = max(3.0, min(6.0, math.ceil(1.5 * frequency)))
-        shape = tr.sinusoid(
-            period_s=period,
-            amplitude_m=amplitude,
-            frequency_Hz=frequency,
-            cycles=cycles,
-            centre_m=centre,
-        )
-        motions.append(Motion(name, shape))
-    for _ in range(n_move):
-        distance = float(rng.uniform(0.05, 0.3)) * span
-        v = float(rng.uniform(0.3, 0.95)) * speed
-        a = float(rng.uniform(0.3, 1.0)) * min(5.0, acceleration)
-        start = float(rng.uniform(low, high - distance))
-        name = f"move {distance * MM_PER_M:.0f} mm {v * MM_PER_M:.0f} mm/s {a:.1f} m/s2"
-        shape = tr.trapezoid(
-            period_s=period,
-            distance_m=distance,
-            speed_m_per_s=v,
-            acceleration_m_per_s2=a,
-            s_curve_s=0.015,
-            start_m=start,
-        )
-        motions.append(Motion(name, shape))
-    return motions
+    sines = [_drawn_sine(bench, rng) for _ in range(n_sine)]
+    return [*sines, *(_drawn_move(bench, rng) for _ in range(n_move))]
+
+
+def _drawn_sine(bench: Bench, rng: np.random.Generator) -> Motion:
+    """Sinusoid of 0.7 to 5 Hz, near the largest amplitude that travel and limits allow it."""
+    low_m, high_m = bench.travel_m
+    allowed_m_per_s2 = bench.safety.max_acceleration_m_per_s2
+    frequency_Hz = float(np.exp(rng.uniform(np.log(0.7), np.log(5.0))))
+    omega = 2.0 * math.pi * frequency_Hz
+    most_m = min(
+        0.05,
+        0.1 * (high_m - low_m),
+        0.95 * bench.usable_speed_m_per_s / omega,
+        0.98 * min(allowed_m_per_s2, _VERIFICATION_m_per_s2) / omega**2,
+    )
+    amplitude_m = float(rng.uniform(0.7, 1.0)) * most_m
+    amplitude_m = min(amplitude_m, allowed_m_per_s2 / (_RAMP_ACCELERATION * omega**2))
+    centre_m = float(rng.uniform(low_m + 1.2 * amplitude_m, high_m - 1.2 * amplitude_m))
+    name = (
+        f"sine {amplitude_m * MM_PER_M:.1f} mm {frequency_Hz:.2f} Hz at "
+        f"{centre_m * MM_PER_M:.0f} mm"
+    )
+    shape = tr.sinusoid(
+        period_s=bench.servo_period_s,
+        amplitude_m=amplitude_m,
+        frequency_Hz=frequency_Hz,
+        cycles=max(3.0, min(6.0, math.ceil(1.5 * frequency_Hz))),
+        centre_m=centre_m,
+    )
+    return Motion(name, shape)
+
+
+def _drawn_move(bench: Bench, rng: np.random.Generator) -> Motion:
+    """Jerk-limited move of a twentieth to three tenths of the travel."""
+    low_m, high_m = bench.travel_m
+    distance_m = float(rng.uniform(0.05, 0.3)) * (high_m - low_m)
+    speed_m_per_s = float(rng.uniform(0.3, 0.95)) * bench.usable_speed_m_per_s
+    hardest_m_per_s2 = min(5.0, bench.safety.max_acceleration_m_per_s2)
+    acceleration_m_per_s2 = float(rng.uniform(0.3, 1.0)) * hardest_m_per_s2
+    start_m = float(rng.uniform(low_m, high_m - distance_m))
+    name = (
+        f"move {distance_m * MM_PER_M:.0f} mm {speed_m_per_s * MM_PER_M:.0f} mm/s "
+        f"{acceleration_m_per_s2:.1f} m/s2"
+    )
+    shape = tr.trapezoid(
+        period_s=bench.servo_period_s,
+        distance_m=distance_m,
+        speed_m_per_s=speed_m_per_s,
+        acceleration_m_per_s2=acceleration_m_per_s2,
+        s_curve_s=0.015,
+        start_m=start_m,
+    )
+    return Motion(name, shape)
 
 
 def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
@@ -159,17 +182,18 @@ def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
     The targets are not at multiples of the pitch, so that a periodic error is met at different
     phases (ISO 230-2:2014, clause 5.3.1).
     """
-    low, high = bench.travel_m
-    span = high - low
-    step = 0.9 * span / (n_targets - 1)
-    start = low + 0.05 * span
-    phase = np.modf(np.arange(n_targets) * 0.6180339887)[0] - 0.5
-    targets = start + step * np.arange(n_targets) + phase * min(bench.pitch_m, 0.2 * step)
-    overrun = 0.02 * span
-    stops = [targets[0] - overrun, *targets, targets[-1] + overrun, *targets[::-1]]
+    low_m, high_m = bench.travel_m
+    span_m = high_m - low_m
+    step_m = 0.9 * span_m / (n_targets - 1)
+    first_m = low_m + 0.05 * span_m
+    phase = np.modf(np.arange(n_targets) * _GOLDEN)[0] - 0.5
+    near_m = phase * min(bench.pitch_m, 0.2 * step_m)
+    targets_m = first_m + step_m * np.arange(n_targets) + near_m
+    overrun_m = 0.02 * span_m
+    below_m, above_m = targets_m[0] - overrun_m, targets_m[-1] + overrun_m
     shape = tr.staircase(
         period_s=bench.servo_period_s,
-        positions_m=[*stops, targets[0] - overrun],
+        positions_m=[below_m, *targets_m, above_m, *targets_m[::-1], below_m],
         speed_m_per_s=0.6 * bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(2.0, bench.safety.max_acceleration_m_per_s2),
         s_curve_s=0.03,
@@ -180,13 +204,13 @@ def positioning_motion(bench: Bench, *, n_targets: int = 7) -> Motion:
 
 def ringing_motion(bench: Bench) -> Motion:
     """A move whose acceleration jumps: no S-curve, so that it excites the drive's resonance."""
-    low, high = bench.travel_m
+    low_m, high_m = bench.travel_m
     shape = tr.trapezoid(
         period_s=bench.servo_period_s,
-        distance_m=0.15 * (high - low),
+        distance_m=0.15 * (high_m - low_m),
         speed_m_per_s=0.4 * bench.usable_speed_m_per_s,
         acceleration_m_per_s2=min(3.0, bench.safety.max_acceleration_m_per_s2),
-        start_m=low + 0.4 * (high - low),
+        start_m=low_m + 0.4 * (high_m - low_m),
         dwell_s=0.3,
     )
     return Motion(RINGING_NAME, shape)
