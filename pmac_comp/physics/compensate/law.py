@@ -752,6 +752,25 @@ def _evaluate(
     every: float,
     late: float,
 ) -> tuple[FloatArray, FloatArray]:
+    """Correction in m and torque in N m of each pass, unclamped, shape (n,) each.
+
+    The letters are those of the equations above; ``j1`` and ``j2`` the jerks of the last passes.
+
+    Parameters
+    ----------
+    elastic, torques, both, turn, rippling, gap, bed_swings : ndarray
+        Coefficients, in the groups of ``_EVALUATED``.
+    r : ndarray, shape (n,)
+        Commanded position in m at each pass.
+    output : ndarray, shape (n,) or (0,)
+        The controller's output in N m at each pass; empty where it is not known.
+    period, late : float
+        Time from pass to pass, and by which ``r'`` is behind ``r``, s.
+    limit : float
+        J, m/s3.
+    every : float
+        Servo cycles from pass to pass.
+    """
     inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
     torque_constant, torque_place, torque_stribeck = torques[6:9]
@@ -779,8 +798,7 @@ def _evaluate(
         else:
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
-            rest = 0.0
-            wound *= WOUND_FADE
+            rest, wound = 0.0, wound * WOUND_FADE
         s, t = _followed(s, step / breakaway), _followed(t, step / torque_breakaway)
         d = _followed(d, step / drag_distance)
         wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
