@@ -1,11 +1,16 @@
-"""Public functions of the physics say of their arrays which shape they have."""
+"""Public functions of the physics say the shapes of their arrays, packages name their modules."""
 
 import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 import pmac_comp
+from pmac_comp import workflow
+from pmac_comp.physics import compensate
 
 PHYSICS = Path(pmac_comp.__file__).parent / "physics"
 ARRAYS = re.compile(r"\b(FloatArray|BoolArray|IntArray|ComplexArray|ndarray|NDArray)\b")
@@ -42,3 +47,11 @@ def test_functions_with_arrays_tell_their_shapes() -> None:
         if not re.search(r"\bshapes?\b", ast.get_docstring(function) or "")
     }
     assert silent == set(), "say which shape the arrays have"
+
+
+@pytest.mark.parametrize("package", [workflow, compensate])
+def test_the_map_of_a_package_holds_each_of_its_modules_once(package: ModuleType) -> None:
+    rows = [line[19:].split() for line in str(package.__doc__).splitlines() if line[:4] == "    "]
+    named = [name for row in rows for name in row]
+    modules = [p.stem for p in Path(str(package.__file__)).parent.glob("*.py")]
+    assert sorted(named) == sorted(set(modules) - {"__init__"})
