@@ -49,7 +49,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS, axis_goal
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.motions import Motion, check_motion
-from pmac_comp.workflow.pvt import PvtProgram, pvt_program
+from pmac_comp.workflow.pvt import PvtProgram, number_text, pvt_program
 from pmac_comp.workflow.rendering import (
     CAM_RUN_UP_CYCLES,
     CamShape,
@@ -124,10 +124,10 @@ def _program_lines(pvt: PvtProgram, shape: CamShape, period_s: float) -> tuple[s
 
     Y is incremental and its way is the length of the table: the next run finds the same table.
     """
-    speed = _number(shape.ct_per_cycle / period_s, 3)
+    speed = number_text(shape.ct_per_cycle / period_s, 3)
     ramp_ct = shape.ct_per_cycle * CAM_RUN_UP_CYCLES // 2
-    run_up = f"PVT{_number(CAM_RUN_UP_CYCLES * period_s * MS_PER_S, 6)}"
-    start = f"X{_number(pvt.start_ct, 4)}:0"
+    run_up = f"PVT{number_text(CAM_RUN_UP_CYCLES * period_s * MS_PER_S, 6)}"
+    start = f"X{number_text(pvt.start_ct, 4)}:0"
     lines = ["DWELL100", "ABS(X)", "INC(Y)", run_up, f"{start}Y{ramp_ct}:{speed}"]
     cycles, end = 0, start
     for line in pvt.lines:
@@ -140,16 +140,10 @@ def _program_lines(pvt: PvtProgram, shape: CamShape, period_s: float) -> tuple[s
     if shape.rest_cycles:
         rest_ct = shape.rest_cycles * shape.ct_per_cycle
         lines += [
-            f"PVT{_number(shape.rest_cycles * period_s * MS_PER_S, 6)}",
+            f"PVT{number_text(shape.rest_cycles * period_s * MS_PER_S, 6)}",
             f"{end}Y{rest_ct}:{speed}",
         ]
     return (*lines, run_up, f"{end}Y{ramp_ct}:0", "DWELL50")
-
-
-def _number(value: float, decimals: int) -> str:
-    """Number as the card lists it: no useless zeros."""
-    text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
 
 
 # The motor that counts time -----------------------------------------------------------------------

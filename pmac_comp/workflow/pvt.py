@@ -62,10 +62,17 @@ class PvtProgram:
     duration_s: float
 
 
+def number_text(value: float, decimals: int) -> str:
+    """Decimal text as the card lists it: without useless zeros and minus zero."""
+    text = f"{value:.{decimals}f}"
+    short = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if short == "-0" else short
+
+
 def _listed(value: float, decimals: int) -> str:
-    """Decimal text with no more digits than the card lists back: ten (fact sheet, 2.4)."""
+    """The same with no more digits than the card lists back: ten (fact sheet, 2.4)."""
     whole = len(str(int(abs(value))))
-    return f"{value:.{max(0, min(decimals, _LISTED_DIGITS - whole))}f}"
+    return number_text(value, max(0, min(decimals, _LISTED_DIGITS - whole)))
 
 
 def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
@@ -83,13 +90,13 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     for before, node in pairwise(nodes):
         cycles = node.cycle - before.cycle
         if abs(cycles - last) > _SAME_CYCLES:
-            lines.append(f"PVT{cycles * period * MS_PER_S:.6f}")
+            lines.append(f"PVT{number_text(cycles * period * MS_PER_S, 6)}")
             last = cycles
         place = _listed(node.place, 4)
         rounding = max(rounding, abs(float(place) - node.place))
         lines.append(f"X{place}:{_listed(node.speed / period, 3)}")
     return PvtProgram(
-        tuple(_tidy(line) for line in lines),
+        tuple(lines),
         len(nodes) - 1,
         float(position[0]),
         worst * scales.motor_m_per_ct,
@@ -224,18 +231,3 @@ def _cubic_error(position: FloatArray, begin: _Node, end: _Node) -> float:
         + (u**3 - u**2) * end.speed * h
     )
     return float(np.max(np.abs(cubic - position[at]), initial=0.0))
-
-
-def _tidy(line: str) -> str:
-    """Line without useless zeros and minus zeros."""
-    parts = line.split(":")
-    return ":".join(_tidy_number(part) for part in parts)
-
-
-def _tidy_number(text: str) -> str:
-    head = text.rstrip("-0123456789.")
-    number = text[len(head) :]
-    if "." not in number:
-        return text
-    short = number.rstrip("0").rstrip(".")
-    return head + ("0" if short in {"", "-", "-0"} else short)
