@@ -22,16 +22,18 @@ from pmac_comp.machine.controller.sign_check import SignResult, check_master_sig
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import reset_time, run_time_to
 
-SIGN_OFFSETS_um = (20.0, 50.0, 100.0)
-_NOT_MOVED = "PC-SGN-005"
+SIGN_OFFSETS_um = (20.0, 50.0, 100.0)  # one after the other, until the motor moves
+_NOT_MOVED = "PC-SGN-005"  # code of ``check_master_sign`` where friction held the motor
 _LEAST_um = 2.0  # a smaller correction says nothing beside the following error
 _CLEAR_FRAC = 0.5  # of the expected correction
+_NEARLY_MOST_FRAC = 0.7  # of the largest correction: near enough to look at the sign there
+_ENDS_FRAC = 0.02  # of the travel, at both ends: the axis is not sent there for a test
 _LOOP_IS_OPEN = (
     "the sign of the {} was not measured, as the motor's loop is open: upload again with the motor "
     "enabled before {}"
 )
 _SETTLE_s = 0.6
-_PLACES = 1201
+_PLACES = 1201  # over the travel, among which the strongest is looked for
 
 
 def check_law_sign(axis: Axis, context: Context) -> list[str]:
@@ -74,6 +76,7 @@ def _sign_against_friction(axis: Axis) -> SignResult:
 
 
 def _offset_ct(axis: Axis, offset_um: float) -> float:
+    """A length in whole counts of the motor."""
     return float(round(offset_um / UM_PER_M / axis.scales.motor_m_per_ct))
 
 
@@ -111,15 +114,11 @@ def check_table_sign(
     axis.link.clock.sleep_s(_SETTLE_s)
     found_ct = _beyond_command(axis)
     if found_ct * np.sign(expected_ct) < -_CLEAR_FRAC * abs(expected_ct):
-        axis.link.command("I51=0")
-        raise SafetyRefusal(
+        raise _tables_off(
+            axis,
             f"At {place_mm:.1f} mm the table means {expected_ct * to_um:+.1f} um, "
-            f"the motor stands {found_ct * to_um:+.1f} um beside its command: the sign of the "
-            "tables is reversed.",
+            f"the motor stands {found_ct * to_um:+.1f} um beside its command",
             code="PC-DEP-041",
-            hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
-            "and report this controller's firmware.",
-            left=ControllerState.DISABLED,
         )
     axis.move_to(back_to_ct)
     said = (
@@ -155,18 +154,26 @@ def check_cam_sign(axis: Axis, table: CompTable, context: Context) -> list[str]:
     share = found_ct / expected_ct
     said = f"{expected_ct * to_um:+.1f} um meant, {found_ct * to_um:+.1f} um found"
     if share < -_CLEAR_FRAC:
-        axis.link.command("I51=0")
-        raise SafetyRefusal(
-            f"Where the cam corrects first the motor stands on the other side ({said}): the sign "
-            "of the tables is reversed.",
+        raise _tables_off(
+            axis,
+            f"Where the cam corrects first the motor stands on the other side ({said})",
             code="PC-DEP-042",
-            hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
-            "and report this controller's firmware.",
-            left=ControllerState.DISABLED,
         )
     if share < _CLEAR_FRAC:
         return [f"friction holds the motor against the cam ({said}): its sign was not measured"]
     return [f"sign of the cam measured: {said}"]
+
+
+def _tables_off(axis: Axis, seen: str, *, code: str) -> SafetyRefusal:
+    """Error of tables that correct the wrong way, after they were switched off."""
+    axis.link.command("I51=0")
+    return SafetyRefusal(
+        f"{seen}: the sign of the tables is reversed.",
+        code=code,
+        hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
+        "and report this controller's firmware.",
+        left=ControllerState.DISABLED,
+    )
 
 
 def _beside_its_time(axis: Axis, place_ct: int) -> float:
@@ -188,7 +195,9 @@ def _first_clear(axis: Axis, table: CompTable) -> tuple[int, float]:
     """First time of a cam at which it moves the motor clearly, and by how much; counts."""
     places = np.rint(np.linspace(0.0, table.span_ct, len(table.entries) + 1))
     values = table.correction_ct(places)
-    enough_ct = min(_offset_ct(axis, SIGN_OFFSETS_um[0]), 0.7 * float(np.max(np.abs(values))))
+    enough_ct = min(
+        _offset_ct(axis, SIGN_OFFSETS_um[0]), _NEARLY_MOST_FRAC * float(np.max(np.abs(values)))
+    )
     first = int(np.argmax(np.abs(values) >= enough_ct))
     return int(places[first]), float(values[first])
 
@@ -199,12 +208,12 @@ def _strongest(axis: Axis, table: CompTable, backlash: BacklashTable | None) -> 
     On the way down from zero backlash counts with it.
     """
     limits = axis.scales.limits(axis.bench)
-    margin = 0.02 * (limits.max_position_ct - limits.min_position_ct)
+    margin = _ENDS_FRAC * (limits.max_position_ct - limits.min_position_ct)
     places = np.linspace(limits.min_position_ct + margin, limits.max_position_ct - margin, _PLACES)
     values = table.correction_ct(places)
     if backlash is not None:
         values = values - np.where(places < 0.0, backlash.backlash_ct(places), 0.0)
-    good = np.flatnonzero(np.abs(values) >= 0.7 * np.max(np.abs(values)))
+    good = np.flatnonzero(np.abs(values) >= _NEARLY_MOST_FRAC * np.max(np.abs(values)))
     best = good[np.argmin(np.abs(places[good]))]
     return float(places[best]), float(values[best])
 
