@@ -43,7 +43,11 @@ from pmac_comp.physics.compensate.loop import (
 )
 from pmac_comp.physics.compensate.ripple import RIPPLE, turn_torque, with_turn_torque
 from pmac_comp.physics.compensate.trim import DRAG
-from pmac_comp.physics.compensate.unmodelled import turn_torque_Nm, unmodelled
+from pmac_comp.physics.compensate.unmodelled import (
+    noting_unmodelled,
+    turn_torque_Nm,
+    unmodelled,
+)
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.effect import split_name
 from pmac_comp.workflow.routes import LATENCY_CYCLES, TORQUE_ROUTES
@@ -289,9 +293,7 @@ def with_unmodelled(
         motor_step_m=bench.motor_resolution_m / fine,
         table_step_m=bench.scale_resolution_m or 0.0,
     )
-    if rest is None:
-        return law
-    return law.noting({"unmodelled": rest.as_mapping()})
+    return law if rest is None else noting_unmodelled(law, rest)
 
 
 def wobble_of(bench: Bench, lead: LeadMap | None) -> LeadWave | None:

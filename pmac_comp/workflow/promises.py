@@ -14,8 +14,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner, counted_loop, model_loop
 from pmac_comp.physics.compensate.promise import Expected, Static, expect
 from pmac_comp.physics.compensate.unmodelled import (
-    Unmodelled,
     model_law,
+    noted_unmodelled,
     open_at_rest_um,
     widened,
 )
@@ -113,7 +113,7 @@ class Promiser:
         law, at_rest_um = self.compensation.law, 0.0
         if self.compensation.route in TORQUE_ROUTES:
             at_rest_um = open_at_rest_um(law, motion.position_m)
-        found = widened(own.errors, _rest_of(law), at_rest_um)
+        found = widened(own.errors, noted_unmodelled(law), at_rest_um)
         return {**found, ROUNDING: rms_um(own.residual_m - exact.residual_m)}
 
     def _of_loop(
@@ -210,12 +210,6 @@ def expect_drawn(
     added = np.concatenate([fixed.table_m[: head_m.size], desired_m - motion.position_m])
     runs = loop(r, None, None), loop(r, r + added, None)
     return Expected(r, *runs, added, fixed, head_m.size)
-
-
-def _rest_of(law: CompensationLaw) -> Unmodelled | None:
-    """What the captures showed beyond the model, as the compensation file keeps it."""
-    found = law.provenance.get("unmodelled")
-    return None if found is None else Unmodelled.from_mapping(found)
 
 
 def true_errors(

@@ -32,11 +32,11 @@ _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and plac
 _LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
 _PLACE_FRAC = 0.05  # of the friction torque: what a load by place has at the runs' ends
 _PLACE_SURE = 1.5  # times two standard deviations
-_PLACE = 4  # its column
 _UNEVEN_FRAC = 0.05  # of the friction torque: what goes with the speed has at the runs' highest
 _UNEVEN_SURE = 1.5  # times two standard deviations
 _UNEVEN_ALONE = 0.05  # runs of few speeds part it from a constant poorly, as its std says
-_EVEN = 5  # the column of the speed's size
+# Columns of the regression: a constant, direction, speed, acceleration, place, speed either way.
+_ONE, _DIRECTION, _SPEED, _ACCELERATION, _PLACE, _EVEN = range(6)
 
 
 @dataclass(frozen=True)
@@ -162,24 +162,21 @@ def constant_torque(
     parts = [_rows(loop, c) for c in captures if c.torque_command_Nm is not None]
     if not parts:
         return None
-    columns = np.concatenate([part[0] for part in parts])
-    rest_Nm = np.concatenate([part[1] for part in parts])
-    begins = np.concatenate([part[2] for part in parts])
-    n_stretches = int(begins.sum())
-    if n_stretches < _LEAST_STRETCHES or np.ptp(columns[:, 1]) == 0.0:
+    columns, rest_Nm, begins = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if begins.sum() < _LEAST_STRETCHES or np.ptp(columns[:, _DIRECTION]) == 0.0:
         return None
     reach_m = float(np.ptp(columns[:, _PLACE]))
     middle_m = float(columns[:, _PLACE].mean())
     columns[:, _PLACE] -= middle_m
-    fastest = float(np.max(columns[:, _EVEN]))
+    fastest_m_per_s = float(np.max(columns[:, _EVEN]))
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-30)
     columns /= size
     fit = partial(_of_columns, rest_Nm=rest_Nm, begins=begins)
-    with_speed, constant, rise = fit(columns, (_EVEN, 0, _PLACE), alone=_UNEVEN_ALONE)
+    with_speed, constant, rise = fit(columns, (_EVEN, _ONE, _PLACE), alone=_UNEVEN_ALONE)
     uneven, uneven_two_std = (value / float(size[_EVEN]) for value in with_speed or (0.0, 0.0))
-    if abs(uneven) <= max(_UNEVEN_SURE * uneven_two_std, least_uneven_Nm / fastest):
+    if abs(uneven) <= max(_UNEVEN_SURE * uneven_two_std, least_uneven_Nm / fastest_m_per_s):
         uneven = 0.0
-        constant, rise = fit(columns[:, :_EVEN], (0, _PLACE), alone=_LEAST_ALONE)
+        constant, rise = fit(columns[:, :_EVEN], (_ONE, _PLACE), alone=_LEAST_ALONE)
         if constant is None:
             return None
     slope, slope_two_std = rise or (0.0, 0.0)
@@ -192,7 +189,7 @@ def constant_torque(
         middle_m=middle_m,
         uneven_Nm_s_per_m=uneven,
         uneven_two_std_Nm_s_per_m=uneven_two_std,
-        fastest_m_per_s=fastest,
+        fastest_m_per_s=fastest_m_per_s,
     )
 
 
@@ -224,13 +221,13 @@ def _of_columns(
 
 
 def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Columns one, direction, speed, acceleration, place, speed's size; torque beyond the model.
+    """Columns of the regression, torque beyond the model, and where a stretch begins, row by row.
 
-    The third array marks the first row of each stretch.
-    Rows are those on which the direction is clear.
+    Rows are the samples of a run on which the direction is clear; shapes (rows, 6), (rows,) and
+    (rows,).
     """
     r, period = capture.commanded_position_m, capture.sample_period_s
-    measured = np.zeros(0) if capture.torque_command_Nm is None else capture.torque_command_Nm
+    measured_Nm = np.zeros(0) if capture.torque_command_Nm is None else capture.torque_command_Nm
     v = np.gradient(r, period)
     a = np.gradient(v, period)
     columns = np.column_stack([np.ones_like(r), np.sign(v), v, a, r, np.abs(v)])
@@ -238,8 +235,8 @@ def _rows(loop: LoopRunner, capture: Capture) -> tuple[FloatArray, FloatArray, B
     use &= capture.mask
     numbers = stretch[use]
     begins = np.concatenate([np.ones(min(numbers.size, 1)), np.diff(numbers)]) != 0.0
-    rest = measured[use] - loop(r, None, None).torque_Nm[use]
-    return columns[use], rest, begins
+    rest_Nm = measured_Nm[use] - loop(r, None, None).torque_Nm[use]
+    return columns[use], rest_Nm, begins
 
 
 def _clear_way(r: FloatArray) -> tuple[BoolArray, FloatArray]:

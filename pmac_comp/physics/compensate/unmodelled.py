@@ -41,6 +41,7 @@ from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.promise import MotionPromise
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
 
+_NOTE = "unmodelled"  # of a law's provenance
 # Fresh motions are not those of the captures: the worst of a handful is not the worst there is.
 _BEYOND_WORST = 1.25
 _MOST_OFF = 0.9
@@ -74,6 +75,17 @@ class Unmodelled:
     def as_mapping(self) -> dict[str, list[float]]:
         """For a file."""
         return {name: list(value) for name, value in asdict(self).items()}
+
+
+def noting_unmodelled(law: CompensationLaw, rest: Unmodelled) -> CompensationLaw:
+    """The law with what captures showed beyond its model, which widens its promise."""
+    return law.noting({_NOTE: rest.as_mapping()})
+
+
+def noted_unmodelled(law: CompensationLaw) -> Unmodelled | None:
+    """What captures showed beyond the model of a law, as it keeps that; None without captures."""
+    noted = law.provenance.get(_NOTE)
+    return None if noted is None else Unmodelled.from_mapping(noted)
 
 
 def unmodelled(
