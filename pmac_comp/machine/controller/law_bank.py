@@ -64,8 +64,9 @@ The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it ne
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
 step at a reversal arrives with the axis in spite of latency, delay and current loop. Over the first
 100 cycles of a rest t fades by RF and s by UF a cycle; PLC 0 and the open servo look at what the
-output holds over a rest and begin the next motion from there; what they then send against the
-integrator gives way in those 100 cycles where it pushes as t does (``feedforward_law.plc0``).
+output holds over a longer rest and begin the next motion from there; what they then send against
+the integrator gives way in the 100 cycles after those where it pushes as t does
+(``feedforward_law.plc0``).
 """
 
 import zlib

@@ -51,7 +51,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     return max(sum(_operations(line) for line in one) for one in passes)
 
 
-_RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<100)"
+_RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<200)"
 _BY_TURN = {"friction_per_turn", "wobble", "cogging", "uneven"}  # they share a test:
 _SHARED = "IF(P7188>0)"
 _WITHOUT_GAP = "IF(P7186=0)"  # within that

@@ -83,11 +83,13 @@ Over a long rest a loop hunts: its integrator takes the output from the friction
 anywhere within friction, on average to none. After moves that all go one way that is the same
 torque each time, which the law has to undo each time: without more it grew to nine times the
 friction, and a longer move after such steps of 5 mm began 25 um off (simulated, a heavy table on a
-noisy encoder, rests of 20 s). So what stands against the integrator gives way as a rest begins, by
-two fifths of the friction and only where it pushes the way that ``t`` does: the output goes to
-about zero, which friction holds, and the motor stands where it stood. With play in the nut only
-what is more than friction does: less, let go, left the motor of a hanging axis at rest on the other
-flank.
+noisy encoder, rests of 20 s). So what stands against the integrator gives way in a rest, by as much
+as ``t`` holds and only where it pushes the way that ``t`` does: the output goes to about zero, which
+friction holds, and the motor stands where it stood. It does so when a rest is so long that the next
+motion begins by the output: between short moves the loop, which knows nothing of it, would stop
+beside its goal, its integrator break the motor loose there, and the screw stand wound the other way
+(1.6 um of the table, simulated with sharp friction). With play in the nut only what is more than
+friction does: less, let go, left the motor of a hanging axis at rest on the other flank.
 
 What stands against the integrator pushes nothing together with it, and as it fades the loop sheds
 as much by a steady error: that torque over the proportional gain, times the integrator's time over
@@ -140,7 +142,7 @@ REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9999  # of the torque against the integrator, per pass in motion
-WOUND_YIELD = 0.006  # of the friction torque, that it gives way per cycle as a rest begins
+WOUND_YIELD = 0.01  # of the friction torque, that it gives way per cycle of the next REST_CYCLES
 _WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
 # Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
@@ -552,15 +554,16 @@ def _faded(
 ) -> tuple[float, float, float]:
     """Friction states of table and torque, and the torque against the integrator, after a pass.
 
-    ``goes`` are the shares of the states that fade in a pass of a rest, and the torque by which the
-    last gives way in it where friction pushes along with all it has; it ``stays`` up to that size.
+    ``goes`` are the shares of the states that fade in a pass as a rest begins, and the torque by
+    which the last gives way in one after that where friction pushes along with all it has; it
+    ``stays`` up to that size.
     """
     s, t, wound = states
-    if rest >= REST_CYCLES:
-        return s, t, wound
-    if wound * t > 0.0 and abs(wound) > stays:
+    if rest < REST_CYCLES:
+        return s * (1.0 - goes[0]), t * (1.0 - goes[1]), wound
+    if rest <= 2.0 * REST_CYCLES and wound * t > 0.0 and abs(wound) > stays:
         wound -= goes[2] * t
-    return s * (1.0 - goes[0]), t * (1.0 - goes[1]), wound
+    return s, t, wound
 
 
 @njit(cache=True, nogil=True)
