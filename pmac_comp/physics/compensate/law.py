@@ -84,12 +84,12 @@ anywhere within friction, on average to none. After moves that all go one way th
 torque each time, which the law has to undo each time: without more it grew to nine times the
 friction, and a longer move after such steps of 5 mm began 25 um off (simulated, a heavy table on a
 noisy encoder, rests of 20 s). So what stands against the integrator gives way in a rest, by as much
-as ``t`` holds and only where it pushes the way that ``t`` does: the output goes to about zero, which
-friction holds, and the motor stands where it stood. It does so when a rest is so long that the next
-motion begins by the output: between short moves the loop, which knows nothing of it, would stop
-beside its goal, its integrator break the motor loose there, and the screw stand wound the other way
-(1.6 um of the table, simulated with sharp friction). With play in the nut only what is more than
-friction does: less, let go, left the motor of a hanging axis at rest on the other flank.
+as ``t`` holds and only where it pushes the way that ``t`` does: the output goes to about zero,
+which friction holds, and the motor stands where it stood. It does so when a rest is so long that
+the next motion begins by the output: between short moves the loop, which knows nothing of it, would
+stop beside its goal, its integrator break the motor loose there, and the screw stand wound the
+other way (1.6 um of the table, simulated with sharp friction). With play in the nut only what is
+more than friction does: less, let go, left the motor of a hanging axis at rest on the other flank.
 
 What stands against the integrator pushes nothing together with it, and as it fades the loop sheds
 as much by a steady error: that torque over the proportional gain, times the integrator's time over
