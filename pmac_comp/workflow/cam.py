@@ -123,20 +123,19 @@ def _program_lines(pvt: PvtProgram, shape: CamShape, period_s: float) -> tuple[s
     """Lines of the motion with the time axis Y beside; Y goes once through the whole table.
 
     Y is incremental and its way is the length of the table: the next run finds the same table.
+    Segments may end between two cycles: what is rounded is the time since the start, as each of
+    their lengths would lose a part.
     """
     speed = number_text(shape.ct_per_cycle / period_s, 3)
     ramp_ct = shape.ct_per_cycle * CAM_RUN_UP_CYCLES // 2
     run_up = f"PVT{number_text(CAM_RUN_UP_CYCLES * period_s * MS_PER_S, 6)}"
     start = f"X{number_text(pvt.start_ct, 4)}:0"
     lines = ["DWELL100", "ABS(X)", "INC(Y)", run_up, f"{start}Y{ramp_ct}:{speed}"]
-    cycles, end = 0, start
-    for line in pvt.lines:
-        if line.startswith("PVT"):
-            cycles = round(float(line[3:]) / (period_s * MS_PER_S))
-            lines.append(line)
-        elif line.startswith("X"):
-            end = line
-            lines.append(f"{line}Y{cycles * shape.ct_per_cycle}:{speed}")
+    at_ct, end = 0, start
+    for segment in pvt.segments:
+        end, before_ct = segment.end, at_ct
+        at_ct = round(segment.end_cycle * shape.ct_per_cycle)
+        lines += [*filter(None, [segment.time]), f"{end}Y{at_ct - before_ct}:{speed}"]
     if shape.rest_cycles:
         rest_ct = shape.rest_cycles * shape.ct_per_cycle
         lines += [

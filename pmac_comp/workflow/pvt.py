@@ -34,16 +34,25 @@ _SHARP, _SMOOTH_FRAC = 30.0, 0.85  # times what so many of the fourth difference
 _JERK_FRAC = 0.03  # of a step of the acceleration: a cubic does not bend so little by a jerk
 
 
+class PvtSegment(NamedTuple):
+    """One segment: when it ends, in servo cycles from the start, and its text.
+
+    ``time`` is empty where the segment before took as long.
+    """
+
+    end_cycle: float
+    time: str
+    end: str
+
+
 @dataclass(frozen=True)
 class PvtProgram:
     """A sampled trajectory as a motion program.
 
     Parameters
     ----------
-    lines : tuple of str
-        Lines between OPEN and CLOSE.
-    n_segments : int
-        PVT segments.
+    segments : tuple of PvtSegment
+        In their order.
     start_ct : float
         Where the motor must stand, counts.
     shape_error_m : float
@@ -54,12 +63,17 @@ class PvtProgram:
         Time the program takes.
     """
 
-    lines: tuple[str, ...]
-    n_segments: int
+    segments: tuple[PvtSegment, ...]
     start_ct: float
     shape_error_m: float
     rounding_ct: float
     duration_s: float
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Lines between OPEN and CLOSE."""
+        texts = (text for segment in self.segments for text in (segment.time, segment.end))
+        return ("ABS", *filter(None, texts))
 
 
 def number_text(value: float, decimals: int) -> str:
@@ -85,19 +99,19 @@ def pvt_program(motion: Motion, bench: Bench) -> PvtProgram:
     position = motion.position_m / scales.motor_m_per_ct
     tolerance = _PVT_ERROR_m / scales.motor_m_per_ct
     nodes, worst = _nodes(position, tolerance)
-    lines: list[str] = ["ABS"]
+    segments: list[PvtSegment] = []
     last, rounding = 0.0, 0.0
     for before, node in pairwise(nodes):
-        cycles = node.cycle - before.cycle
+        cycles, time = node.cycle - before.cycle, ""
         if abs(cycles - last) > _SAME_CYCLES:
-            lines.append(f"PVT{number_text(cycles * period * MS_PER_S, 6)}")
+            time = f"PVT{number_text(cycles * period * MS_PER_S, 6)}"
             last = cycles
         place = _listed(node.place, 4)
         rounding = max(rounding, abs(float(place) - node.place))
-        lines.append(f"X{place}:{_listed(node.speed / period, 3)}")
+        end = f"X{place}:{_listed(node.speed / period, 3)}"
+        segments.append(PvtSegment(node.cycle, time, end))
     return PvtProgram(
-        tuple(lines),
-        len(nodes) - 1,
+        tuple(segments),
         float(position[0]),
         worst * scales.motor_m_per_ct,
         rounding,

@@ -1,7 +1,7 @@
 """The electronic cam on the embedded card: exact table in time, better motion, gone by rollback."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +29,7 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.workflow import cam as cam_module
 from pmac_comp.workflow import sign_test, simulated, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import (
@@ -38,10 +39,11 @@ from pmac_comp.workflow.cam import (
     reset_time,
     time_motor_variables,
 )
+from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compute_compensation
 from pmac_comp.workflow.deploy import context_of, deploy, switch
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
 from pmac_comp.workflow.simulated import TruthRecorder
 from pmac_comp.workflow.tables import sum_remarks
@@ -75,6 +77,49 @@ def test_table_is_the_correction_over_time_and_zero_outside() -> None:
     after = np.arange(at[-1], table.span_ct, 97.0)
     assert np.all(table.correction_ct(after) == 0.0)
     assert table.span_ct >= (BENCH.travel.max_mm - BENCH.travel.min_mm) / 1e3 / 1e-6
+
+
+def cam_along(motion: Motion) -> Compensation:
+    nothing = np.zeros(motion.position_m.size)
+    time_s = motion.trajectory.time_s
+    return Compensation("cam", CompensationLaw(), None, time_s, motion.position_m, nothing)
+
+
+def times_and_counts(lines: Sequence[str]) -> list[tuple[float, int]]:
+    """Servo cycles and counts of the time axis at the end of each segment, from the start."""
+    cycles, time, count, found = 0.0, 0.0, 0, []
+    for line in lines:
+        if line.startswith("PVT"):
+            cycles = float(line[3:]) / 1e3 / BENCH.servo_period_s
+        elif way := re.search(r"Y(-?[0-9]+):", line):
+            time, count = time + cycles, count + int(way[1])
+            found.append((time, count))
+    return found
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_time_goes_through_the_whole_table_where_segments_end_between_cycles(seed: int) -> None:
+    for motion in verification_motions(BENCH, seed, n_sine=1):
+        cam = render_cam(cam_along(motion), BENCH)
+        _, *between, last = times_and_counts(cam.program.lines)
+        assert last[1] == cam.table.table.span_ct, motion.name
+        ramp = CAM_RUN_UP_CYCLES / 2  # at half speed: it takes twice as long
+        late = [count / cam.shape.ct_per_cycle + ramp - time for time, count in between]
+        assert np.max(np.abs(late)) < 0.01, motion.name  # cycles
+
+
+def test_a_program_run_again_finds_its_table_from_the_beginning(axis: Axis, tmp_path: Path) -> None:
+    motion = verification_motions(BENCH, 1)[4]
+    compensation = cam_along(motion)
+    deploy(axis, compensation, context_of(axis, tmp_path))
+    runner, _ = cam_axis(axis, compensation)
+    runner.prepare(motion)
+    turn_ct = render_cam(compensation, BENCH).table.table.span_ct
+    for turns in (1, 2):
+        axis.move_to(float(motion.position_m[0]) / axis.scales.motor_m_per_ct)
+        axis.link.command(f"&1B{CAM_PROGRAM}R")
+        runner.finish()
+        assert cam_module._time_ct(axis) == pytest.approx(turns * turn_ct, abs=0.5)
 
 
 def test_too_long_a_motion_is_refused() -> None:
