@@ -35,13 +35,17 @@ from pmac_comp.workflow.owners import is_of_axis
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
+from pmac_comp.workflow.scales import Scales
 from pmac_comp.workflow.session import open_axis
 from pmac_comp.workflow.tables import tables_of
 
 _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
 # Coefficients of a law that many drives do without.
-_SPECIAL = frozenset({"GH", "GW", "TR", "TG", "TH", "VU", "TU", "RS"})
+_SPECIAL = frozenset({"GH", "GW", "TG", "TH", "VU", "TU", "RS"})
+# Three meanings of one place, TR.
+_FRICTION_WAVE, _COGGING_WAVE, _WOBBLE_WAVE = "TR friction", "TR cogging", "TR wobble"
+_WAVES = frozenset({_FRICTION_WAVE, _COGGING_WAVE, _WOBBLE_WAVE})
 _ELASTIC = frozenset({"A0", "V0", "S0", "GW", "VU"})  # they change along the travel with the screw
 
 _COLUMNS = ("quantity", "old", "new", "unit")
@@ -240,13 +244,14 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
         ("torque, constant", "T0", torque, "Nm"),
         ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
         ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),
-        ("torque, friction per turn", "TR", torque, "Nm"),
+        *_wave_units(scales),
         ("torque, share that ripples", "RS", 100.0, "%"),
         ("torque, while the nut crosses", "TG", torque, "Nm"),
         ("torque, cogging", "TH", torque, "Nm"),
     ]
     # What not every drive has is shown where either law has it.
-    shown = [row for row in units if row[1] not in _SPECIAL or _has(row[1], old, new)]
+    special = _SPECIAL | _WAVES
+    shown = [row for row in units if row[1] not in special or _has(row[1], old, new)]
     middle_ct, middle_mm = middle_m / m, middle_m * MM_PER_M
     return [
         ("law, told for the axis at", None if old is None else middle_mm, middle_mm, "mm"),
@@ -262,16 +267,41 @@ def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[
     ]
 
 
+def _wave_units(scales: Scales) -> list[tuple[str, str, float, str]]:
+    """Rows of what TR may be; only that against the wobble grows with the cube of the speed."""
+    torque = scales.torque_Nm_per_dac
+    per_speed_cubed = torque * (scales.period_s / scales.motor_m_per_ct) ** 3
+    return [
+        ("torque, friction per turn", _FRICTION_WAVE, torque, "Nm"),
+        ("torque, second cogging", _COGGING_WAVE, torque, "Nm"),
+        ("torque, against the lead's wobble", _WOBBLE_WAVE, per_speed_cubed, "Nm/(m/s)3"),
+    ]
+
+
+def _wave(law: LawParameters) -> str:
+    """What TR is in a law."""
+    if law.is_wobble:
+        return _WOBBLE_WAVE
+    return _COGGING_WAVE if law.is_second_cogging else _FRICTION_WAVE
+
+
+def _value(law: LawParameters, key: str) -> float:
+    """Coefficient of a bank, or its wave of one kind: none where its TR is another."""
+    if key in _WAVES:
+        return abs(law.TR) if key == _wave(law) else 0.0
+    return float(getattr(law, key))
+
+
 def _coefficient(law: LawParameters, key: str, place_ct: float) -> float:
     """Coefficient of a bank as it acts at a place of the motor."""
-    value = float(getattr(law, key))
+    value = _value(law, key)
     if key in _ELASTIC:
         return value * (1.0 + law.C1 * place_ct)
     return value + law.TP * place_ct if key == "T0" else value
 
 
 def _has(key: str, *laws: LawParameters | None) -> bool:
-    return any(law is not None and getattr(law, key) != 0.0 for law in laws)
+    return any(law is not None and _value(law, key) != 0.0 for law in laws)
 
 
 def reference_motion(bench: Bench) -> tr.Trajectory:

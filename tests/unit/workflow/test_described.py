@@ -125,6 +125,31 @@ def test_only_what_either_law_has_stands_in_the_difference() -> None:
     assert row[1:] == (pytest.approx(2.4, rel=1e-6), 0.0, "um")
 
 
+def test_each_wave_of_the_turn_has_a_row_with_its_name_and_unit() -> None:
+    """Three kinds share one place of a bank, a wobble below zero and in another unit."""
+    scales = Scales.of(BENCH)
+    axis: Any = SimpleNamespace(scales=scales, bench=BENCH)
+    waves = {
+        "torque, friction per turn": ({"turn_friction_Nm": 0.018, "turn_order": 2.0}, "Nm"),
+        "torque, second cogging": ({"turn_friction_Nm": 0.018, "turn_order": -12.0}, "Nm"),
+        "torque, against the lead's wobble": (
+            {"torque_wobble_Nm_s3_per_m3": 5.0, "turn_order": 2.0},
+            "Nm/(m/s)3",
+        ),
+    }
+    laws = {
+        name: law_parameters(friction_law().with_values(**values), scales)
+        for name, (values, _) in waves.items()
+    }
+    for name, (values, unit) in waves.items():
+        for other in waves:
+            rows = {row[0]: row[1:] for row in law_rows(axis, laws[other], laws[name])}
+            assert rows.keys() & waves.keys() == {name, other}
+            size = pytest.approx(next(iter(values.values())), rel=1e-6)
+            assert rows[name] == (size if other == name else 0.0, size, unit)
+            assert other == name or rows[other][1] == 0.0
+
+
 def test_coefficients_are_told_for_the_same_place_before_and_on_the_card() -> None:
     """A bank holds them at the motor's zero; the travel of this axis lies far from it."""
     travel = BENCH.travel.model_copy(update={"min_mm": 20.0, "max_mm": 380.0})
