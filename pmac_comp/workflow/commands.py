@@ -14,6 +14,7 @@ from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.capture import read_capture
 
 _TIME, _POSITION = "time_s", "commanded_position_mm"
+_UNEVEN = 1.5  # times the usual step, or a part of it: rounded times stay below
 _CAPTURES = frozenset({".h5", ".hdf5", ".csv", ".mat"})
 _SIDES = re.compile("(before|after)_[0-9]+$")  # as `verify --out` names its runs
 
@@ -58,16 +59,29 @@ def read_command(path: Path) -> tuple[FloatArray, FloatArray]:
             hint="Each row needs one decimal number (point, no thousands sign) per column.",
         ) from error
     time_s, position_mm = columns
-    steps = np.diff(time_s)
-    if not steps.min() > 0.0 or steps.max() > 1.5 * steps.min():
-        index = int(np.argmax(steps))
-        raise SampleGap(
-            f"{path.name}: time does not run on a uniform grid (step {steps[index]:.6g} s after "
-            f"row {index + 1}).",
-            code="PC-CMD-003",
-            hint="Give one row per servo period.",
-        )
+    _require_even(path, time_s)
     return time_s, position_mm / MM_PER_M
+
+
+def _require_even(path: Path, time_s: FloatArray) -> None:
+    """Raise SampleGap for the first row whose time is not about one step after the one before."""
+    steps = np.diff(time_s)
+    forward = steps[steps > 0.0]
+    # One of the steps, not the middle of two: half of a file may be sampled twice as fast.
+    usual_s = float(np.quantile(forward, 0.5, method="lower")) if forward.size else 0.0
+    off = np.flatnonzero((steps <= 0.0) | (steps * _UNEVEN < usual_s) | (steps > _UNEVEN * usual_s))
+    if not off.size:
+        return
+    before = int(off[0])
+    expected = f"{usual_s:.6g} s" if usual_s else "more than 0 s"
+    raise SampleGap(
+        f"{path.name}: time does not run on a uniform grid: row {before + 2} of the numbers, at "
+        f"{time_s[before + 1]:.9g} s, comes {steps[before]:.6g} s after the row before it; "
+        f"expected is {expected}.",
+        code="PC-CMD-003",
+        hint="Give one row per servo period.",
+        context={"row": before + 2, "rows": int(off.size)},
+    )
 
 
 def capture_paths(paths: Sequence[Path], *, side: str = "") -> tuple[Path, ...]:
