@@ -16,11 +16,14 @@ from pmac_comp.machine.controller import law_state, motors
 from pmac_comp.machine.controller import registers as reg
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
 from pmac_comp.machine.controller.context import UNKNOWN, Context
+from pmac_comp.machine.controller.gather import note_failure
 from pmac_comp.machine.controller.law_aside import law_aside
 from pmac_comp.machine.controller.numbers import parse_integer
 from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
+from pmac_comp.machine.controller.verdict import link_is_lost
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import reset_time, run_time_to
+from pmac_comp.workflow.standing import stand_to_switch
 
 SIGN_OFFSETS_um = (20.0, 50.0, 100.0)  # one after the other, until the motor moves
 _NOT_MOVED = "PC-SGN-005"  # code of ``check_master_sign`` where friction held the motor
@@ -32,6 +35,7 @@ _LOOP_IS_OPEN = (
     "the sign of the {} was not measured, as the motor's loop is open: upload again with the motor "
     "enabled before {}"
 )
+_REPORT = "Upload no tables to this controller, and report its firmware."
 _SETTLE_s = 0.6
 _PLACES = 1201  # over the travel, among which the strongest is looked for
 
@@ -91,7 +95,8 @@ def check_table_sign(
     Raises
     ------
     SafetyRefusal
-        The motor stands on the other side: the tables are switched off.
+        The motor stands on the other side: the axis goes where the tables step least, and they are
+        switched off.
     """
     own = [t for t in tables if t.motor == axis.motor]
     table = next((t for t in own if isinstance(t, CompTable)), None)
@@ -165,15 +170,39 @@ def check_cam_sign(axis: Axis, table: CompTable, context: Context) -> list[str]:
 
 
 def _tables_off(axis: Axis, seen: str, *, code: str) -> SafetyRefusal:
-    """Error of tables that correct the wrong way, after they were switched off."""
-    axis.link.command("I51=0")
-    return SafetyRefusal(
+    """Error of tables that correct the wrong way, after they were switched off without a step.
+
+    A compensation register keeps what it holds while tables are off: where they correct most the
+    axis would go on standing wrong by all of it.
+    """
+    refusal = SafetyRefusal(
         f"{seen}: the sign of the tables is reversed.",
         code=code,
-        hint="Tables were switched off (I51 = 0). Take them back with `pmac-comp rollback` "
-        "and report this controller's firmware.",
+        hint=f"Tables were switched off (I51 = 0) where they step least. {_REPORT}",
         left=ControllerState.DISABLED,
     )
+    try:
+        stand_to_switch(axis)
+        axis.link.command("I51=0")
+    except KeyboardInterrupt:
+        with suppress(PmacCompError):
+            _off_with_a_kill(axis)
+        raise
+    except PmacCompError as error:
+        if link_is_lost(error):
+            error.add_note(refusal.message)
+            raise
+        refusal.hint = f"The motor was killed and tables were switched off (I51 = 0). {_REPORT}"
+        refusal.add_note(f"The axis could not go where tables step least: {error.message}")
+        note_failure(refusal, lambda: _off_with_a_kill(axis))
+    return refusal
+
+
+def _off_with_a_kill(axis: Axis) -> None:
+    """Tables off where the axis is: a killed motor does not jump when its register is cleared."""
+    axis.kill()
+    axis.link.command("I51=0")
+    axis.link.command(f"WL${reg.motor_register(axis.motor, reg.COMPENSATION):X},0")
 
 
 def _beside_its_time(axis: Axis, place_ct: int) -> float:
