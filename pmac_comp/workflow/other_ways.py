@@ -233,6 +233,8 @@ def _without_sliding(model: DriveModel) -> DriveModel:
 def scaled_bench(bench: Bench, scaling: float, *, notch_Hz: float | None = None) -> Bench:
     """Bench whose loop gains are scaled, and with a notch; acceleration feedforward stays.
 
+    The notch comes in place of one that the bench file states: a card has one.
+
     Source
     ------
     Turbo PMAC Software Reference Manual, Ixx30-Ixx39: Ixx30 multiplies the whole law, the notch is
@@ -259,12 +261,19 @@ def _scaled_pmac(bench: Bench, scaling: float, notch_Hz: float | None) -> dict[s
     motor = bench.encoder.motor_number
     given = dict(bench.controller.ivariables)
     gain, forward = given.get(f"I{motor}30", 2000.0), given.get(f"I{motor}35", 0.0)
-    at_rest = 1.0
     if notch_Hz is not None:
+        names = [f"I{motor}{number}" for number in (36, 37, 38, 39)]
+        gain *= _gain_at_rest(*(given.get(name, 0.0) for name in names))
         b, a = iirnotch(notch_Hz, _NOTCH_QUALITY, fs=1.0 / bench.servo_period_s)
-        at_rest = float(b[0])
-        coefficients = (b[1] / b[0], b[2] / b[0], a[1], a[2])
-        given |= {f"I{motor}{36 + i}": float(value) for i, value in enumerate(coefficients)}
-    given[f"I{motor}30"] = gain * scaling * at_rest
+        notch = [float(value) for value in (b[1] / b[0], b[2] / b[0], a[1], a[2])]
+        gain /= _gain_at_rest(*notch)
+        given |= zip(names, notch, strict=True)
+    given[f"I{motor}30"] = gain * scaling
     given[f"I{motor}35"] = forward / scaling
     return given
+
+
+def _gain_at_rest(n1: float, n2: float, d1: float, d2: float) -> float:
+    """What a notch makes of a steady signal; one that integrates makes no definite value of it."""
+    below = 1.0 + d1 + d2
+    return (1.0 + n1 + n2) / below if below else 1.0

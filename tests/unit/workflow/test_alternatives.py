@@ -78,6 +78,25 @@ def test_scaled_gains_leave_the_acceleration_feedforward_and_the_gain_at_rest() 
     assert abs(1.0 + n1 / z + n2 / z**2) < 1e-9
 
 
+def test_a_notch_in_place_of_the_benchs_own_leaves_the_gain_at_rest() -> None:
+    """Its Ixx30 has the gain at rest of the notch that it states."""
+    stated = dict(zip(("I136", "I137", "I138", "I139"), (-1.6, 0.9, -1.0, 0.4), strict=True))
+    ivariables = {**BENCH.controller.ivariables, **stated}
+    controller = BENCH.controller.model_copy(update={"ivariables": ivariables})
+    bench = BENCH.model_copy(update={"controller": controller})
+
+    def slow_gain(scaling: float, notch_Hz: float | None, slot: int) -> float:
+        changed = scaled_bench(bench, scaling, notch_Hz=notch_Hz)
+        vector = DriveModel.base(changed).kernel_vector()
+        n1, n2, d1, d2 = vector[s.NOTCH : s.NOTCH + 4]
+        return float(vector[slot] * (1.0 + n1 + n2) / (1.0 + d1 + d2))
+
+    for slot, factor in ((s.KP, 2.0), (s.KVFF, 2.0), (s.KAFF, 1.0)):
+        own = slow_gain(1.0, None, slot)
+        assert slow_gain(2.0, None, slot) == pytest.approx(factor * own)
+        assert slow_gain(2.0, 130.0, slot) == pytest.approx(factor * own)
+
+
 def test_what_is_known_of_the_ways_comes_out() -> None:
     rows = compare_alternatives(MODEL, [SINE_m])
     total = {row.name: row.total_rms_um for row in rows}
