@@ -333,8 +333,6 @@ def _first_model(
     if path is not None:
         return load_model(path, bench, effects=effects), read_model(path)
     found = identify_captures(captures, bench, progress=progress)
-    if found.identification.model is None:
-        raise ModelError("The identification gave no model.", code="PC-IMP-001")
     return found.identification.model, found.model_file
 
 

@@ -51,7 +51,7 @@ def widened_where_apart(found: Identification, other: Identification) -> Identif
     )
     apart = elsewhere - values
     far = np.abs(apart) > _FAR * std
-    if model is None or not far.any():
+    if not far.any():
         return found
     covariance = found.correlation * np.outer(std, std) + np.outer(apart, apart)
     wider = np.sqrt(np.diag(covariance))
@@ -84,13 +84,10 @@ def _half_width_std(entry: ParameterEstimate) -> float:
 def _with_std(found: Identification, name: str, std: float) -> ParameterEstimate:
     entry = found.parameters[name]
     half_width = _half_width_std(entry)
-    low, high = -np.inf, np.inf
-    if found.model is not None:
-        spec = found.model.spec(name)
-        low, high = spec.lower, spec.upper
+    spec = found.model.spec(name)
     return replace(
         entry,
         std=std,
-        lower95=max(entry.value - half_width * std, low),
-        upper95=min(entry.value + half_width * std, high),
+        lower95=max(entry.value - half_width * std, spec.lower),
+        upper95=min(entry.value + half_width * std, spec.upper),
     )

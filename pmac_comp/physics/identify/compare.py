@@ -152,8 +152,6 @@ def _error_m(capture: Capture, static_map: StaticMap | None) -> FloatArray:
 
 
 def _full_prediction_m(capture: Capture, found: Identification, bench: Bench) -> FloatArray:
-    if found.model is None:
-        raise ModelError("The identification holds no model.", code="PC-CMP-004")
     record = prepare(capture, bench)
     columns = simulated_full(record, found.model)
     return np.asarray(columns[:, record.channels.index("difference")])

@@ -79,11 +79,11 @@ def measured_drive_lag(
         return None
     trial = Trial(captures, bench)
     held, freed = trial.half(model, None), trial.half(_freed(model), None)
-    if held is None or freed is None or freed.model is None:
+    if held is None or freed is None:
         return None
     before, after = trial.errors_with_motor(held), trial.errors_with_motor(freed)
     found = trial.settled(freed.model) if _follows_better(after, before) else None
-    if found is None or found.model is None:
+    if found is None:
         return None
     held_s, (lag_s, std_s) = _lag_s(model), _lag_of(found)
     if abs(lag_s - held_s) < max(_LEAST_s, _SIGNIFICANT * std_s):

@@ -169,7 +169,7 @@ class _FrictionTrial(Trial):
         """
         shape = [n for n in _asked(start) if n.partition(".")[0] not in BASE_EFFECTS]
         found = self.half(start, shape, "rough")
-        return start if found is None or found.model is None else found.model
+        return start if found is None else found.model
 
     def suspects(self, found: Identification) -> bool:
         """Whether the misfit of table minus motor around reversals asks for another friction.
@@ -220,7 +220,7 @@ def identify_with_friction(
     """
     trial = _FrictionTrial(captures, bench, progress, executor)
     base = trial.outlined()
-    if base is None or base.model is None:
+    if base is None:
         return trial.plain(base)
     errors = trial.errors(base)
     figures = {"held_out_coulomb_um": rms_um(errors)}
@@ -229,7 +229,7 @@ def identify_with_friction(
     if best is None and suspected:
         best = _set_in(trial, base.model, errors, figures)
     final = None
-    if best is not None and best.model is not None:
+    if best is not None:
         final = _without_nothing(trial, trial.settled(best.model), best)
     if final is None or best is None:
         base = trial.plain(base)
@@ -294,8 +294,6 @@ def _with_turning_curve(trial: _FrictionTrial, found: Identification) -> Identif
     What nut and bearings lose with speed costs torque and hardly moves the table: a curve at the
     guide, which moves both, comes out as nothing beside it or bends the guide's other friction.
     """
-    if found.model is None:
-        return None
     model, own = found.model, found.model.parameters
     if "stribeck" in model.effects:
         model = model.without_effect("stribeck")
@@ -320,14 +318,14 @@ def _with_curve_anew(trial: _FrictionTrial, found: Identification) -> Identifica
         stribeck_m_per_s=guess.stribeck_m_per_s,
         has_stribeck=True,
     )
-    return None if found.model is None else trial.fitted(_start(found.model, anew, _NO_ZONE_m))
+    return trial.fitted(_start(found.model, anew, _NO_ZONE_m))
 
 
 def _reduced(
     trial: _FrictionTrial, found: Identification | None
 ) -> tuple[Identification, _Form] | None:
     """A fit of every part without those that came out as nothing, and its form; None if all did."""
-    if found is None or found.model is None or (form := _form_of(found)).is_coulomb:
+    if found is None or (form := _form_of(found)).is_coulomb:
         return None
     if form.is_whole:
         return found, form
@@ -364,7 +362,7 @@ def _without_nothing(
 
     Nothing is what does not stand out of a deviation that reaches to what one half of them gave.
     """
-    if final is None or final.model is None:
+    if final is None:
         return final
     name = next((n for n in final.model.effects if split_name(n)[0] == "stribeck"), None)
     if name is None:
@@ -422,10 +420,9 @@ def _form_of(found: Identification) -> _Form:
 
 def _in_words(found: Identification, before_um: float, after_um: float) -> str:
     model = found.model
-    effects = () if model is None else model.effects
-    words = ", ".join(_WORDS[name] for name in effects if name in _WORDS)
+    words = ", ".join(_WORDS[name] for name in model.effects if name in _WORDS)
     what = f"Friction beside Coulomb and viscous: {words}."
-    if model is not None and sets_in_unseen(model):
+    if sets_in_unseen(model):
         over = " and ".join(f"{UM_PER_M * model.parameters[name]:.2g}" for name in _LENGTHS)
         what = (
             f"Coulomb friction sets in over {over} um (guide; nut and motor), which is less than "

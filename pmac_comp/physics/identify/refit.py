@@ -54,7 +54,7 @@ def fitted_beside(
     """
     trial = Trial(captures, bench)
     plain, beside = trial.half(model, None), trial.half(grown, None, "all")
-    if plain is None or beside is None or beside.model is None:
+    if plain is None or beside is None:
         return None
     if not is_better(trial.errors(beside), trial.errors(plain), _CLEARLY):
         return None
@@ -79,17 +79,17 @@ def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) ->
     """
     trial = Trial(captures, bench)
     best = trial.half(model, None, "all")  # not near yet: what hid the rest moved it as well
-    if best is None or best.model is None:
+    if best is None:
         return None
     errors = trial.errors(best)
     for name, values in _FORMS.items():
         family = name.partition("@")[0]
         if any(effect.startswith(family) for effect in model.effects):
             continue
-        other = trial.half((best.model or model).with_effect(name, values), None)
+        other = trial.half(best.model.with_effect(name, values), None)
         if other is not None and is_better(trial.errors(other), errors, _CLEARLY):
             best, errors = other, trial.errors(other)
-    final = trial.settled(best.model or model)
-    if final is None or final.model is None:
+    final = trial.settled(best.model)
+    if final is None:
         return None
     return Refit(final.model, rms_um(errors))

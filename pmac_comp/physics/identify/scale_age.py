@@ -80,7 +80,7 @@ def measured_scale_age(
     plain: Identification | None = None
     for start in _starts(model):
         found = _settled(trial, start)
-        if found is None or found.model is None or not _stands_out(found, _PROBABLE):
+        if found is None or not _stands_out(found, _PROBABLE):
             continue
         plain, late = plain or trial.half(model, None), trial.half(found.model, None)
         if plain is None or late is None:
@@ -118,7 +118,7 @@ def _settled(trial: Trial, start: DriveModel) -> Identification | None:
     the lag itself as noise: of a scale that is read 4 us early beside a gap it showed 2.8.
     """
     found = trial.settled(start)
-    if found is None or found.model is None or not _stands_out(found, _PROBABLE):
+    if found is None or not _stands_out(found, _PROBABLE):
         return found
     again = trial.settled(_with_usual_guide(found.model))
     return found if again is None else min(found, again, key=_left_m)

@@ -88,17 +88,17 @@ def measured_bed(
         return None
     trial = Trial(captures, bench)
     plain = trial.half(model, None)
-    if plain is None or plain.model is None:
+    if plain is None:
         return None
     begun = _begun(trial, plain)
     swinging = None if begun is None else trial.half(begun, None)
-    if swinging is None or swinging.model is None or not _swings(swinging, _HALF_SIGNIFICANT):
+    if swinging is None or not _swings(swinging, _HALF_SIGNIFICANT):
         return None
     before, after = trial.errors(plain), trial.errors(swinging)
     if not is_better(after, before, _CLEARLY):
         return None
     found = trial.settled(swinging.model)
-    if found is None or found.model is None or not _swings(found, _SIGNIFICANT):
+    if found is None or not _swings(found, _SIGNIFICANT):
         return None
     own = found.model.values_of(BED)
     return SwingingBed(
@@ -120,8 +120,6 @@ def _swings(found: Identification, least_std: float) -> bool:
 
 def _begun(trial: Trial, plain: Identification) -> DriveModel | None:
     """Model with the bed that explains most of what a fit leaves; None where none explains much."""
-    if plain.model is None:
-        return None
     left = [_moving(c, r.table_m) for c, r in zip(trial.captures, plain.residuals, strict=True)]
     power = sum(float(np.sum(r**2)) for r in left)
     coarse = [_probe(plain.model, f, 2.0 * _PROBE_DAMPING) for f in _FREQUENCIES_Hz]
