@@ -14,7 +14,6 @@ before it only, so that takes one run more than there are rests.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evalua
 from pmac_comp.physics.compensate.loop import LoopRunner, LoopSignals
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    pass
 
 _MOST_RUNS = 12
 _AGREED_FRAC = 1e-3  # of the friction torque

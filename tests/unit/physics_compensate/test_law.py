@@ -18,7 +18,7 @@ from pmac_comp.physics.compensate.law import (
     evaluate_law,
     friction_levels,
 )
-from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.workflow.rendering import law_parameters
 from pmac_comp.workflow.scales import Scales
 
@@ -232,15 +232,20 @@ def test_amplitude_is_clamped_and_marked() -> None:
     assert 0 < np.count_nonzero(got.clamped) < got.clamped.size
 
 
-def test_at_rest_friction_torque_fades_and_the_table_comes_along() -> None:
-    move = trapezoid(
+def slow_move(*, dwell_s: float, both_ways: bool = True) -> Trajectory:
+    """Move of 10 mm with a rest behind it, there and back or one way."""
+    return trapezoid(
         period_s=PERIOD,
         distance_m=0.01,
         speed_m_per_s=0.05,
         acceleration_m_per_s2=1.0,
-        dwell_s=1.5,
-        both_ways=False,
+        dwell_s=dwell_s,
+        both_ways=both_ways,
     )
+
+
+def test_at_rest_friction_torque_fades_and_the_table_comes_along() -> None:
+    move = slow_move(dwell_s=1.5, both_ways=False)
     law = CompensationLaw(coulomb_m=1e-6, torque_coulomb_Nm=0.5, torque_limit_Nm=10.0)
     got = evaluate_law(law, move.position_m, PERIOD)
     # A hundred cycles at one and at 0.4 per cent each.
@@ -254,13 +259,7 @@ def test_at_rest_friction_torque_fades_and_the_table_comes_along() -> None:
 
 def test_motion_begins_with_the_friction_that_the_output_held() -> None:
     # The drive has slid back until it holds a fifth of its friction, by the integrator's doing.
-    move = trapezoid(
-        period_s=PERIOD,
-        distance_m=0.01,
-        speed_m_per_s=0.05,
-        acceleration_m_per_s2=1.0,
-        dwell_s=0.4,
-    )
+    move = slow_move(dwell_s=0.4)
     law = CompensationLaw(torque_coulomb_Nm=0.5, torque_limit_Nm=10.0, torque_breakaway_m=1e-6)
     alone = evaluate_law(law, move.position_m, PERIOD).torque_Nm
     stopped = np.flatnonzero(np.diff(move.position_m) > 1e-10)[-1]
@@ -275,13 +274,7 @@ def test_motion_begins_with_the_friction_that_the_output_held() -> None:
 
 def test_torque_against_the_integrator_gives_way_at_rest_where_it_pushes_as_friction() -> None:
     # Two moves up; over the first rest the integrator has wound through half of the friction.
-    one = trapezoid(
-        period_s=PERIOD,
-        distance_m=0.01,
-        speed_m_per_s=0.05,
-        acceleration_m_per_s2=1.0,
-        dwell_s=0.4,
-    ).position_m
+    one = slow_move(dwell_s=0.4).position_m
     up = one[: int(np.argmax(one >= one.max() - 1e-12)) + 500]
     path = np.concatenate([up, up + up[-1]])
     law = CompensationLaw(torque_coulomb_Nm=0.5, torque_limit_Nm=10.0, torque_breakaway_m=1e-6)
