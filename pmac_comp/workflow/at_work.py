@@ -24,7 +24,7 @@ from pmac_comp.machine.controller.upload_checks import buffer_refusals
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.transport.url import card_address, parse_url
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 
 _SCOPE = ".work"
 

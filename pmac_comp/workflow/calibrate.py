@@ -20,7 +20,7 @@ from pmac_comp.workflow.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.at_work import measuring
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, require_scale
-from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.context import acting, context_to_look
 from pmac_comp.workflow.motions import (
     Motion,
     check_motion,
@@ -29,7 +29,6 @@ from pmac_comp.workflow.motions import (
     time_needed,
 )
 from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
-from pmac_comp.workflow.runs import acting
 from pmac_comp.workflow.session import open_axis
 
 _LEAD = "lead"

@@ -29,11 +29,8 @@ from pmac_comp.workflow.campaigns import (
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.compensation_text import describe, table_remarks
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import (
-    Deployment,
-    context_of,
-    deploy,
-)
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import Deployment, deploy
 from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
 from pmac_comp.workflow.kept_runs import KeptRuns
 from pmac_comp.workflow.law_cost import cost_remarks

@@ -6,14 +6,11 @@ transactions themselves (``machine.controller``), the computing (``computing``).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
-from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.controller import (
     bumpless,
     guard_install,
@@ -27,14 +24,12 @@ from pmac_comp.machine.controller import (
     programs,
     switching,
 )
-from pmac_comp.machine.controller.alike import known_in_folder
 from pmac_comp.machine.controller.block_use import block_refusals
 from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
 from pmac_comp.machine.controller.context import UNKNOWN, Context
 from pmac_comp.machine.controller.feed_override import jog_refusals
 from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.journal import require_folder
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.processor_load import read_load
 from pmac_comp.machine.controller.safety import raise_all
 from pmac_comp.machine.controller.settings import Settings
@@ -60,30 +55,6 @@ from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.sign_test import check_cam_sign, check_law_sign, check_table_sign
 from pmac_comp.workflow.standing import place_refusals, stand_to_switch, uploading
 from pmac_comp.workflow.tables import tables_of
-
-
-def context_to_look(axis: Axis, store: Path = DEFAULT_JOURNAL) -> Context:
-    """Limits and names of an axis in a folder, which need not be there."""
-    context = Context(
-        block=LawBlock.from_p_block(axis.bench.controller.p_block),
-        limits=axis.scales.limits(axis.bench),
-        store=store,
-        servo_period_s=axis.scales.period_s,
-        controller=axis.identity or "controller",
-    )
-    return known_in_folder(axis.link, context, axis.address)
-
-
-def context_of(axis: Axis, store: Path, progress: Progress | None = None) -> Context:
-    """Limits, folder and names for changes of an axis."""
-    require_folder(store)
-    axis.setup.store = store
-
-    def told(step: str, done: int, total: int) -> None:
-        if progress is not None:
-            progress(step, done / max(total, 1))
-
-    return replace(context_to_look(axis, store), progress=told)
 
 
 @dataclass(frozen=True)

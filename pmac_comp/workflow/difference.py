@@ -30,7 +30,7 @@ from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import render_cam
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.context import context_to_look
 from pmac_comp.workflow.owners import is_of_axis
 from pmac_comp.workflow.program import draw_motion
 from pmac_comp.workflow.rendering import law_parameters

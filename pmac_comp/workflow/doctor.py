@@ -229,7 +229,7 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
     from pmac_comp.machine.controller.law_checks import owner_refusals
     from pmac_comp.machine.controller.waiting import number_since_ours
-    from pmac_comp.workflow.deploy import context_to_look
+    from pmac_comp.workflow.context import context_to_look
     from pmac_comp.workflow.inspect import judged_tables
 
     context = context_to_look(axis, journal)
@@ -250,7 +250,7 @@ def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
 def _claim(axis: "Axis") -> Iterator[Finding]:
     """Whether bench files of other axes of this card see that something is changed."""
     from pmac_comp.machine.controller.claim import FOREIGN, REGISTER, claim_refusal, read_claim
-    from pmac_comp.workflow.deploy import context_to_look
+    from pmac_comp.workflow.context import context_to_look
 
     found = read_claim(axis.link)
     other = claim_refusal(found, context_to_look(axis))

@@ -25,7 +25,8 @@ from pmac_comp.workflow.campaigns import (
 )
 from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy, switch
 from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
 from pmac_comp.workflow.dynamic_law import nut_gap
 from pmac_comp.workflow.identification import identify_captures, load_model

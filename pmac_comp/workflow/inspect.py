@@ -38,7 +38,7 @@ from pmac_comp.machine.controller.upload_checks import flash_refusals
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.context import context_to_look
 from pmac_comp.workflow.law_cost import load_text
 from pmac_comp.workflow.owners import is_of_axis
 from pmac_comp.workflow.session import open_axis, open_link

@@ -26,7 +26,7 @@ from pmac_comp.workflow.campaigns import (
     verification_motions,
 )
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.context import context_to_look
 from pmac_comp.workflow.improve import require_many_motions
 from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
 from pmac_comp.workflow.program import motion_of

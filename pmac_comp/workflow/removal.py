@@ -45,7 +45,7 @@ from pmac_comp.workflow.at_work import at_work, require_free_block
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import UNITS
 from pmac_comp.workflow.cam import rest_time_motor, time_motor_off
-from pmac_comp.workflow.deploy import context_of, context_to_look
+from pmac_comp.workflow.context import context_of, context_to_look
 from pmac_comp.workflow.motion_owners import MOTIONS, is_motion_of, motions_of_others
 from pmac_comp.workflow.owners import cam_of_another, is_of_axis
 from pmac_comp.workflow.session import open_axis

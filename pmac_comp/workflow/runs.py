@@ -12,10 +12,10 @@ from pmac_comp.machine.controller.law_bank import Index
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.lease import parse_number
 from pmac_comp.machine.controller.table_set import POINTERS_TEXT, parse_pointers, read_table
-from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import cam_axis
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.context import acting
 from pmac_comp.workflow.deploy import bank_in_use, switch, switch_tables
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.program import draw_motion, program_axis, run_drawn
@@ -240,9 +240,3 @@ def _acted_before(*, armed: bool, tables: bool) -> str:
         f"Before it {' and '.join(acted)}; one `pmac-comp upload` of the same compensation, with "
         "the motor enabled, brings that back."
     )
-
-
-def acting(axis: Axis, context: Context) -> tuple[bool, bool]:
-    """Whether a law acts, and whether tables do."""
-    law = law_state.read_law_head(axis.link, context.block).is_armed
-    return law, read_one(axis.link, "I51") == 1.0

@@ -22,7 +22,7 @@ from pmac_comp.machine.controller.variables import read_one
 from pmac_comp.machine.controller.verdict import mark_left
 from pmac_comp.workflow.at_work import at_work, require_free_block
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.session import open_axis
 
 _SHOWN = 40

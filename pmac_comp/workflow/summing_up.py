@@ -13,9 +13,9 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.workflow.compensation_file import Compensation, edited_remarks
 from pmac_comp.workflow.late_scale import scale_age_s, scale_remarks
+from pmac_comp.workflow.learning import learned_remarks
 from pmac_comp.workflow.outcome import MotionOutcome, Ratio, error_signals, sensor_floor_um
 from pmac_comp.workflow.own_ringing import own_ringing_remarks
-from pmac_comp.workflow.repeated import learned_remarks
 from pmac_comp.workflow.ringing import RingingOutcome, ringing_of
 from pmac_comp.workflow.static_check import StaticOutcome, approaches
 from pmac_comp.workflow.verification import Verification, static_remarks, verdict_remarks

@@ -25,7 +25,8 @@ from pmac_comp.workflow.at_work import at_work
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, has_cam, rest_time_motor
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation
-from pmac_comp.workflow.deploy import Deployment, context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import Deployment, deploy
 from pmac_comp.workflow.motion_owners import MOTIONS, motion_refusals
 from pmac_comp.workflow.owners import time_motor_refusals
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM

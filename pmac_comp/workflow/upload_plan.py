@@ -30,13 +30,8 @@ from pmac_comp.workflow.as_described import place_remarks
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, axis_settings, render_cam
 from pmac_comp.workflow.compensation_file import Compensation, edited_remarks, read_compensation
-from pmac_comp.workflow.deploy import (
-    context_to_look,
-    guard_download,
-    law_download,
-    route_refusals,
-    stale_tables,
-)
+from pmac_comp.workflow.context import context_to_look
+from pmac_comp.workflow.deploy import guard_download, law_download, route_refusals, stale_tables
 from pmac_comp.workflow.difference import Difference, difference_on
 from pmac_comp.workflow.law_cost import cost_remarks, load_text
 from pmac_comp.workflow.program import draw_motion

@@ -10,8 +10,8 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.workflow.learning import Refinement
 from pmac_comp.workflow.outcome import WORSE, MotionOutcome, Ratio, Spread, grown_text
-from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.ringing import RingingOutcome
 from pmac_comp.workflow.routes import MOTION_ROUTES, TORQUE_ROUTES
 from pmac_comp.workflow.static_check import Approaches, StaticOutcome

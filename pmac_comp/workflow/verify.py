@@ -30,15 +30,15 @@ from pmac_comp.workflow.compensation_file import (
     named_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.deploy import context_to_look
+from pmac_comp.workflow.context import context_to_look
 from pmac_comp.workflow.identification import load_model
 from pmac_comp.workflow.kept_runs import RESULT, KeptRuns, earlier_runs
 from pmac_comp.workflow.law_cost import require_time_left
+from pmac_comp.workflow.learning import Refinement, refine_motion
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.outcome import outcome_of
 from pmac_comp.workflow.program import motion_of
 from pmac_comp.workflow.promises import Promiser, true_errors
-from pmac_comp.workflow.repeated import Refinement, refine_motion
 from pmac_comp.workflow.routes import MOTION_ROUTES
 from pmac_comp.workflow.runs import Runs, left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.session import open_axis

@@ -19,7 +19,8 @@ from pmac_comp.workflow.at_work import at_work, measuring
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.removal import remove_from, standing_on
 from pmac_comp.workflow.runs import runs_of

@@ -26,7 +26,8 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.workflow import safekeeping, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.simulated import embedded, make_card
 from tests.faults.change_bench import standing
 from tests.faults.upload_bench import Left, new_table, old_table

@@ -21,6 +21,7 @@ from pmac_comp.simulator.registers import M_STATUS1, S1_OPEN_LOOP, motor_base
 from pmac_comp.workflow import deploy, sign_test
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.simulated import embedded
 from tests.compensations import lead_map
 from tests.unit.workflow.conftest import BENCH
@@ -51,7 +52,7 @@ class Rig:
     def upload(self, folder: Path, slope_um_per_m: float) -> None:
         """A table over 0.6 m of travel."""
         compensation = Compensation("table", CompensationLaw(), lead_map(slope_um_per_m))
-        deploy.deploy(self.axis, compensation, deploy.context_of(self.axis, folder))
+        deploy.deploy(self.axis, compensation, context_of(self.axis, folder))
 
     def largest_step_um(self, monkeypatch: pytest.MonkeyPatch) -> list[float]:
         """Largest step of the closed loop from here, servo cycle by servo cycle.

@@ -16,7 +16,7 @@ from pmac_comp.workflow import session
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.axis_setup import AxisSetup
 from pmac_comp.workflow.calibrate import CapturePlan, capture_to_folder
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.motions import Motion, parse_motion
 from tests.faults.killed_child import dies_after
 from tests.faults.test_f19_f26_safety import trip

@@ -38,7 +38,8 @@ from pmac_comp.simulator.plant.effects import PLANT_EFFECTS
 from pmac_comp.workflow.axis import Axis, run_all
 from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.identification import Friction, identify_captures
 from pmac_comp.workflow.outcome import sensor_floor_um
 from pmac_comp.workflow.simulated import TruthRecorder, default_servo, embedded

@@ -11,8 +11,8 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section
 from pmac_comp.report.verification import headline, verification_sections
+from pmac_comp.workflow.learning import Refinement
 from pmac_comp.workflow.outcome import MotionOutcome, Ratio, outcome_of
-from pmac_comp.workflow.repeated import Refinement
 from pmac_comp.workflow.verification import Verification
 
 N, PERIOD_s = 3000, 1e-3

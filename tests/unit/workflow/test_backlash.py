@@ -31,7 +31,8 @@ from pmac_comp.workflow.compensation_file import (
     write_compensation,
 )
 from pmac_comp.workflow.compensation_text import table_remarks
-from pmac_comp.workflow.deploy import context_of, deploy, double_corrections
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy, double_corrections
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.sign_test import check_table_sign
 from pmac_comp.workflow.static_map import Limit, covered_m, static_map

@@ -42,7 +42,8 @@ from pmac_comp.workflow.cam import (
 from pmac_comp.workflow.campaigns import verification_motions
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy, switch
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
 from pmac_comp.workflow.simulated import TruthRecorder

@@ -18,7 +18,7 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.bench_remarks import remarks
 from pmac_comp.workflow.calibrate import offset_remarks, prepare
 from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.motions import Motion
 from pmac_comp.workflow.simulated import embedded, make_card
 

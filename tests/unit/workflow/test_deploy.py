@@ -41,7 +41,8 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.deploy import bank_in_use, context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import bank_in_use, deploy, switch
 from pmac_comp.workflow.law_cost import cost_remarks
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.removal import remove_from, standing_on

@@ -11,7 +11,7 @@ from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.workflow import doctor, inspect, session
 from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.doctor import examine
 from tests.unit.workflow.conftest import BENCH
 

@@ -10,7 +10,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.as_described import require_as_described
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.standing import stand_to_switch
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import lead_map

@@ -15,7 +15,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import inspect
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, context_to_look, deploy
+from pmac_comp.workflow.context import context_of, context_to_look
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
 from tests.compensations import lead_map
 

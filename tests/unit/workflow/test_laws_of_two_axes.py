@@ -12,7 +12,8 @@ from pmac_comp.machine.controller.rollback import rollback_last
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW

@@ -14,7 +14,8 @@ from pmac_comp.workflow import inspect, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.cam import CAM_PROGRAM, time_motor_variables
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.difference import difference_on
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM
 from pmac_comp.workflow.removal import remove_from, standing_on

@@ -16,8 +16,9 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import plan_capture
 from pmac_comp.workflow.compensation_file import Compensation
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.demo import run_demo
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.improve import improve_on_controller
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.previews import (

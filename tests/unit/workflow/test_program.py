@@ -25,14 +25,15 @@ from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
 from pmac_comp.workflow.compensation_text import limits_report
 from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import acting, context_of
+from pmac_comp.workflow.deploy import deploy
+from pmac_comp.workflow.learning import refine_motion
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.outcome import Spread
 from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
 from pmac_comp.workflow.promises import Promiser
-from pmac_comp.workflow.repeated import refine_motion
 from pmac_comp.workflow.run_cut import LEAD_IN_s
-from pmac_comp.workflow.runs import acting, left_as_found, require_on_card, runs_of
+from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
 from pmac_comp.workflow.scales import Scales
 from pmac_comp.workflow.tables import tables_of
 from pmac_comp.workflow.verify import verify_axis

@@ -22,14 +22,11 @@ from pmac_comp.workflow.compensation_file import (
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
+from pmac_comp.workflow.learning import Refinement, learned_remarks, refine_motion
 from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.repeated import (
-    Refinement,
-    delay_samples,
-    learned_remarks,
-    refine_motion,
-)
+from pmac_comp.workflow.repeated import delay_samples
 from pmac_comp.workflow.simulated import embedded
 from pmac_comp.workflow.verify import keep_learned
 from tests.generators.true_values import friction_of

@@ -15,7 +15,8 @@ from pmac_comp.machine.controller.law_bank import Index, WorkIndex
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.simulated import default_servo, embedded
 from tests.compensations import friction_law
 

@@ -22,7 +22,8 @@ from pmac_comp.workflow import commissioning, inspect, removal, safekeeping
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.calibrate import acting_remarks
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.removal import remove_from, standing_on
 from pmac_comp.workflow.simulated import default_servo, embedded
 from tests.unit.workflow.conftest import BENCH

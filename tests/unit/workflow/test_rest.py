@@ -20,7 +20,8 @@ from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import Plant
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy, switch
 from pmac_comp.workflow.motions import Motion, parse_motion
 from pmac_comp.workflow.routes import LATENCY_CYCLES
 from pmac_comp.workflow.simulated import default_servo, embedded

@@ -14,7 +14,7 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.workflow import safekeeping, upload_flow
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.simulated import embedded
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import lead_map

@@ -12,7 +12,8 @@ from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.servo_source import servo_for, servo_source
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.simulated import default_servo, embedded, make_card
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION

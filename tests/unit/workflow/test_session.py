@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.machine.controller.temporary import standing
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.session import open_axis
 
 

@@ -11,7 +11,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import sign_test
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.sign_test import check_law_sign, check_table_sign
 from tests.compensations import lead_map
 

@@ -17,7 +17,8 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow import previews, removal, upload_flow, upload_plan
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import deploy, switch
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.simulated import embedded, make_card
 from pmac_comp.workflow.upload_plan import preview

@@ -16,7 +16,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import Deployment, context_of, deploy, switch
+from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.deploy import Deployment, deploy, switch
 from pmac_comp.workflow.upload_flow import next_steps
 from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import friction_law, lead_map

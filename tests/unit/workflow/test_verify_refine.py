@@ -15,7 +15,7 @@ from pmac_comp.physics.compensate.exact import Learning
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import kept_runs, verify
 from pmac_comp.workflow.compensation_file import Compensation, read_compensation, write_compensation
-from pmac_comp.workflow.repeated import Refinement
+from pmac_comp.workflow.learning import Refinement
 from pmac_comp.workflow.verification import Verification
 from tests.unit.workflow.test_verify import run
 

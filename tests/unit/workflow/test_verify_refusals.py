@@ -9,7 +9,7 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow import verify
 from pmac_comp.workflow.axis import Axis
 from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.deploy import context_of
+from pmac_comp.workflow.context import context_of
 from pmac_comp.workflow.motions import parse_motion
 from pmac_comp.workflow.runs import require_on_card
 from tests.compensations import lead_map
