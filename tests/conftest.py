@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from pmac_comp.workflow import axis_setup
+from pmac_comp.workflow.capture import axis_setup
 from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
     count_places,
     count_runs,

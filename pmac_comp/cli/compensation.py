@@ -91,11 +91,11 @@ def compensate(
     json_target: JsonOption = "",
 ) -> None:
     """Compute the compensation from a model, limited and quantised, with its cost."""
-    from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.compensate import aim_of, compensate_files
-    from pmac_comp.workflow.compensation_file import check_route
-    from pmac_comp.workflow.routes import MOTION_ROUTES
-    from pmac_comp.workflow.static_map import Limit
+    from pmac_comp.workflow.compensation.compensate import aim_of, compensate_files
+    from pmac_comp.workflow.compensation.file import check_route
+    from pmac_comp.workflow.law.routes import MOTION_ROUTES
+    from pmac_comp.workflow.law.static_map import Limit
+    from pmac_comp.workflow.motion.commands import capture_paths
 
     if check_route(route) not in MOTION_ROUTES:
         refuse_unused(
@@ -138,8 +138,8 @@ def diff(
     json_target: JsonOption = "",
 ) -> None:
     """Show the compensation on the controller against a new one, in numbers and as a plot."""
-    from pmac_comp.workflow.compensation_file import check_bench
-    from pmac_comp.workflow.difference import difference
+    from pmac_comp.workflow.compensation.file import check_bench
+    from pmac_comp.workflow.controller.difference import difference
 
     if plot is not None and plot.suffix.lower() not in {".svg", ".png"}:
         raise ConfigError(
@@ -174,9 +174,9 @@ def upload(
     json_target: JsonOption = "",
 ) -> None:
     """Upload a compensation as one transaction; ends in OLD, NEW or DISABLED."""
-    from pmac_comp.workflow.compensation_file import check_bench
-    from pmac_comp.workflow.upload_flow import upload_file
-    from pmac_comp.workflow.upload_plan import plan_upload
+    from pmac_comp.workflow.compensation.file import check_bench
+    from pmac_comp.workflow.controller.upload_flow import upload_file
+    from pmac_comp.workflow.controller.upload_plan import plan_upload
 
     check_bench(new, bench)
     plan = plan_upload(url, bench, new, journal=journal, persist=persist)
@@ -215,8 +215,8 @@ def recover(
     json_target: JsonOption = "",
 ) -> None:
     """Settle what an interrupted upload left; ends in OLD, NEW or DISABLED."""
+    from pmac_comp.workflow.controller.upload_flow import recover_upload
     from pmac_comp.workflow.previews import preview_recovery
-    from pmac_comp.workflow.upload_flow import recover_upload
 
     if dry_run:
         plan = preview_recovery(url, bench, journal)
@@ -239,8 +239,8 @@ def rollback(
     json_target: JsonOption = "",
 ) -> None:
     """Bring back what the last upload replaced, verified."""
+    from pmac_comp.workflow.controller.upload_flow import rollback_upload
     from pmac_comp.workflow.previews import preview_rollback
-    from pmac_comp.workflow.upload_flow import rollback_upload
 
     plan = preview_rollback(url, bench, journal)
     if dry_run:
@@ -266,7 +266,7 @@ def remove(
     json_target: JsonOption = "",
 ) -> None:
     """Take the axis' compensation tables and law off, whoever put them on; `rollback` undoes it."""
-    from pmac_comp.workflow.removal import plan_removal, remove_compensation
+    from pmac_comp.workflow.controller.removal import plan_removal, remove_compensation
 
     plan = plan_removal(url, bench)
     parts = [*plan["would_remove"], *plan["motion"]]
@@ -361,11 +361,11 @@ def verify(
     json_target: JsonOption = "",
 ) -> None:
     """Measure before and after on fresh runs, alternating, against the promise."""
-    from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.compensation_file import check_bench, named_compensation
+    from pmac_comp.workflow.compensation.file import check_bench, named_compensation
+    from pmac_comp.workflow.motion.commands import capture_paths
     from pmac_comp.workflow.previews import preview_verification, require_standing
-    from pmac_comp.workflow.verify import verify_on_controller
-    from pmac_comp.workflow.verify_stored import verify_files
+    from pmac_comp.workflow.verification.verify import verify_on_controller
+    from pmac_comp.workflow.verification.verify_stored import verify_files
 
     if law is not None:
         check_bench(law, bench)

@@ -67,7 +67,7 @@ def doctor(
 
     Says where this installation has the folders configs and firmware_plc.
     """
-    from pmac_comp.workflow.doctor import examine
+    from pmac_comp.workflow.controller.doctor import examine
 
     progress = ProgressLines()
     findings = examine(
@@ -91,7 +91,7 @@ def doctor(
 
 def info(url: UrlArgument, json_target: JsonOption = "") -> None:
     """Show what answers at a URL: firmware, type, memory, clock."""
-    from pmac_comp.workflow.inspect import controller_info
+    from pmac_comp.workflow.controller.inspect import controller_info
 
     result = controller_info(url)
     output.finish(result, json_target, lambda: output.table(url, ("item", "value"), result.items()))
@@ -114,7 +114,7 @@ def status(
     json_target: JsonOption = "",
 ) -> None:
     """Show motors, compensation tables, law bank, processor load and what the last upload left."""
-    from pmac_comp.workflow.inspect import controller_status
+    from pmac_comp.workflow.controller.inspect import controller_status
 
     result = controller_status(url, bench, journal)
 
@@ -147,7 +147,7 @@ def terminal(
     With -c the first refused command ends it; what follows is not sent. Lines from a pipe are all
     sent, each answered at once. Both end with exit code 5 where something was refused.
     """
-    from pmac_comp.workflow.inspect import ask_all, refusal_of, terminal_session
+    from pmac_comp.workflow.controller.inspect import ask_all, refusal_of, terminal_session
 
     at_once = not command and not json_target
     with terminal_session(url) as ask:
@@ -175,7 +175,7 @@ def backup(
     json_target: JsonOption = "",
 ) -> None:
     """Read everything relevant from the controller into a file, twice, and compare."""
-    from pmac_comp.workflow.safekeeping import backup_to_file
+    from pmac_comp.workflow.controller.safekeeping import backup_to_file
 
     if out.exists():
         raise ConfigError(
@@ -203,7 +203,7 @@ def restore(
     json_target: JsonOption = "",
 ) -> None:
     """Bring a backup back and verify it item by item; interrupted, `recover` undoes it."""
-    from pmac_comp.workflow.safekeeping import plan_restore, restore_from_file
+    from pmac_comp.workflow.controller.safekeeping import plan_restore, restore_from_file
 
     plan = plan_restore(url, bench, source)
     if dry_run:
@@ -232,7 +232,7 @@ def setup(
     Journalled: `rollback` brings the old values back. The clock (I10, I7000-I7002) and what a
     compensation sets itself are left alone.
     """
-    from pmac_comp.workflow.commissioning import plan_setup, set_up
+    from pmac_comp.workflow.controller.commissioning import plan_setup, set_up
 
     plan = plan_setup(url, bench, killed=not dry_run)
 
@@ -289,7 +289,11 @@ def capture(
     json_target: JsonOption = "",
 ) -> None:
     """Run motions and gather them at servo rate; shows each motion and asks first."""
-    from pmac_comp.workflow.calibrate import capture_to_folder, plan_capture, recover_to_folder
+    from pmac_comp.workflow.capture.capturing import (
+        capture_to_folder,
+        plan_capture,
+        recover_to_folder,
+    )
 
     if recover is not None:
         result = recover_to_folder(recover, bench, out)

@@ -68,8 +68,8 @@ def identify(
     With --model or --with, exactly these effects are fitted. Otherwise the form of friction is
     chosen by the captures (--friction), and the output says which one and why.
     """
-    from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.identification import identify_files
+    from pmac_comp.workflow.model.identification import identify_files
+    from pmac_comp.workflow.motion.commands import capture_paths
 
     progress = ProgressLines()
     outcome = identify_files(
@@ -133,7 +133,7 @@ def predict(
     interpolated. Positions are those of motor and table before encoder and scale round them; zero
     is the middle of a count. An earlier prediction is replaced, a captured run is not.
     """
-    from pmac_comp.workflow.prediction import predict_files
+    from pmac_comp.workflow.model.prediction import predict_files
 
     result = predict_files(
         bench,
@@ -180,8 +180,8 @@ def diagnose(
     Without --validate part of the captures is held back for judging. With --json FILE the grown
     model is stored beside it as FILE.model.json.
     """
-    from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.diagnosis import diagnose_files
+    from pmac_comp.workflow.model.diagnosis import diagnose_files
+    from pmac_comp.workflow.motion.commands import capture_paths
 
     progress = ProgressLines()
     outcome = diagnose_files(
@@ -218,8 +218,8 @@ def compare(
     simulated on the identified model. On a bench without a scale friction models are compared on
     the motor of one record: closed loop lap by lap, and one step ahead.
     """
-    from pmac_comp.workflow.commands import capture_paths
-    from pmac_comp.workflow.comparison import compare_files
+    from pmac_comp.workflow.model.comparison import compare_files
+    from pmac_comp.workflow.motion.commands import capture_paths
 
     progress = ProgressLines()
     result = compare_files(
@@ -268,7 +268,7 @@ def compare(
 
 
 def _show_rigid(result: Mapping[str, Any]) -> None:
-    from pmac_comp.workflow.comparison import floor_lines
+    from pmac_comp.workflow.model.comparison import floor_lines
 
     laps = result["laps"]
     output.table(

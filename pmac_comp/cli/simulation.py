@@ -134,7 +134,7 @@ def sim(
 
         output.finish(report(), json_target, lambda: output.echo_all(report_lines()))
         return
-    from pmac_comp.workflow.simulated import serve_forever
+    from pmac_comp.workflow.capture.simulated import serve_forever
 
     serve_forever(
         tcp=tcp,

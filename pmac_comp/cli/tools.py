@@ -65,7 +65,7 @@ def config_show(
 ) -> None:
     """Print every key of a bench file and what it is, defaults included, and what follows."""
     from pmac_comp.files.bench import load_bench
-    from pmac_comp.workflow.bench_view import as_result, bench_rows
+    from pmac_comp.workflow.bench.view import as_result, bench_rows
 
     loaded = load_bench(bench)
     result = as_result(loaded)
@@ -86,7 +86,7 @@ def config_check(
 ) -> None:
     """Check a bench file: keys, values, whether its figures fit each other and its gains ring."""
     from pmac_comp.files.bench import load_bench
-    from pmac_comp.workflow.bench_remarks import loop_remarks, remarks
+    from pmac_comp.workflow.bench.remarks import loop_remarks, remarks
 
     loaded = load_bench(bench)
     found = remarks(loaded) + loop_remarks(loaded)
@@ -119,7 +119,7 @@ def config_servo(
     json_target: JsonOption = "",
 ) -> None:
     """Print the open servo's source for a bench file's p_block, for the vendor's compiler."""
-    from pmac_comp.workflow.bench_view import servo_result
+    from pmac_comp.workflow.bench.view import servo_result
 
     result = servo_result(bench)
     output.finish(result, json_target, lambda: output.echo(result["text"].rstrip()))

@@ -11,7 +11,7 @@ from pmac_comp.physics.diagnose.result import Evidence
 from pmac_comp.physics.diagnose.words import names_in_words
 from pmac_comp.report import diagnosis_figures as figures
 from pmac_comp.report.page import Page, Section, Table, write_page
-from pmac_comp.workflow.diagnosis import DiagnosisOutcome
+from pmac_comp.workflow.model.diagnosis import DiagnosisOutcome
 
 _TITLES = {
     "named": "Missing physics named",

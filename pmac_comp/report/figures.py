@@ -20,11 +20,11 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.difference import Curve
-from pmac_comp.workflow.motions import short_motion
-from pmac_comp.workflow.outcome import ErrorSignals
-from pmac_comp.workflow.ringing import ringing_signal
-from pmac_comp.workflow.static_check import StaticOutcome
+from pmac_comp.workflow.accuracy.outcome import ErrorSignals
+from pmac_comp.workflow.accuracy.ringing import ringing_signal
+from pmac_comp.workflow.accuracy.static_check import StaticOutcome
+from pmac_comp.workflow.controller.difference import Curve
+from pmac_comp.workflow.motion.motions import short_motion
 
 BEFORE, AFTER, PROMISE = "#b3452c", "#1f6f5c", "#3b5b92"
 _MOST_POINTS = 3000

@@ -11,7 +11,7 @@ from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.capture import Capture
 from pmac_comp.report import figures
 from pmac_comp.report.page import Page, Section, Table, write_page
-from pmac_comp.workflow.identification import IdentificationOutcome
+from pmac_comp.workflow.model.identification import IdentificationOutcome
 
 _MOST_CAPTURES = 8
 _FIGURES = {

@@ -8,7 +8,7 @@ from pmac_comp.report.page import Page, Section, Table, sentence, write_page
 from pmac_comp.report.run import notice_of
 from pmac_comp.report.verification import verification_sections
 from pmac_comp.workflow.improve import Improvement
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification.result import Verification
 
 
 def write_improvement_report(result: Improvement, path: Path) -> Path:

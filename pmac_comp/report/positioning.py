@@ -7,8 +7,8 @@ from pmac_comp.base.units import MM_PER_M
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table
-from pmac_comp.workflow.positioning_sheet import by_target, run_scheme, sheet_rows
-from pmac_comp.workflow.static_check import Approaches, StaticOutcome
+from pmac_comp.workflow.accuracy.positioning_sheet import by_target, run_scheme, sheet_rows
+from pmac_comp.workflow.accuracy.static_check import Approaches, StaticOutcome
 
 
 def positioning_section(static: StaticOutcome) -> Section:

@@ -2,7 +2,7 @@
 
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table, sentence
-from pmac_comp.workflow.learning import Refinement
+from pmac_comp.workflow.verification.learning import Refinement
 
 
 def learning_section(found: Refinement) -> Section:

@@ -9,10 +9,10 @@ from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import told_by
 from pmac_comp.report.page import Page, Section, Table, write_page
 from pmac_comp.report.verification import headline, verification_sections
-from pmac_comp.workflow.compensation_text import describe
+from pmac_comp.workflow.accuracy.positioning_sheet import begun
+from pmac_comp.workflow.compensation.text import describe
 from pmac_comp.workflow.demo import RunResult
-from pmac_comp.workflow.positioning_sheet import begun
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification.result import Verification
 
 _SIMULATED = (
     "The controller and the drive behind it are simulated. Figures marked 'measured' are what the "

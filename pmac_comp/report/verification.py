@@ -7,10 +7,16 @@ from pmac_comp.report import figures
 from pmac_comp.report.page import Section, Table, sentence
 from pmac_comp.report.positioning import lead_section, positioning_section
 from pmac_comp.report.repeated import learning_section
-from pmac_comp.workflow.outcome import MotionOutcome, Ratio, Spread, error_signals, quadratic_mean
-from pmac_comp.workflow.ringing import RingingOutcome
-from pmac_comp.workflow.routes import MOTION_ROUTES
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.accuracy.outcome import (
+    MotionOutcome,
+    Ratio,
+    Spread,
+    error_signals,
+    quadratic_mean,
+)
+from pmac_comp.workflow.accuracy.ringing import RingingOutcome
+from pmac_comp.workflow.law.routes import MOTION_ROUTES
+from pmac_comp.workflow.verification.result import Verification
 
 
 def headline(verification: Verification) -> list[tuple[str, str]]:

@@ -18,32 +18,32 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, capture_source, write_capture
-from pmac_comp.workflow.axis import Axis, run_all
-from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.campaigns import (
-    calibration_motions,
-    lead_motions,
-    require_scale,
-    verification_motions,
-)
-from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.compensation_text import describe, table_remarks
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import Deployment, deploy
-from pmac_comp.workflow.identification import IdentificationOutcome, identify_captures
-from pmac_comp.workflow.kept_runs import KeptRuns
-from pmac_comp.workflow.law_cost import cost_remarks
-from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.simulated import (
+from pmac_comp.workflow.capture.axis import Axis, run_all
+from pmac_comp.workflow.capture.capturing import prepare
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.session import open_axis
+from pmac_comp.workflow.capture.simulated import (
     ServedClock,
     TruthRecorder,
     default_servo,
     make_card,
     warm_up,
 )
-from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import verify_axis
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.compensation.text import describe, table_remarks
+from pmac_comp.workflow.controller.deploy import Deployment, deploy
+from pmac_comp.workflow.law.law_cost import cost_remarks
+from pmac_comp.workflow.model.identification import IdentificationOutcome, identify_captures
+from pmac_comp.workflow.motion.campaigns import (
+    calibration_motions,
+    lead_motions,
+    require_scale,
+    verification_motions,
+)
+from pmac_comp.workflow.verification.kept_runs import KeptRuns
+from pmac_comp.workflow.verification.result import Verification
+from pmac_comp.workflow.verification.verify import verify_axis
 
 _STATIC_RUNS = 2  # the standard wants five; the demo is to be short
 

@@ -14,29 +14,29 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, holds_runs
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
 from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.workflow.at_work import measuring
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import motor_as_found, prepare, require_new, run_to_files
-from pmac_comp.workflow.campaigns import (
+from pmac_comp.workflow.accuracy.outcome import WORSE, MotionOutcome, quadratic_mean
+from pmac_comp.workflow.capture.at_work import measuring
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import motor_as_found, prepare, require_new, run_to_files
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.session import open_axis
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import Compensation, check_route, write_compensation
+from pmac_comp.workflow.controller.deploy import deploy, switch
+from pmac_comp.workflow.controller.upload_flow import removal_command
+from pmac_comp.workflow.law.dynamic_law import nut_gap
+from pmac_comp.workflow.law.routes import MOTION_ROUTES
+from pmac_comp.workflow.model.diagnosis import DiagnosisOutcome, diagnose_captures
+from pmac_comp.workflow.model.identification import identify_captures, load_model
+from pmac_comp.workflow.motion.campaigns import (
     calibration_motions,
     lead_motions,
     require_scale,
     verification_motions,
 )
-from pmac_comp.workflow.compensation_file import Compensation, check_route, write_compensation
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy, switch
-from pmac_comp.workflow.diagnosis import DiagnosisOutcome, diagnose_captures
-from pmac_comp.workflow.dynamic_law import nut_gap
-from pmac_comp.workflow.identification import identify_captures, load_model
-from pmac_comp.workflow.kept_runs import KeptRuns
-from pmac_comp.workflow.outcome import WORSE, MotionOutcome, quadratic_mean
-from pmac_comp.workflow.routes import MOTION_ROUTES
-from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.upload_flow import removal_command
-from pmac_comp.workflow.verification import Verification
-from pmac_comp.workflow.verify import verify_axis
+from pmac_comp.workflow.verification.kept_runs import KeptRuns
+from pmac_comp.workflow.verification.result import Verification
+from pmac_comp.workflow.verification.verify import verify_axis
 
 if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel

@@ -16,8 +16,16 @@ from pmac_comp.machine.controller.alike import left_open_alike
 from pmac_comp.machine.controller.manifest import Action
 from pmac_comp.machine.controller.table_recovery import last_upload
 from pmac_comp.machine.controller.table_status import table_status
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.campaigns import (
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_to_look
+from pmac_comp.workflow.capture.session import open_axis
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.program import motion_of
+from pmac_comp.workflow.controller.standing import standing_lines
+from pmac_comp.workflow.controller.upload_flow import tables_coming_back
+from pmac_comp.workflow.improve import require_many_motions
+from pmac_comp.workflow.law.routes import MOTION_ROUTES
+from pmac_comp.workflow.motion.campaigns import (
     calibration_motions,
     lead_motions,
     positioning_motion,
@@ -25,16 +33,8 @@ from pmac_comp.workflow.campaigns import (
     ringing_motion,
     verification_motions,
 )
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_to_look
-from pmac_comp.workflow.improve import require_many_motions
-from pmac_comp.workflow.motions import Motion, parse_motion, time_needed
-from pmac_comp.workflow.program import motion_of
-from pmac_comp.workflow.routes import MOTION_ROUTES
-from pmac_comp.workflow.runs import require_on_card
-from pmac_comp.workflow.session import open_axis
-from pmac_comp.workflow.standing import standing_lines
-from pmac_comp.workflow.upload_flow import tables_coming_back
+from pmac_comp.workflow.motion.motions import Motion, parse_motion, time_needed
+from pmac_comp.workflow.verification.runs import require_on_card
 
 MOTION_COLUMNS = ("what for", "runs", "name", "duration s", "from mm", "to mm", "peak mm/s", "m/s2")
 

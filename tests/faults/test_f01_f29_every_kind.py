@@ -33,10 +33,10 @@ from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.controller.verdict import untouched
 from pmac_comp.machine.transport.tap import FaultKind, Way
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import borrowed
-from pmac_comp.workflow.cam import CAM_PROGRAM, cam_settings
-from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.axis_setup import borrowed
+from pmac_comp.workflow.compensation.cam import CAM_PROGRAM, cam_settings
+from pmac_comp.workflow.controller.commissioning import set_up_axis, settable_variables
 from tests.fault_table import all_of
 from tests.faults.change_bench import PROGRAM, ChangeBench, Scenario, cut, points
 from tests.faults.killed_child import dies_after, serve_child

@@ -10,11 +10,11 @@ from pmac_comp.machine.controller import law_upload, motors, recovery
 from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.transaction import UploadResult
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.simulated import embedded
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW
 

@@ -15,17 +15,17 @@ from pmac_comp.machine.controller.lease import card_lock, read_lease
 from pmac_comp.machine.controller.upload import upload_tables
 from pmac_comp.machine.transport.url import card_address
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.at_work import at_work, measuring
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import AxisSetup
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.motions import Motion, parse_motion
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.runs import runs_of
-from pmac_comp.workflow.simulated import embedded, make_card
-from pmac_comp.workflow.verify import alternating
+from pmac_comp.workflow.capture.at_work import at_work, measuring
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.axis_setup import AxisSetup
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
+from pmac_comp.workflow.motion.motions import Motion, parse_motion
+from pmac_comp.workflow.verification.runs import runs_of
+from pmac_comp.workflow.verification.verify import alternating
 from tests.compensations import friction_law, lead_map
 from tests.faults.upload_bench import new_table
 

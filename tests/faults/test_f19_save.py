@@ -28,7 +28,7 @@ from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
-from pmac_comp.workflow.inspect import lease_text
+from pmac_comp.workflow.controller.inspect import lease_text
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import REQUEST_CYCLES, CardBench
 

@@ -23,12 +23,12 @@ from pmac_comp.machine.controller.settings_upload import change_settings
 from pmac_comp.machine.controller.table_recovery import status_by_journal
 from pmac_comp.machine.controller.upload import remove_tables, upload_tables
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import safekeeping, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import safekeeping, upload_flow
+from pmac_comp.workflow.controller.deploy import deploy
 from tests.faults.change_bench import standing
 from tests.faults.upload_bench import Left, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

@@ -18,11 +18,11 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.memory import read_long
 from pmac_comp.simulator.registers import M_STATUS1, S1_OPEN_LOOP, motor_base
-from pmac_comp.workflow import deploy, sign_test
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.simulated import embedded
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import deploy, sign_test
 from tests.compensations import lead_map
 from tests.unit.workflow.conftest import BENCH
 

@@ -8,8 +8,8 @@ import pytest
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller import motors, upload
 from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.workflow import deploy
-from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.controller import deploy
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults

@@ -12,12 +12,12 @@ from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller import motors, recovery, waiting
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.workflow import session
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import AxisSetup
-from pmac_comp.workflow.calibrate import CapturePlan, capture_to_folder
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.motions import Motion, parse_motion
+from pmac_comp.workflow.capture import session
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.axis_setup import AxisSetup
+from pmac_comp.workflow.capture.capturing import CapturePlan, capture_to_folder
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.motion.motions import Motion, parse_motion
 from tests.faults.killed_child import dies_after
 from tests.faults.test_f19_f26_safety import trip
 from tests.faults.upload_bench import put_back, saved

@@ -9,8 +9,8 @@ from pmac_comp.base.errors import ForeignChange, LinkError, PmacCompError
 from pmac_comp.machine.controller import recovery, temporary
 from pmac_comp.machine.controller.settings import plain_axes, read_axes
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.axis_setup import AxisSetup, borrowed
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.axis_setup import AxisSetup, borrowed
 from tests.fault_table import all_of
 from tests.faults.same_state import stand_ins, stretches
 from tests.faults.upload_bench import put_back, saved

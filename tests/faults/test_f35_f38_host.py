@@ -31,7 +31,7 @@ from pmac_comp.machine.controller.law_bank import LawParameters
 from pmac_comp.machine.controller.numbers import nine_digits, plain
 from pmac_comp.machine.controller.safety import check_law, check_table
 from pmac_comp.machine.controller.variables import check_value
-from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.capture.context import context_of
 from tests.unit.machine_controller.card_bench import LIMITS, CardBench
 
 pytestmark = pytest.mark.faults

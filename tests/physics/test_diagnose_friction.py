@@ -13,7 +13,7 @@ from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.generators.motions import sine
 from tools.acceptance.prediction_table import plant_of
 

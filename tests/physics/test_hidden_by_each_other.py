@@ -8,8 +8,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.scale_age import measured_scale_age
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.beyond_model import Shown, made_with, shown_by_runs
-from pmac_comp.workflow.rippling import rippling
+from pmac_comp.workflow.law.beyond_model import Shown, made_with, shown_by_runs
+from pmac_comp.workflow.law.rippling import rippling
 from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")

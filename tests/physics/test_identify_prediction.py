@@ -14,7 +14,7 @@ from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tools.acceptance import prediction_table as tool
 from tools.acceptance.identify_coverage import truth_si
 

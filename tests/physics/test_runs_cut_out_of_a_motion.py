@@ -18,7 +18,7 @@ from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow.prediction import predict_files
+from pmac_comp.workflow.model.prediction import predict_files
 
 BENCH = load_bench("paper_x4")
 TS = BENCH.servo_period_s

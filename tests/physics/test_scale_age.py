@@ -8,10 +8,10 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow import beyond_model
-from pmac_comp.workflow.campaigns import calibration_motions
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.late_scale import scale_age_s
+from pmac_comp.workflow.accuracy.late_scale import scale_age_s
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.law import beyond_model
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")

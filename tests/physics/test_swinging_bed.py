@@ -8,7 +8,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.swinging_bed import measured_bed
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.beyond_model import made_with, shown_by_runs, shown_remarks
+from pmac_comp.workflow.law.beyond_model import made_with, shown_by_runs, shown_remarks
 from tests.physics.identified import SLOW, identified
 
 BENCH = load_bench("paper_x4")

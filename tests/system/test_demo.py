@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.report.run import write_run_report
-from pmac_comp.workflow.commands import capture_paths
 from pmac_comp.workflow.demo import RunResult, run_demo
-from pmac_comp.workflow.verify_stored import verify_files
+from pmac_comp.workflow.motion.commands import capture_paths
+from pmac_comp.workflow.verification.verify_stored import verify_files
 
 # The job takes some 40 s of processor time; a machine that does much else stretches it.
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]

@@ -12,7 +12,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
 from tests.system.command import run
 
 pytestmark = pytest.mark.system

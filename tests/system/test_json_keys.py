@@ -11,7 +11,7 @@ import pytest
 from pmac_comp.cli.app import main
 from pmac_comp.files.capture import write_capture
 from pmac_comp.physics.compensate.exact import Learning
-from pmac_comp.workflow.learning import Refinement
+from pmac_comp.workflow.verification.learning import Refinement
 from tests.unit.workflow.test_static_and_ringing import rings, staircase_run
 from tools.bench_wire import served_card
 

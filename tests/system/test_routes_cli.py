@@ -8,7 +8,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
 from tests.compensations import TRAVEL_m, friction_law, lead_map
 from tests.system.command import run
 

@@ -35,15 +35,19 @@ from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import load_plant
 from pmac_comp.simulator.plant.effects import PLANT_EFFECTS
-from pmac_comp.workflow.axis import Axis, run_all
-from pmac_comp.workflow.campaigns import calibration_motions, lead_motions, verification_motions
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.identification import Friction, identify_captures
-from pmac_comp.workflow.outcome import sensor_floor_um
-from pmac_comp.workflow.simulated import TruthRecorder, default_servo, embedded
-from pmac_comp.workflow.verify import verify_axis
+from pmac_comp.workflow.accuracy.outcome import sensor_floor_um
+from pmac_comp.workflow.capture.axis import Axis, run_all
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import TruthRecorder, default_servo, embedded
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.model.identification import Friction, identify_captures
+from pmac_comp.workflow.motion.campaigns import (
+    calibration_motions,
+    lead_motions,
+    verification_motions,
+)
+from pmac_comp.workflow.verification.verify import verify_axis
 
 Effects = Mapping[str, Mapping[str, float | str]]
 PLANTS: dict[str, Effects | None] = {

@@ -28,7 +28,7 @@ from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import DriveTruth
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.generators.true_values import friction_of
 
 

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.controller.backup import Backup, compare, read_backup
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
 from tests.compensations import friction_law, lead_map
 from tests.faults.openssh import trusting
 from tests.faults.ssh_gateway import SECRET, USER, Gateway

@@ -36,7 +36,7 @@ from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.simulator.plant.effects import PlantEffects
-from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 
 AIM_um = 0.2
 AUTO = ("auto",)

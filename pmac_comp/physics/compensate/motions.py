@@ -2,7 +2,7 @@
 
 What lives here: how far, fast and hard they are, and where in the travel; places and reaches are
 shares of the travel, speeds and accelerations shares of the highest. What may not: motions that a
-controller runs (``workflow.campaigns``): a law is verified on none of these.
+controller runs (``workflow.motion.campaigns``): a law is verified on none of these.
 """
 
 import math

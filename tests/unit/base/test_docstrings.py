@@ -9,8 +9,8 @@ from types import ModuleType
 import pytest
 
 import pmac_comp
-from pmac_comp import workflow
 from pmac_comp.physics import compensate
+from pmac_comp.workflow import capture, compensation, controller, law
 
 PHYSICS = Path(pmac_comp.__file__).parent / "physics"
 ARRAYS = re.compile(r"\b(FloatArray|BoolArray|IntArray|ComplexArray|ndarray|NDArray)\b")
@@ -49,9 +49,14 @@ def test_functions_with_arrays_tell_their_shapes() -> None:
     assert silent == set(), "say which shape the arrays have"
 
 
-@pytest.mark.parametrize("package", [workflow, compensate])
+MAPPED = [pmac_comp.workflow, capture, law, compensation, controller, compensate]
+
+
+@pytest.mark.parametrize("package", MAPPED)
 def test_the_map_of_a_package_holds_each_of_its_modules_once(package: ModuleType) -> None:
     rows = [line[19:].split() for line in str(package.__doc__).splitlines() if line[:4] == "    "]
     named = [name for row in rows for name in row]
-    modules = [p.stem for p in Path(str(package.__file__)).parent.glob("*.py")]
+    folder = Path(str(package.__file__)).parent
+    modules = [p.stem for p in folder.glob("*.py")]
+    modules += [p.parent.name for p in folder.glob("*/__init__.py")]
     assert sorted(named) == sorted(set(modules) - {"__init__"})

@@ -14,7 +14,7 @@ from pmac_comp.base.errors import PmacCompError
 from pmac_comp.cli.app import CHANGING, app
 from pmac_comp.cli.output import WRITTEN
 from pmac_comp.files.capture import Capture, write_capture
-from pmac_comp.workflow.motions import KEYS
+from pmac_comp.workflow.motion.motions import KEYS
 
 PERIOD_S = 442e-6
 ROOT = Path(__file__).resolve().parents[3]

@@ -10,7 +10,7 @@ import pytest
 from pmac_comp.base.errors import LinkLost
 from pmac_comp.cli import output, progress
 from pmac_comp.cli.progress import ProgressLines
-from pmac_comp.workflow import safekeeping
+from pmac_comp.workflow.controller import safekeeping
 
 
 class Clock:

@@ -9,13 +9,14 @@ import pytest
 
 from pmac_comp.cli.app import main
 from pmac_comp.files.bench import load_bench
-from pmac_comp.workflow import previews, removal, upload_flow, upload_plan
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow import previews
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.controller import removal, upload_flow, upload_plan
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.compensations import friction_law, lead_map
 
 PAPER = load_bench("paper")

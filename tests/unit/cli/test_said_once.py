@@ -9,10 +9,12 @@ import pytest
 from pmac_comp.cli import app
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import read_capture
-from pmac_comp.workflow import calibrate, commissioning, verify
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.simulated import embedded, make_card
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.capture import capturing
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.controller import commissioning
+from pmac_comp.workflow.verification import verify
+from pmac_comp.workflow.verification.result import Verification
 
 PAPER = load_bench("paper")
 SINE = "sine:amplitude_mm=1,frequency_Hz=4,cycles=2"
@@ -69,7 +71,7 @@ def test_a_dry_run_into_a_folder_with_runs_is_refused_as_the_capture_would_be(
     assert ended([*words, "--out", str(folder)]) == 0
     assert not folder.exists()
     folder.mkdir()
-    plan = calibrate.plan_capture("paper", campaign="", motions=(SINE,))
+    plan = capturing.plan_capture("paper", campaign="", motions=(SINE,))
     plan.files(folder)[0].touch()
     assert ended([*words, "--out", str(folder)]) == 2
     assert "of an earlier capture" in capsys.readouterr().err
@@ -82,7 +84,7 @@ def test_verify_says_where_the_runs_went(
         verify, "verify_on_controller", lambda *_, **__: Verification((), 0.0, simulated=True)
     )
     monkeypatch.setattr("pmac_comp.workflow.previews.preview_verification", _no_plan)
-    monkeypatch.setattr("pmac_comp.workflow.compensation_file.named_compensation", lambda _: None)
+    monkeypatch.setattr("pmac_comp.workflow.compensation.file.named_compensation", lambda _: None)
     folder = tmp_path / "verified"
     words = ["verify", "sim://", "--bench", "paper", "--yes"]
     assert ended([*words, "--out", str(folder)]) == 0

@@ -69,7 +69,7 @@ def test_a_result_that_cannot_be_written_is_refused_before_the_work(
     words: list[str], code: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Path("there/x.json").mkdir(parents=True)
-    for work in ("identification.identify_files", "diagnosis.diagnose_files"):
+    for work in ("model.identification.identify_files", "model.diagnosis.diagnose_files"):
         monkeypatch.setattr(f"pmac_comp.workflow.{work}", lambda *_, **__: pytest.fail("worked"))
     with pytest.raises(SystemExit) as left:
         app.main(words)

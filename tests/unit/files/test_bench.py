@@ -8,7 +8,7 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import bundled_benches, load_bench, parse_bench
 from pmac_comp.files.kinds import kind_to_keep
 from pmac_comp.files.resources import data_folder
-from pmac_comp.workflow.bench_remarks import remarks
+from pmac_comp.workflow.bench.remarks import remarks
 
 
 @pytest.mark.parametrize("name", bundled_benches())

@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.workflow.bench_view import bench_rows
+from pmac_comp.workflow.bench.view import bench_rows
 
 
 def undescribed(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -17,9 +17,9 @@ from pmac_comp.machine.transport.tap import FaultyTransport
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.sessions import EthernetSession
-from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.pvt import pvt_program
-from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.motion.motions import Motion
+from pmac_comp.workflow.motion.pvt import pvt_program
 
 REQUEST_CYCLES = 2
 LIMITS = Limits(

@@ -17,7 +17,7 @@ from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
-from pmac_comp.workflow.dynamic_law import stribeck_friction, swung_bed
+from pmac_comp.workflow.law.dynamic_law import stribeck_friction, swung_bed
 
 BENCH = load_bench("paper")
 

@@ -19,8 +19,8 @@ from pmac_comp.physics.compensate.law import (
     friction_levels,
 )
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
-from pmac_comp.workflow.rendering import law_parameters
-from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.law.rendering import law_parameters
 
 BENCH = load_bench("paper")
 PERIOD = BENCH.servo_period_s

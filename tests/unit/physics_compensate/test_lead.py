@@ -8,8 +8,8 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import _smooth, lead_map
-from pmac_comp.workflow.campaigns import lead_motions
-from pmac_comp.workflow.rendering import lead_spacing_m, lead_table
+from pmac_comp.workflow.law.rendering import lead_spacing_m, lead_table
+from pmac_comp.workflow.motion.campaigns import lead_motions
 
 BENCH = load_bench("paper")
 

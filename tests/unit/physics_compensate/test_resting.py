@@ -13,8 +13,8 @@ from pmac_comp.physics.compensate.motions import design_motions, resting_moves
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory
-from pmac_comp.workflow.campaigns import verification_motions
-from pmac_comp.workflow.dynamic_law import nut_gap
+from pmac_comp.workflow.law.dynamic_law import nut_gap
+from pmac_comp.workflow.motion.campaigns import verification_motions
 
 BENCH = load_bench("paper")
 

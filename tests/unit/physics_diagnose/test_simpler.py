@@ -17,7 +17,7 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow.campaigns import calibration_motions
+from pmac_comp.workflow.motion.campaigns import calibration_motions
 
 BENCH = load_bench("paper_x4")
 FINDING = Finding("chain.screw_inertia_kgm2", 4e-4, 2.557e-4, 0.03, "screw inertia")

@@ -23,7 +23,7 @@ from pmac_comp.physics.diagnose.words import names_in_words
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.report import diagnosis_figures as figures
 from pmac_comp.report.diagnosis import write_diagnosis_report
-from pmac_comp.workflow.diagnosis import DiagnosisOutcome
+from pmac_comp.workflow.model.diagnosis import DiagnosisOutcome
 
 BENCH = load_bench("paper")
 EXPERIMENT = SeparatingExperiment(

@@ -8,7 +8,7 @@ import pytest
 from pmac_comp.report import improvement
 from pmac_comp.report.page import Section
 from pmac_comp.workflow.improve import Improvement
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification.result import Verification
 
 
 def verification(mechanical: float, total: float) -> Verification:

@@ -9,7 +9,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.report import run as report_run
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification.result import Verification
 from tests.unit.report.test_improvement import verification
 
 

@@ -11,9 +11,9 @@ from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.report import figures
 from pmac_comp.report.page import Section
 from pmac_comp.report.verification import headline, verification_sections
-from pmac_comp.workflow.learning import Refinement
-from pmac_comp.workflow.outcome import MotionOutcome, Ratio, outcome_of
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.accuracy.outcome import MotionOutcome, Ratio, outcome_of
+from pmac_comp.workflow.verification.learning import Refinement
+from pmac_comp.workflow.verification.result import Verification
 
 N, PERIOD_s = 3000, 1e-3
 

@@ -6,8 +6,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.simulated import TruthRecorder, embedded, make_card
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.simulated import TruthRecorder, embedded, make_card
 
 BENCH = load_bench("paper")
 

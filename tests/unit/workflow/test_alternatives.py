@@ -7,8 +7,14 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
-from pmac_comp.workflow.alternatives import compare_alternatives
-from pmac_comp.workflow.other_ways import Way, dual_positions_m, positions_m, scaled_bench, settles
+from pmac_comp.workflow.model.alternatives import compare_alternatives
+from pmac_comp.workflow.model.other_ways import (
+    Way,
+    dual_positions_m,
+    positions_m,
+    scaled_bench,
+    settles,
+)
 
 BENCH = load_bench("paper")
 MODEL = DriveModel.base(BENCH)

@@ -10,19 +10,21 @@ import pytest
 from pmac_comp.base.errors import ControllerState, LeaseHeld
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import calibrate, commissioning, removal, safekeeping, upload_flow, verify
-from pmac_comp.workflow.at_work import at_work
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import CapturePlan
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
+from pmac_comp.workflow.capture import capturing
+from pmac_comp.workflow.capture.at_work import at_work
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import CapturePlan
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.controller import commissioning, removal, safekeeping, upload_flow
+from pmac_comp.workflow.verification import verify
 
 URL = "tcp://card"
 PLAN = CapturePlan(load_bench("paper"), ())
-_MODULES = (calibrate, commissioning, removal, safekeeping, upload_flow, verify)
+_MODULES = (capturing, commissioning, removal, safekeeping, upload_flow, verify)
 Second = Callable[[Path], Any]
 
 SECONDS: dict[str, Second] = {
-    "capture": lambda at: calibrate.capture_to_folder(URL, "paper", PLAN, at / "runs"),
+    "capture": lambda at: capturing.capture_to_folder(URL, "paper", PLAN, at / "runs"),
     "verify": lambda at: verify.verify_on_controller(URL, "paper", law=at / "c.json"),
     "upload": lambda at: upload_flow.upload_file(URL, "paper", at / "c.json", at / "journal"),
     "rollback": lambda at: upload_flow.rollback_upload(URL, "paper", at / "journal"),

@@ -22,21 +22,21 @@ from pmac_comp.machine.controller.law_state import read_law_head
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import sign_test, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.backlash import backlash_table, forward_part, has_backlash
-from pmac_comp.workflow.compensation_file import (
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import (
     Compensation,
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.compensation_text import table_remarks
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy, double_corrections
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.sign_test import check_table_sign
-from pmac_comp.workflow.static_map import Limit, covered_m, static_map
-from pmac_comp.workflow.verify import measured_before_arming
+from pmac_comp.workflow.compensation.text import table_remarks
+from pmac_comp.workflow.controller import sign_test, upload_flow
+from pmac_comp.workflow.controller.deploy import deploy, double_corrections
+from pmac_comp.workflow.controller.sign_test import check_table_sign
+from pmac_comp.workflow.law.backlash import backlash_table, forward_part, has_backlash
+from pmac_comp.workflow.law.static_map import Limit, covered_m, static_map
+from pmac_comp.workflow.motion.motions import parse_motion
+from pmac_comp.workflow.verification.verify import measured_before_arming
 from tests.compensations import TRAVEL_m, friction_law, lead_map
 
 BENCH = load_bench("paper")

@@ -4,7 +4,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench, parse_bench
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.bench_remarks import implausible, loop_remarks, remarks
+from pmac_comp.workflow.bench.remarks import implausible, loop_remarks, remarks
 
 TEXT = load_bench("paper").text
 

@@ -6,8 +6,8 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.clearance import Clearance
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.beyond_model import made_with, shown_remarks
-from pmac_comp.workflow.loose_nut import clearance_note
+from pmac_comp.workflow.law.beyond_model import made_with, shown_remarks
+from pmac_comp.workflow.law.loose_nut import clearance_note
 
 BENCH = load_bench("paper_x4")
 MODEL = DriveModel.base(BENCH)

@@ -29,26 +29,27 @@ from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import cam as cam_module
-from pmac_comp.workflow import sign_test, simulated, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import (
+from pmac_comp.workflow.capture import simulated
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import TruthRecorder
+from pmac_comp.workflow.compensation import cam as cam_module
+from pmac_comp.workflow.compensation.cam import (
     CAM_PROGRAM,
     cam_axis,
     render_cam,
     reset_time,
     time_motor_variables,
 )
-from pmac_comp.workflow.campaigns import verification_motions
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy, switch
-from pmac_comp.workflow.motions import Motion, parse_motion
-from pmac_comp.workflow.rendering import CAM_RUN_UP_CYCLES, cam_shape
-from pmac_comp.workflow.simulated import TruthRecorder
-from pmac_comp.workflow.tables import sum_remarks
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.tables import sum_remarks
+from pmac_comp.workflow.controller import sign_test, upload_flow
+from pmac_comp.workflow.controller.deploy import deploy, switch
+from pmac_comp.workflow.controller.upload_plan import preview
+from pmac_comp.workflow.law.rendering import CAM_RUN_UP_CYCLES, cam_shape
+from pmac_comp.workflow.motion.campaigns import verification_motions
+from pmac_comp.workflow.motion.motions import Motion, parse_motion
 from tests.compensations import lead_map
 
 BENCH = load_bench("paper")

@@ -6,11 +6,11 @@ from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import Bench, load_bench, parse_bench
 from pmac_comp.machine.controller import motors
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import prepare
-from pmac_comp.workflow.card_law import limit_remarks
-from pmac_comp.workflow.doctor import _law
-from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import prepare
+from pmac_comp.workflow.capture.card_law import limit_remarks
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.controller.doctor import _law
 from tests.generators.control_laws import PAPER, SI, other_law
 
 EMPS = load_bench("emps")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import CaptureError, SampleGap
-from pmac_comp.workflow.commands import read_command
+from pmac_comp.workflow.motion.commands import read_command
 
 
 def test_other_separators_are_told_and_not_that_columns_are_missing(tmp_path: Path) -> None:

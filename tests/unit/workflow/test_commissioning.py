@@ -13,14 +13,14 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.rollback import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.as_described import place_remarks
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.bench_remarks import remarks
-from pmac_comp.workflow.calibrate import offset_remarks, prepare
-from pmac_comp.workflow.commissioning import set_up_axis, settable_variables
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.simulated import embedded, make_card
+from pmac_comp.workflow.bench.remarks import remarks
+from pmac_comp.workflow.capture.as_described import place_remarks
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import offset_remarks, prepare
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.controller.commissioning import set_up_axis, settable_variables
+from pmac_comp.workflow.motion.motions import Motion
 
 OTHER = """
 config_version = 1

@@ -1,6 +1,6 @@
 """What a comparison says for people."""
 
-from pmac_comp.workflow.comparison import floor_lines
+from pmac_comp.workflow.model.comparison import floor_lines
 
 
 def test_laps_are_told_beside_the_best_model_and_not_where_the_command_does_not_repeat() -> None:

@@ -7,8 +7,8 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.law import CompensationLaw, REST_UNWIND_per_s
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import computing
-from pmac_comp.workflow.computing import compute_compensation
+from pmac_comp.workflow.compensation import computing
+from pmac_comp.workflow.compensation.computing import compute_compensation
 
 BENCH = load_bench("paper")
 MODEL = DriveModel.base(BENCH)

@@ -33,22 +33,22 @@ from pmac_comp.machine.controller.settings import plc_runs
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import law_cost
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import (
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import TruthRecorder
+from pmac_comp.workflow.compensation.file import (
     Compensation,
     edited_remarks,
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import bank_in_use, deploy, switch
-from pmac_comp.workflow.law_cost import cost_remarks
-from pmac_comp.workflow.motions import Motion, parse_motion
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.repeated import run_with_offset
-from pmac_comp.workflow.runs import require_on_card
-from pmac_comp.workflow.simulated import TruthRecorder
+from pmac_comp.workflow.compensation.repeated import run_with_offset
+from pmac_comp.workflow.controller.deploy import bank_in_use, deploy, switch
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
+from pmac_comp.workflow.law import law_cost
+from pmac_comp.workflow.law.law_cost import cost_remarks
+from pmac_comp.workflow.motion.motions import Motion, parse_motion
+from pmac_comp.workflow.verification.runs import require_on_card
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")

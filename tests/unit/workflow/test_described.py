@@ -10,14 +10,14 @@ import pytest
 from pmac_comp.base.errors import AmplitudeExceeded, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.exact import Aim
-from pmac_comp.workflow import compensate
-from pmac_comp.workflow.compensate import compensate_files
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.compensation_text import describe
-from pmac_comp.workflow.difference import law_rows
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.rendering import law_parameters
-from pmac_comp.workflow.scales import Scales
+from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.compensation import compensate
+from pmac_comp.workflow.compensation.compensate import compensate_files
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.text import describe
+from pmac_comp.workflow.controller.difference import law_rows
+from pmac_comp.workflow.law.rendering import law_parameters
+from pmac_comp.workflow.motion.motions import parse_motion
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")
@@ -38,7 +38,7 @@ def test_a_motion_cut_by_the_limit_offers_the_smaller_aim(
     monkeypatch, tmp_path, route: str, aim: Aim, offers_less: object
 ) -> None:
     drive = SimpleNamespace(effects=())
-    monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
+    monkeypatch.setattr("pmac_comp.workflow.model.identification.load_model", lambda *a, **k: drive)
     monkeypatch.setattr(compensate, "check_amplitude", lambda *a: None)
     monkeypatch.setattr(compensate, "compute_compensation", lambda *a, **k: "cut")
     monkeypatch.setattr(compensate, "limits_report", lambda *a: ["26.0 % of the motion is cut"])
@@ -64,7 +64,7 @@ def test_a_motion_that_its_correction_makes_too_hard_is_refused_before_it_is_wri
         motion_correction_m=bends,
     )
     drive = SimpleNamespace(effects=())
-    monkeypatch.setattr("pmac_comp.workflow.identification.load_model", lambda *a, **k: drive)
+    monkeypatch.setattr("pmac_comp.workflow.model.identification.load_model", lambda *a, **k: drive)
     monkeypatch.setattr(compensate, "check_amplitude", lambda *a: None)
     monkeypatch.setattr(compensate, "compute_compensation", lambda *a, **k: bent)
     out = tmp_path / "c.json"

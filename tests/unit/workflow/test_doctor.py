@@ -9,10 +9,11 @@ import pytest
 from pmac_comp.machine.controller.comp_table import CompTable
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.upload import upload_tables
-from pmac_comp.workflow import doctor, inspect, session
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.doctor import examine
+from pmac_comp.workflow.capture import session
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.controller import doctor, inspect
+from pmac_comp.workflow.controller.doctor import examine
 from tests.unit.workflow.conftest import BENCH
 
 

@@ -11,11 +11,11 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import friction_state
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.workflow import computing
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.dynamic_law import drag_remarks
-from pmac_comp.workflow.law_cost import ASKED, MOST_FRAC, fitting_cycles, share_frac
+from pmac_comp.workflow.compensation import computing
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.law.dynamic_law import drag_remarks
+from pmac_comp.workflow.law.law_cost import ASKED, MOST_FRAC, fitting_cycles, share_frac
 
 PAPER = load_bench("paper_x4")
 # Where the plain law fits into each servo cycle, and not with what drags beside it.

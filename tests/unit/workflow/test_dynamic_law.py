@@ -12,7 +12,7 @@ from pmac_comp.physics.compensate.loop import STATIC_EFFECTS, model_loop
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.workflow.dynamic_law import (
+from pmac_comp.workflow.law.dynamic_law import (
     constant_remarks,
     dynamic_law,
     nut_gap,
@@ -46,7 +46,7 @@ def test_a_cable_that_the_model_holds_is_in_the_torque_and_not_in_its_dynamics(
 ) -> None:
     cable = {"stiffness_N_per_m": 400.0, "centre_m": -0.3}
     plain = CompensationLaw(torque_limit_Nm=17.0, origin_m=BENCH.mid_travel_m)
-    monkeypatch.setattr("pmac_comp.workflow.dynamic_law.design_law", lambda *_, **__: plain)
+    monkeypatch.setattr("pmac_comp.workflow.law.dynamic_law.design_law", lambda *_, **__: plain)
     held = dynamic_law(BENCH, DriveModel.base(BENCH).with_effect("cable_drag", cable), "law")
     slope = 400.0 * BENCH.lead_m_per_rad
     assert held.torque_place_Nm_per_m == pytest.approx(slope)

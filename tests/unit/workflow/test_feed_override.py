@@ -7,13 +7,13 @@ import pytest
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.machine.controller import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.as_described import require_as_described
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.standing import stand_to_switch
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow.capture.as_described import require_as_described
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.standing import stand_to_switch
+from pmac_comp.workflow.controller.upload_plan import preview
 from tests.compensations import lead_map
 
 TABLE = Compensation("table", CompensationLaw(), lead_map())

@@ -14,18 +14,19 @@ from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import beyond_model, compensate, computing
-from pmac_comp.workflow.campaigns import lead_motions
-from pmac_comp.workflow.compensate import compensate_files
-from pmac_comp.workflow.compensation_file import ROUTES
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.foreseen import (
+from pmac_comp.workflow.compensation import compensate, computing
+from pmac_comp.workflow.compensation.compensate import compensate_files
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import ROUTES
+from pmac_comp.workflow.compensation.foreseen import (
     check_amplitude,
     check_options,
     check_slow_runs,
     check_uncompensated,
 )
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.law import beyond_model
+from pmac_comp.workflow.motion.campaigns import lead_motions
+from pmac_comp.workflow.motion.motions import parse_motion
 
 BENCH = load_bench("paper")
 MODEL = DriveModel.base(BENCH)
@@ -55,7 +56,7 @@ def nothing_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(computing, "dynamic_law", never)
     monkeypatch.setattr(beyond_model, "found_clearance", never)
     monkeypatch.setattr(
-        "pmac_comp.workflow.identification.load_model", lambda *_args, **_more: MODEL
+        "pmac_comp.workflow.model.identification.load_model", lambda *_args, **_more: MODEL
     )
 
 

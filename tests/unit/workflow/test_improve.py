@@ -13,7 +13,7 @@ from pmac_comp.base.errors import ConfigError, LinkLost, NotIdentifiable
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.workflow import improve
 from pmac_comp.workflow.improve import Improvement, improve_axis, improve_on_controller, is_better
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.verification.result import Verification
 
 
 def verification(mechanical: float, total: float, *, kept: bool = True) -> Verification:

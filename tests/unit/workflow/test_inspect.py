@@ -12,12 +12,12 @@ from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.journal import Journal
 from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import inspect
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of, context_to_look
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.removal import remove_from, standing_on
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of, context_to_look
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import inspect
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.compensations import lead_map
 
 

@@ -11,15 +11,15 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.scale_age import ScaleAge
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.beyond_model import made_with
-from pmac_comp.workflow.late_scale import (
+from pmac_comp.workflow.accuracy.late_scale import (
     in_time,
     noted_age,
     read_together,
     scale_age_s,
     scale_remarks,
 )
-from pmac_comp.workflow.outcome import error_signals, outcome_of
+from pmac_comp.workflow.accuracy.outcome import error_signals, outcome_of
+from pmac_comp.workflow.law.beyond_model import made_with
 
 BENCH = load_bench("paper_x4")
 MODEL = DriveModel.base(BENCH)

@@ -12,10 +12,11 @@ from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import computing, law_cost
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.dynamic_law import law_remarks
-from pmac_comp.workflow.law_cost import (
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.compensation import computing
+from pmac_comp.workflow.law import law_cost
+from pmac_comp.workflow.law.dynamic_law import law_remarks
+from pmac_comp.workflow.law.law_cost import (
     cheaper_laws,
     cost_refusals,
     cost_remarks,

@@ -10,11 +10,11 @@ from pmac_comp.machine.controller import law_goal, law_state
 from pmac_comp.machine.controller.law_state import LawForm
 from pmac_comp.machine.controller.rollback import rollback_last
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.removal import remove_from, standing_on
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW
 

@@ -9,8 +9,8 @@ from pmac_comp.physics.compensate.clearance import Clearance
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.dynamic_law import nut_gap
-from pmac_comp.workflow.loose_nut import (
+from pmac_comp.workflow.law.dynamic_law import nut_gap
+from pmac_comp.workflow.law.loose_nut import (
     clearance_note,
     clearance_remarks,
     flank_remarks,

@@ -10,21 +10,21 @@ import pytest
 from pmac_comp.base.errors import ConfigError, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
-from pmac_comp.workflow.campaigns import (
+from pmac_comp.workflow.motion.campaigns import (
     calibration_motions,
     lead_motions,
     positioning_motion,
     ringing_motion,
     verification_motions,
 )
-from pmac_comp.workflow.motions import (
+from pmac_comp.workflow.motion.motions import (
     Motion,
     check_motion,
     parse_motion,
     relaxing,
     short_motion,
 )
-from pmac_comp.workflow.pvt import pvt_program
+from pmac_comp.workflow.motion.pvt import pvt_program
 
 BENCH = load_bench("paper")
 

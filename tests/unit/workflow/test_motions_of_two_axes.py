@@ -10,16 +10,16 @@ from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.settings import read_axes
 from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.workflow import inspect, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.cam import CAM_PROGRAM, time_motor_variables
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.difference import difference_on
-from pmac_comp.workflow.program import COMPENSATED_PROGRAM
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.cam import CAM_PROGRAM, time_motor_variables
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.program import COMPENSATED_PROGRAM
+from pmac_comp.workflow.controller import inspect, upload_flow
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.difference import difference_on
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
+from pmac_comp.workflow.controller.upload_plan import preview
 from tests.unit.workflow.test_cam import BUMP, cam_of
 from tests.unit.workflow.test_removal import put_on
 

@@ -6,9 +6,9 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.deploy import Deployment
-from pmac_comp.workflow.upload_flow import look_after, next_steps
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import Deployment
+from pmac_comp.workflow.controller.upload_flow import look_after, next_steps
 
 
 def steps_after(folder: Path, *, persist: bool) -> list[str]:

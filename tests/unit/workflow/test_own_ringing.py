@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.workflow.outcome import ErrorSignals, MotionOutcome, Ratio, Spread
-from pmac_comp.workflow.own_ringing import own_ringing, own_ringing_remarks
+from pmac_comp.workflow.accuracy.outcome import ErrorSignals, MotionOutcome, Ratio, Spread
+from pmac_comp.workflow.accuracy.own_ringing import own_ringing, own_ringing_remarks
 
 PERIOD_s = 442e-6
 TIME_s = np.arange(6000) * PERIOD_s

@@ -13,22 +13,22 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import grouping, rollback
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import plan_capture
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import plan_capture
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
+from pmac_comp.workflow.controller.upload_plan import preview
 from pmac_comp.workflow.demo import run_demo
-from pmac_comp.workflow.deploy import deploy
 from pmac_comp.workflow.improve import improve_on_controller
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.motion.motions import parse_motion
 from pmac_comp.workflow.previews import (
     preview_improvement,
     preview_verification,
     what_is_open,
     what_was_uploaded,
 )
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.upload_plan import preview
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")

@@ -20,23 +20,24 @@ from pmac_comp.physics.compensate.exact import Aim, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow import compensate, computing, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.compensation_text import limits_report
-from pmac_comp.workflow.computing import compute_compensation
-from pmac_comp.workflow.context import acting, context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.learning import refine_motion
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.outcome import Spread
-from pmac_comp.workflow.program import COMPENSATED_PROGRAM, draw_motion, motion_of
-from pmac_comp.workflow.promises import Promiser
-from pmac_comp.workflow.run_cut import LEAD_IN_s
-from pmac_comp.workflow.runs import left_as_found, require_on_card, runs_of
-from pmac_comp.workflow.scales import Scales
-from pmac_comp.workflow.tables import tables_of
-from pmac_comp.workflow.verify import verify_axis
+from pmac_comp.workflow.accuracy.outcome import Spread
+from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import acting, context_of
+from pmac_comp.workflow.capture.run_cut import LEAD_IN_s
+from pmac_comp.workflow.compensation import compensate, computing
+from pmac_comp.workflow.compensation.computing import compute_compensation
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.program import COMPENSATED_PROGRAM, draw_motion, motion_of
+from pmac_comp.workflow.compensation.promises import Promiser
+from pmac_comp.workflow.compensation.tables import tables_of
+from pmac_comp.workflow.compensation.text import limits_report
+from pmac_comp.workflow.controller import upload_flow
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.motion.motions import parse_motion
+from pmac_comp.workflow.verification.learning import refine_motion
+from pmac_comp.workflow.verification.runs import left_as_found, require_on_card, runs_of
+from pmac_comp.workflow.verification.verify import verify_axis
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")

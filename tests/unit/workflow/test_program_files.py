@@ -10,8 +10,8 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller import programs
 from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.workflow import safekeeping, upload_flow
-from pmac_comp.workflow.axis import Axis
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.controller import safekeeping, upload_flow
 
 ASKED = "M7003->M7011->M7012->M7015->"
 

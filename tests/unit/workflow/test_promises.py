@@ -15,13 +15,13 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow.approach import RUN_UP_m, approach
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.outcome import ROUNDING
-from pmac_comp.workflow.promises import Promiser, static_of, worse_remarks
-from pmac_comp.workflow.simulated import TruthRecorder, embedded
+from pmac_comp.workflow.accuracy.outcome import ROUNDING
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.simulated import TruthRecorder, embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.compensation.promises import Promiser, static_of, worse_remarks
+from pmac_comp.workflow.motion.approach import RUN_UP_m, approach
+from pmac_comp.workflow.motion.motions import Motion
 from tests.compensations import TRAVEL_m, lead_map
 from tests.generators.true_values import friction_of
 

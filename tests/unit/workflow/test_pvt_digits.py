@@ -3,8 +3,8 @@
 import pytest
 
 from pmac_comp.files.bench import bundled_benches, load_bench
-from pmac_comp.workflow.campaigns import calibration_motions
-from pmac_comp.workflow.pvt import pvt_program
+from pmac_comp.workflow.motion.campaigns import calibration_motions
+from pmac_comp.workflow.motion.pvt import pvt_program
 
 ON_A_CARD = [name for name in bundled_benches() if load_bench(name).controller.kind == "pmac"]
 

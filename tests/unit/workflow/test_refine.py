@@ -16,19 +16,19 @@ from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.report.repeated import learning_section
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import (
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded
+from pmac_comp.workflow.compensation.file import (
     Compensation,
     read_compensation,
     write_compensation,
 )
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.learning import Refinement, learned_remarks, refine_motion
-from pmac_comp.workflow.motions import Motion
-from pmac_comp.workflow.repeated import delay_samples
-from pmac_comp.workflow.simulated import embedded
-from pmac_comp.workflow.verify import keep_learned
+from pmac_comp.workflow.compensation.repeated import delay_samples
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.motion.motions import Motion
+from pmac_comp.workflow.verification.learning import Refinement, learned_remarks, refine_motion
+from pmac_comp.workflow.verification.verify import keep_learned
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")

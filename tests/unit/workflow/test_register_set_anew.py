@@ -13,11 +13,11 @@ from pmac_comp.machine.controller import law_goal, law_state
 from pmac_comp.machine.controller.context import Context
 from pmac_comp.machine.controller.law_bank import Index, WorkIndex
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.simulated import default_servo, embedded
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import default_servo, embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
 from tests.compensations import friction_law
 
 BENCH = load_bench("paper")

@@ -18,14 +18,14 @@ from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.machine.controller.table_status import table_status
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import commissioning, inspect, removal, safekeeping
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import acting_remarks
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.removal import remove_from, standing_on
-from pmac_comp.workflow.simulated import default_servo, embedded
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import acting_remarks
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import default_servo, embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import commissioning, inspect, removal, safekeeping
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
 

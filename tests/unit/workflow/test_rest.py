@@ -18,13 +18,13 @@ from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import Plant
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy, switch
-from pmac_comp.workflow.motions import Motion, parse_motion
-from pmac_comp.workflow.routes import LATENCY_CYCLES
-from pmac_comp.workflow.simulated import default_servo, embedded
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import default_servo, embedded
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy, switch
+from pmac_comp.workflow.law.routes import LATENCY_CYCLES
+from pmac_comp.workflow.motion.motions import Motion, parse_motion
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")

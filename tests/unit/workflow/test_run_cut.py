@@ -5,7 +5,7 @@ import pytest
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError
-from pmac_comp.workflow.run_cut import moving_range
+from pmac_comp.workflow.capture.run_cut import moving_range
 
 PERIOD_s = 442e-6
 REST = np.zeros(1000)

@@ -6,8 +6,8 @@ from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.motion import program_status
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.motion.motions import parse_motion
 
 BENCH = load_bench("paper")
 

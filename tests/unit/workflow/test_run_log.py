@@ -9,11 +9,11 @@ from pmac_comp.base.errors import CaptureError, ConfigError, StorageFull
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import read_capture
 from pmac_comp.machine.controller.capture_log import CaptureLog
-from pmac_comp.workflow import calibrate
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.calibrate import CapturePlan, capture_to_folder, recover_to_folder
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.run_log import RunLog, capture_of_log, new_log
+from pmac_comp.workflow.capture import capturing
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.capturing import CapturePlan, capture_to_folder, recover_to_folder
+from pmac_comp.workflow.capture.run_log import RunLog, capture_of_log, new_log
+from pmac_comp.workflow.motion.motions import parse_motion
 
 BENCH = load_bench("paper")
 MOTION = parse_motion("trapezoid:distance_mm=5", BENCH)
@@ -66,7 +66,7 @@ def test_a_run_that_cannot_be_stored_is_kept_in_its_log(
     def full(*_: object) -> None:
         raise StorageFull("no room")
 
-    monkeypatch.setattr(calibrate, "write_capture", full)
+    monkeypatch.setattr(capturing, "write_capture", full)
     with pytest.raises(StorageFull) as caught:
         capture_to_folder("sim://", "paper", PLAN, tmp_path)
     (log,) = tmp_path.iterdir()

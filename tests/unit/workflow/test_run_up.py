@@ -5,8 +5,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.motion.motions import parse_motion
 
 BENCH = load_bench("paper")
 

@@ -10,7 +10,7 @@ from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.files.bench import Travel, load_bench, parse_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.model_file import ModelFile, written_for
-from pmac_comp.workflow.same_axis import (
+from pmac_comp.workflow.bench.same_axis import (
     captures_of,
     check_channels,
     check_no_copies,

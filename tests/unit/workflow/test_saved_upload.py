@@ -11,12 +11,12 @@ from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
-from pmac_comp.workflow import safekeeping, upload_flow
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.simulated import embedded
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.controller import safekeeping, upload_flow
+from pmac_comp.workflow.controller.upload_plan import preview
 from tests.compensations import lead_map
 
 

@@ -12,11 +12,11 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.workflow import calibrate
-from pmac_comp.workflow.approach import APPROACHED
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.motions import Motion, parse_motion, relaxing
-from pmac_comp.workflow.simulated import embedded
+from pmac_comp.workflow.capture import capturing
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.simulated import embedded
+from pmac_comp.workflow.motion.approach import APPROACHED
+from pmac_comp.workflow.motion.motions import Motion, parse_motion, relaxing
 
 BENCH = load_bench("paper")
 FAIL_AT_m = 0.012
@@ -109,12 +109,12 @@ def test_a_campaign_that_the_card_cannot_hold_is_refused_before_its_first_run(
     controller = BENCH.controller.model_copy(update={"dpram": "none"})
     bench = BENCH.model_copy(update={"controller": controller})
     texts = ("trapezoid:distance_mm=5", "sine:amplitude_mm=5,frequency_Hz=1,cycles=5")
-    plan = calibrate.CapturePlan(bench, tuple(parse_motion(text, bench) for text in texts))
+    plan = capturing.CapturePlan(bench, tuple(parse_motion(text, bench) for text in texts))
     with embedded(Card(bench)) as link:
         axis = Axis(link, bench)
-        monkeypatch.setattr(calibrate, "open_axis", lambda _url, _bench: nullcontext(axis))
+        monkeypatch.setattr(capturing, "open_axis", lambda _url, _bench: nullcontext(axis))
         with pytest.raises(CaptureError, match=r"sine.* lasts"):
-            calibrate.capture_to_folder("sim://", "paper", plan, tmp_path / "runs")
+            capturing.capture_to_folder("sim://", "paper", plan, tmp_path / "runs")
         assert motors.read_motor(link, axis.motor).status.is_killed
     assert not list((tmp_path / "runs").iterdir())
 

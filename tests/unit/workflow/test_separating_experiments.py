@@ -9,7 +9,7 @@ from pmac_comp.files.bench import Bench, load_bench, parse_bench
 from pmac_comp.physics.diagnose.localise import COORDINATE_UNITS, TURNED
 from pmac_comp.physics.diagnose.lookalikes import separating_experiment, telling_experiment
 from pmac_comp.physics.model.effect import effect_library
-from pmac_comp.workflow.motions import parse_motion
+from pmac_comp.workflow.motion.motions import parse_motion
 
 
 def small() -> Bench:

@@ -10,11 +10,11 @@ from pmac_comp.cli.app import app
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.machine.controller.law_bank import LawBlock
 from pmac_comp.machine.controller.servo_source import servo_for, servo_source
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.simulated import default_servo, embedded, make_card
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import default_servo, embedded, make_card
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import deploy
 from tests.unit.workflow.conftest import BENCH
 from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
 

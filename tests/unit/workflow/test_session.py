@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.machine.controller.temporary import standing
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.session import open_axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.session import open_axis
 
 
 def test_two_cards_of_their_own_process_share_no_journal(

@@ -8,12 +8,12 @@ import pytest
 from pmac_comp.base.errors import LinkLost
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import sign_test
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy
-from pmac_comp.workflow.sign_test import check_law_sign, check_table_sign
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import sign_test
+from pmac_comp.workflow.controller.deploy import deploy
+from pmac_comp.workflow.controller.sign_test import check_law_sign, check_table_sign
 from tests.compensations import lead_map
 
 

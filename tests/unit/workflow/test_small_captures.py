@@ -10,7 +10,7 @@ from pmac_comp.base.errors import ConfigError, NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture, read_capture, write_capture
 from pmac_comp.physics import identify
-from pmac_comp.workflow import diagnosis, identification
+from pmac_comp.workflow.model import diagnosis, identification
 
 BENCH = load_bench("paper")
 

@@ -14,14 +14,15 @@ from pmac_comp.machine.controller import motors
 from pmac_comp.machine.controller.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow import previews, removal, upload_flow, upload_plan
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import deploy, switch
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.simulated import embedded, make_card
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow import previews
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded, make_card
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller import removal, upload_flow, upload_plan
+from pmac_comp.workflow.controller.deploy import deploy, switch
+from pmac_comp.workflow.controller.upload_plan import preview
+from pmac_comp.workflow.motion.motions import parse_motion
 
 BENCH = parse_bench(
     load_bench("paper").text.replace("min_mm = -300.0", "min_mm = 20.0"), name="beside its zero"

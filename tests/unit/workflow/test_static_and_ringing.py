@@ -9,13 +9,18 @@ from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.report.verification import headline
-from pmac_comp.workflow.campaigns import positioning_motion, ringing_motion
-from pmac_comp.workflow.motions import Motion, check_motion, parse_motion
-from pmac_comp.workflow.positioning_sheet import by_target, run_scheme, sheet_rows
-from pmac_comp.workflow.pvt import pvt_program
-from pmac_comp.workflow.ringing import ringing_of
-from pmac_comp.workflow.static_check import Approaches, StaticOutcome, approaches, is_static
-from pmac_comp.workflow.verification import Verification, static_remarks
+from pmac_comp.workflow.accuracy.positioning_sheet import by_target, run_scheme, sheet_rows
+from pmac_comp.workflow.accuracy.ringing import ringing_of
+from pmac_comp.workflow.accuracy.static_check import (
+    Approaches,
+    StaticOutcome,
+    approaches,
+    is_static,
+)
+from pmac_comp.workflow.motion.campaigns import positioning_motion, ringing_motion
+from pmac_comp.workflow.motion.motions import Motion, check_motion, parse_motion
+from pmac_comp.workflow.motion.pvt import pvt_program
+from pmac_comp.workflow.verification.result import Verification, static_remarks
 
 BENCH = load_bench("paper")
 STAIRS = positioning_motion(BENCH)

@@ -11,9 +11,9 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.swinging_bed import SwingingBed
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.beyond_model import made_with
-from pmac_comp.workflow.dynamic_law import swung_bed
-from pmac_comp.workflow.swinging_bed import bed_remarks, noted_bed, on_bed
+from pmac_comp.workflow.law.beyond_model import made_with
+from pmac_comp.workflow.law.dynamic_law import swung_bed
+from pmac_comp.workflow.law.swinging_bed import bed_remarks, noted_bed, on_bed
 
 BENCH = load_bench("paper_x4")
 MODEL = DriveModel.base(BENCH)

@@ -14,12 +14,12 @@ from pmac_comp.machine.controller.table_set import TableSet, read_tables
 from pmac_comp.machine.controller.variables import read_many
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.deploy import Deployment, deploy, switch
-from pmac_comp.workflow.upload_flow import next_steps
-from pmac_comp.workflow.upload_plan import preview
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation
+from pmac_comp.workflow.controller.deploy import Deployment, deploy, switch
+from pmac_comp.workflow.controller.upload_flow import next_steps
+from pmac_comp.workflow.controller.upload_plan import preview
 from tests.compensations import friction_law, lead_map
 
 BENCH = load_bench("paper")

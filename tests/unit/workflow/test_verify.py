@@ -12,14 +12,20 @@ from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.report.verification import headline, verification_sections
-from pmac_comp.workflow.commands import capture_paths
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.kept_runs import KeptRuns
-from pmac_comp.workflow.outcome import Ratio, Spread, error_signals, outcome_of, sensor_floor_um
-from pmac_comp.workflow.summing_up import summed_up
-from pmac_comp.workflow.verification import Verification, interval_texts, verdict_remarks
-from pmac_comp.workflow.verify import _compared
-from pmac_comp.workflow.verify_stored import verify_files
+from pmac_comp.workflow.accuracy.outcome import (
+    Ratio,
+    Spread,
+    error_signals,
+    outcome_of,
+    sensor_floor_um,
+)
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.motion.commands import capture_paths
+from pmac_comp.workflow.verification.kept_runs import KeptRuns
+from pmac_comp.workflow.verification.result import Verification, interval_texts, verdict_remarks
+from pmac_comp.workflow.verification.summing_up import summed_up
+from pmac_comp.workflow.verification.verify import _compared
+from pmac_comp.workflow.verification.verify_stored import verify_files
 from tests.compensations import lead_map
 
 BENCH = load_bench("paper")

@@ -13,10 +13,10 @@ import pytest
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.physics.compensate.exact import Learning
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import kept_runs, verify
-from pmac_comp.workflow.compensation_file import Compensation, read_compensation, write_compensation
-from pmac_comp.workflow.learning import Refinement
-from pmac_comp.workflow.verification import Verification
+from pmac_comp.workflow.compensation.file import Compensation, read_compensation, write_compensation
+from pmac_comp.workflow.verification import kept_runs, verify
+from pmac_comp.workflow.verification.learning import Refinement
+from pmac_comp.workflow.verification.result import Verification
 from tests.unit.workflow.test_verify import run
 
 

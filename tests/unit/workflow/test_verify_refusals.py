@@ -6,12 +6,12 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, PmacCompError, VerifyMismatch
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.workflow import verify
-from pmac_comp.workflow.axis import Axis
-from pmac_comp.workflow.compensation_file import Compensation, write_compensation
-from pmac_comp.workflow.context import context_of
-from pmac_comp.workflow.motions import parse_motion
-from pmac_comp.workflow.runs import require_on_card
+from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.motion.motions import parse_motion
+from pmac_comp.workflow.verification import verify
+from pmac_comp.workflow.verification.runs import require_on_card
 from tests.compensations import lead_map
 
 

@@ -1,0 +1,222 @@
+"""What calibration runs show beyond the model: found in turn, kept with the law, and said.
+
+What lives here: the order in which it is looked for, and the model with all of it, from the runs or
+from a law's provenance. What may not: each of the findings (``rippling``, ``drive_lag``,
+``late_scale``, ``swinging_bed``, ``loose_nut``).
+
+Torque that ripples and the drive's lag are the first: they move the motor, which all else is
+measured against. The ripple is known only here: the law reads its own. A late scale
+and a bed that swings hide each other, and a gap in the nut hides both, and friction.
+The gap is looked for where readings belong together and nothing swings; with it in the model the
+drive is fitted anew, and both are looked for again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from pmac_comp.base.progress import Progress
+from pmac_comp.files.bench import Bench
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
+from pmac_comp.physics.compensate.grip import gripping_model
+from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.ripple import RIPPLE
+from pmac_comp.physics.compensate.starts import with_starts
+from pmac_comp.physics.model.effect import split_name
+from pmac_comp.workflow.accuracy.late_scale import (
+    in_time,
+    noted_age,
+    read_together,
+    scale_age_s,
+    scale_remarks,
+)
+from pmac_comp.workflow.law.drive_lag import found_drive_lag, lag_note, lag_remarks
+from pmac_comp.workflow.law.dynamic_law import without_fed_forward
+from pmac_comp.workflow.law.loose_nut import (
+    clearance_note,
+    clearance_remarks,
+    found_clearance,
+    loosened,
+)
+from pmac_comp.workflow.law.rippling import rippling
+from pmac_comp.workflow.law.swinging_bed import bed_remarks, noted_bed, on_bed
+
+if TYPE_CHECKING:
+    from pmac_comp.physics.model.drive import DriveModel
+
+_FRICTION = ("stribeck", "presliding")
+_WHOLE = "whole_model"  # of a law: all that the last fit has
+_LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What runs show beyond a model.
+
+    Parameters
+    ----------
+    model : DriveModel
+        With all of it but the scale's age, as it was fitted beside it.
+    captures, slow : tuple of Capture
+        The runs as a scale that is not late would have given them, and how they began.
+    noted : dict
+        What a law keeps of it in its provenance.
+    """
+
+    model: "DriveModel"
+    captures: tuple[Capture, ...]
+    slow: tuple[Capture, ...]
+    noted: dict[str, Any]
+
+
+def shown_by_runs(
+    bench: Bench,
+    model: "DriveModel",
+    captures: Sequence[Capture],
+    slow: Sequence[Capture],
+    *,
+    with_gap: bool = True,
+    progress: Progress | None = None,
+) -> Shown:
+    """Look for the drive's lag, a late scale, a bed that swings and, if asked, a gap in the nut.
+
+    Parameters
+    ----------
+    bench, model
+        What is known, and the identified drive.
+    captures, slow : sequence of Capture
+        Fast runs and slow runs in both directions, without compensation.
+    with_gap : bool
+        Whether a gap is looked for.
+    progress : callable, optional
+        Called with a step and a fraction.
+    """
+    known = rippling(bench, model, captures, progress)
+    shown = _in_step(bench, Shown(known, tuple(captures), tuple(slow), {}), progress)
+    shown = _timed_and_still(bench, shown, progress)
+    if with_gap:  # else the route takes the whole difference of the directions as it is
+        if progress is not None and captures:
+            progress("looking for a gap in the nut", 0.0)
+        gap = found_clearance(bench, shown.model, shown.slow, shown.captures)
+        shown = shown if gap is None else _beside_gap(bench, shown, gap, progress)
+    if not shown.noted:
+        return replace(shown, model=model)
+    if RIPPLE not in model.effects and RIPPLE in shown.model.effects:  # the law reads it itself
+        shown = replace(shown, model=shown.model.without_effect(RIPPLE))
+    own = [name for name in shown.model.effects if name not in model.effects]
+    whole = {"effects": own, "values": dict(shown.model.parameters)}
+    return replace(shown, noted={**shown.noted, _WHOLE: whole})
+
+
+def _in_step(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    """With the lag of the drive, where runs contradict the bench file."""
+    lag = found_drive_lag(bench, shown.model, shown.captures, progress)
+    if lag is None:
+        return shown
+    return replace(shown, model=lag.model, noted={**shown.noted, **lag_note(lag)})
+
+
+def _timed_and_still(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    """With the scale's age and the bed, each beside the other, where they are not known yet."""
+    found = _timed(bench, shown, progress)
+    swung = _on_its_bed(bench, found, progress)
+    if swung is not found:
+        swung = _timed(bench, swung, progress)  # what the bed hid
+    return _begun(swung)
+
+
+def _timed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    if scale_age_s(shown.noted) != 0.0:
+        return shown
+    age = noted_age(bench, shown.model, shown.captures, progress)
+    if not age:
+        return shown
+    captures, slow = (
+        tuple(read_together(run, scale_age_s(age)) for run in runs)
+        for runs in (shown.captures, shown.slow)
+    )
+    return Shown(in_time(shown.model, age), captures, slow, {**shown.noted, **age})
+
+
+def _on_its_bed(bench: Bench, shown: Shown, progress: Progress | None) -> Shown:
+    bed = noted_bed(bench, shown.model, shown.captures, progress)
+    if not bed:
+        return shown
+    model = _with_hidden_friction(bench, on_bed(shown.model, bed), shown.captures, progress)
+    return replace(shown, model=model, noted={**shown.noted, **bed})
+
+
+def _with_hidden_friction(
+    bench: Bench, model: "DriveModel", captures: Sequence[Capture], progress: Progress | None
+) -> "DriveModel":
+    """The model with a form of friction that its bed hid, where runs show one."""
+    from pmac_comp.physics.identify.refit import fitted_anew
+
+    if any(split_name(name)[0] in _FRICTION for name in model.effects):
+        return model
+    if progress is not None:
+        progress("fitting friction beside the bed", 0.0)
+    anew = fitted_anew(captures, bench, model)
+    forms = anew is not None and len(anew.model.effects) > len(model.effects)
+    return anew.model if anew is not None and forms else model
+
+
+def _begun(shown: Shown) -> Shown:
+    """With what friction held as the runs began."""
+    n = len(shown.captures)
+    runs = with_starts(without_fed_forward(shown.model), [*shown.captures, *shown.slow])
+    return replace(shown, captures=tuple(runs[:n]), slow=tuple(runs[n:]))
+
+
+def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress | None) -> Shown:
+    """With the gap, the drive fitted anew beside it, and what it hid."""
+    from pmac_comp.physics.identify.refit import fitted_anew
+
+    loose = with_clearance(shown.model, gap.values)
+    if progress is not None:
+        progress("fitting the drive beside the gap", 0.0)
+    anew = fitted_anew(shown.captures, bench, loose)
+    if anew is not None:
+        moved = _moved(gap, anew.model, anew.left_um)
+        if _LEAST_KEPT * gap.gap_m < moved.gap_m < _MOST_KEPT * gap.gap_m:
+            loose, gap = anew.model, moved
+    found = _timed_and_still(bench, replace(shown, model=loose), progress)
+    gap = _moved(gap, found.model, gap.with_um)
+    return replace(found, noted={**found.noted, **clearance_note(gap)})
+
+
+def _moved(gap: Clearance, model: "DriveModel", with_um: float) -> Clearance:
+    """The gap as a later fit has it."""
+    values = {name: model.parameters[name] for name in gap.values}
+    return replace(gap, values=values, with_um=with_um)
+
+
+def made_with(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
+    """The model that a law was made with, from the model that it was computed from."""
+    model = on_bed(in_time(model, law.provenance), law.provenance)
+    whole = law.provenance.get(_WHOLE)
+    if whole is None:
+        return loosened(model, law)
+    for name in whole["effects"]:
+        model = model if name in model.effects else model.with_effect(name)
+    known = {k: v for k, v in whole["values"].items() if k in model.parameters}
+    return gripping_model(model.with_parameters(known), law)
+
+
+def shown_remarks(law: CompensationLaw) -> list[str]:
+    """What was found beyond the model, for people."""
+    said = [*lag_remarks(law), *scale_remarks(law), *bed_remarks(law), *clearance_remarks(law)]
+    return [*said, *_friction_remarks(law)]
+
+
+def _friction_remarks(law: CompensationLaw) -> list[str]:
+    """Friction that showed as soon as what hid it was in the model."""
+    whole = law.provenance.get(_WHOLE, {"effects": []})
+    forms = [name for name in whole["effects"] if split_name(name)[0] in _FRICTION]
+    if not forms:
+        return []
+    return [
+        f"beside that the runs show friction that it hid ({', '.join(forms)}): the law is "
+        "computed with it, `pmac-comp diagnose` gives its figures"
+    ]

@@ -1,0 +1,1 @@
+"""Before and after on fresh runs that alternate, and learning from them."""
