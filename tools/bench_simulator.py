@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 

@@ -31,14 +31,14 @@ from unittest.mock import patch
 from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import upload
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.safety import Limits
-from pmac_comp.machine.controller.switching import watch as watch_motors
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.safety import Limits
+from pmac_comp.machine.controller.motors.switching import watch as watch_motors
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.tables.upload import upload_tables
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.wire.ethernet import MAX_REPLY, BufferVerdict, RequestCode

@@ -13,7 +13,7 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, holds_runs
 from pmac_comp.files.model_file import ModelFile, read_model, write_model
-from pmac_comp.machine.controller.processor_load import read_load
+from pmac_comp.machine.controller.card.processor_load import read_load
 from pmac_comp.workflow.accuracy.outcome import WORSE, MotionOutcome, quadratic_mean
 from pmac_comp.workflow.capture.at_work import measuring
 from pmac_comp.workflow.capture.axis import Axis

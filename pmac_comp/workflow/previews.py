@@ -11,11 +11,11 @@ from typing import Any
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller import recovery, rollback, waiting
-from pmac_comp.machine.controller.alike import left_open_alike
-from pmac_comp.machine.controller.manifest import Action
-from pmac_comp.machine.controller.table_recovery import last_upload
-from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.machine.controller.change.alike import left_open_alike
+from pmac_comp.machine.controller.change.manifest import Action
+from pmac_comp.machine.controller.tables.table_recovery import last_upload
+from pmac_comp.machine.controller.tables.table_status import table_status
+from pmac_comp.machine.controller.whole import recovery, rollback, waiting
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_to_look
 from pmac_comp.workflow.capture.session import open_axis

@@ -7,11 +7,11 @@ from itertools import pairwise
 from pathlib import Path
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import recovery, waiting
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import BANK_VALUES, BankIndex, Index, LawBlock
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.contents.law_bank import BANK_VALUES, BankIndex, Index, LawBlock
+from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.simulator.card import Card
 from tests.faults.same_state import stretches

@@ -13,10 +13,11 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import guard_install, recovery, rollback, waiting
-from pmac_comp.machine.controller.comp_table import TableKind
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.contents.comp_table import TableKind
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.tables.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.whole import recovery, rollback, waiting
+from pmac_comp.machine.controller.whole.grouping import grouped
 from tests.faults.change_bench import difference, standing
 from tests.faults.test_f01_f29_every_kind import guarded_table, thinned, with_table
 from tests.faults.upload_bench import Left, new_table, old_table

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import CommandRefused, ControllerState, LinkError
-from pmac_comp.machine.controller import recovery
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import sealed_motion
+from pmac_comp.machine.controller.contents.programs import sealed_motion
+from pmac_comp.machine.controller.settings.program_upload import upload_program
+from pmac_comp.machine.controller.whole import recovery
 from pmac_comp.machine.transport.tap import Way
 from tests.faults.change_bench import PROGRAM, cut
 from tests.faults.upload_bench import put_back, saved

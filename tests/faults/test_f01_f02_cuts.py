@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import journals
+from pmac_comp.machine.controller.change import journals
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.same_state import stand_ins

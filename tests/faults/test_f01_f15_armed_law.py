@@ -5,13 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import (
-    law_arming,
-    law_install,
-    law_state,
-    law_upload,
-)
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.law import law_arming, law_install, law_state, law_upload
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.card_state import SavedState

@@ -12,26 +12,21 @@ import pytest
 from pmac_comp.base.errors import ControllerState
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import (
-    guard_install,
-    journals,
-    law_arming,
-    law_install,
-    law_upload,
-    motors,
-    rollback,
-    temporary,
-)
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.settings import Settings, read_axes
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.upload import upload_tables
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.contents.settings import Settings, read_axes
+from pmac_comp.machine.controller.law import law_arming, law_install, law_upload
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings import guard_install, temporary
+from pmac_comp.machine.controller.settings.program_upload import upload_program
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables.upload import upload_tables
+from pmac_comp.machine.controller.whole import rollback
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.axis_setup import borrowed

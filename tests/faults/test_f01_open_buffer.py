@@ -8,12 +8,12 @@ import pytest
 
 from pmac_comp.base.errors import CommandRefused, ConnectFailed, ControllerState, PmacCompError
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import recovery
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.whole import recovery
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way

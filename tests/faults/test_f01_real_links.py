@@ -16,7 +16,8 @@ import pytest
 from pmac_comp.base.clock import Deadline, SystemClock
 from pmac_comp.base.errors import ControllerState, LinkError, PmacCompError
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import recovery, upload, waiting
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way
 from pmac_comp.machine.transport.url import parse_url

@@ -14,11 +14,13 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import journals, recovery, rollback, upload, waiting
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.manifest import end_lines
-from pmac_comp.machine.controller.table_files import read_table_backup
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.manifest import end_lines
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.tables.table_files import read_table_backup
+from pmac_comp.machine.controller.whole import recovery, rollback, waiting
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench, Scenario, cut

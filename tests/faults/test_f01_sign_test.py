@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost
-from pmac_comp.machine.controller import law_upload, motors, recovery
-from pmac_comp.machine.controller.settings import plc_runs
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.contents.settings import plc_runs
+from pmac_comp.machine.controller.law import law_upload
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.whole import recovery
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

@@ -8,9 +8,9 @@ import pytest
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import ControllerState, ReplyTimeout
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.change.manifest import CLOCK_PER_s
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.settings.program_upload import upload_program
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way

@@ -19,23 +19,15 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.reads import is_read
-from pmac_comp.machine.controller import (
-    backup,
-    guard_install,
-    law_arming,
-    law_goal,
-    persist,
-    programs,
-    recovery,
-    restore,
-    table_files,
-    table_recovery,
-    upload,
-)
-from pmac_comp.machine.controller.comp_table import TableKind
-from pmac_comp.machine.controller.lease import host_lock
-from pmac_comp.machine.controller.manifest import Action, Manifest, ManifestState, decide
-from pmac_comp.machine.controller.table_status import HEAD_LINES, table_status
+from pmac_comp.machine.controller.change.lease import host_lock
+from pmac_comp.machine.controller.change.manifest import Action, Manifest, ManifestState, decide
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.comp_table import TableKind
+from pmac_comp.machine.controller.law import law_arming, law_goal
+from pmac_comp.machine.controller.settings import backup, guard_install
+from pmac_comp.machine.controller.tables import table_files, table_recovery, upload
+from pmac_comp.machine.controller.tables.table_status import HEAD_LINES, table_status
+from pmac_comp.machine.controller.whole import persist, recovery, restore
 from pmac_comp.simulator.card import Card
 from tests.faults.upload_bench import UploadBench, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench

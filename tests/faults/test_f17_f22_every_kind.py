@@ -13,9 +13,10 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import journals, recovery, waiting
-from pmac_comp.machine.controller.law_bank import Index, LawBlock
-from pmac_comp.machine.controller.lease import host_lock
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.lease import host_lock
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock
+from pmac_comp.machine.controller.whole import recovery, waiting
 from tests.faults.change_bench import WATCHED_I, ChangeBench, Standing, standing
 from tests.faults.test_f01_f29_every_kind import SCENARIOS, thinned
 from tests.faults.test_f29_f30_killed import plain_signals, signalled  # noqa: F401 - a fixture

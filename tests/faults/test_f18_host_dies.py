@@ -6,14 +6,10 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
-from pmac_comp.machine.controller import (
-    guard_install,
-    law_arming,
-    law_install,
-    law_upload,
-    recovery,
-)
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.law import law_arming, law_install, law_upload
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.whole import recovery
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.upload_bench import UploadBench
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, LinkLost
-from pmac_comp.machine.controller import identity, recovery, rollback
-from pmac_comp.machine.controller.alike import known_in_folder, left_open_alike
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.card import identity
+from pmac_comp.machine.controller.change.alike import known_in_folder, left_open_alike
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.tables.upload import upload_tables
+from pmac_comp.machine.controller.whole import recovery, rollback
+from pmac_comp.machine.controller.whole.grouping import grouped
 from tests.faults.change_bench import standing
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

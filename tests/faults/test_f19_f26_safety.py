@@ -13,20 +13,17 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import (
-    gather,
-    grouping,
-    guard_install,
-    identity,
-    motors,
-    programs,
-    rollback,
-    upload,
-)
-from pmac_comp.machine.controller.capture_log import CaptureLog, recover
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.gather_plan import GatherPlan, bench_sources
-from pmac_comp.machine.controller.supervision import SensorFault, SensorWatch, trips
+from pmac_comp.machine.controller.card import identity
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.gather.capture_log import CaptureLog, recover
+from pmac_comp.machine.controller.gather.gather_plan import GatherPlan, bench_sources
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.supervision import SensorFault, SensorWatch, trips
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import grouping, rollback
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults

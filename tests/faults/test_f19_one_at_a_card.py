@@ -9,10 +9,10 @@ import pytest
 from pmac_comp.base.errors import ControllerState, ForeignChange, LeaseHeld, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller.journals import new_transaction_id
-from pmac_comp.machine.controller.law_bank import Index
-from pmac_comp.machine.controller.lease import card_lock, read_lease
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.change.journals import new_transaction_id
+from pmac_comp.machine.controller.change.lease import card_lock, read_lease
+from pmac_comp.machine.controller.contents.law_bank import Index
+from pmac_comp.machine.controller.tables.upload import upload_tables
 from pmac_comp.machine.transport.url import card_address
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.at_work import at_work, measuring

@@ -14,20 +14,12 @@ from pmac_comp.base.errors import (
     MotorNotSafe,
     PmacCompError,
 )
-from pmac_comp.machine.controller import (
-    backup,
-    grouping,
-    law_arming,
-    law_install,
-    law_upload,
-    recovery,
-    restore,
-    rollback,
-    upload,
-    waiting,
-)
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
-from pmac_comp.machine.controller.table_status import read_head
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.law import law_arming, law_install, law_upload
+from pmac_comp.machine.controller.settings import backup
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.whole import grouping, recovery, restore, rollback, waiting
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 

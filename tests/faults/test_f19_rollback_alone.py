@@ -9,16 +9,17 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import grouping, law_upload, recovery, rollback, waiting
-from pmac_comp.machine.controller.claim import FREE, read_claim
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
-from pmac_comp.machine.controller.law_state import read_bank, read_law_head
-from pmac_comp.machine.controller.lease import read_change, read_lease
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change.claim import FREE, read_claim
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.lease import read_change, read_lease
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.law import law_upload
+from pmac_comp.machine.controller.law.law_state import read_bank, read_law_head
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables.upload import upload_tables
+from pmac_comp.machine.controller.whole import grouping, recovery, rollback, waiting
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way

@@ -16,14 +16,15 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import persist, recovery, upload, waiting
-from pmac_comp.machine.controller.claim import FREE, read_claim
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journals import journals
-from pmac_comp.machine.controller.law_bank import Index, LawBlock
-from pmac_comp.machine.controller.lease import read_clock, renew_lease
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease, LONGEST_LEASE_s
-from pmac_comp.machine.controller.table_status import read_head
+from pmac_comp.machine.controller.change.claim import FREE, read_claim
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journals import journals
+from pmac_comp.machine.controller.change.lease import read_clock, renew_lease
+from pmac_comp.machine.controller.change.manifest import CLOCK_PER_s, Lease, LONGEST_LEASE_s
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.whole import persist, recovery, waiting
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.simulator.card import Card

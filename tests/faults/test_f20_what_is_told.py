@@ -14,14 +14,15 @@ from pmac_comp.base.errors import (
     SafetyRefusal,
 )
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import backup, parts, persist, recovery, rollback
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.sealed_json import write_sealed_json
-from pmac_comp.machine.controller.settings import Settings, read_settings
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.table_recovery import status_by_journal
-from pmac_comp.machine.controller.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.change.sealed_json import write_sealed_json
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.settings import Settings, read_settings
+from pmac_comp.machine.controller.settings import backup
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables.table_recovery import status_by_journal
+from pmac_comp.machine.controller.tables.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.whole import parts, persist, recovery, rollback
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

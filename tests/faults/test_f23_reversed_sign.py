@@ -9,11 +9,11 @@ import pytest
 
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState, SafetyRefusal
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.comp_table import CompTable, Table
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.card import registers as reg
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import CompTable, Table
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.memory import read_long

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
-from pmac_comp.machine.controller import motors, upload
-from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.tables import upload
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.controller import deploy
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

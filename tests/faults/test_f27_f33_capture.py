@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pmac_comp.base.errors import GatherOverflow, SampleGap, StorageFull
-from pmac_comp.machine.controller import gather
-from pmac_comp.machine.controller.capture_log import MAGIC, CaptureLog, recover
-from pmac_comp.machine.controller.gather import RingReader
-from pmac_comp.machine.controller.gather_plan import (
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.gather.capture_log import MAGIC, CaptureLog, recover
+from pmac_comp.machine.controller.gather.gather import RingReader
+from pmac_comp.machine.controller.gather.gather_plan import (
     GatherMode,
     GatherPlan,
     GatherSource,
     bench_sources,
     motor_source,
 )
-from pmac_comp.machine.controller.gather_samples import (
+from pmac_comp.machine.controller.gather.gather_samples import (
     Gap,
     GatherResult,
     Unwrapper,
@@ -92,7 +92,7 @@ def test_f27_gathering_is_stopped_on_the_card(tmp_path: Path) -> None:
 WRITER = """
 import sys, numpy as np
 from pathlib import Path
-from pmac_comp.machine.controller.capture_log import CaptureLog
+from pmac_comp.machine.controller.gather.capture_log import CaptureLog
 log = CaptureLog.create(Path(sys.argv[1]), {"n": 1})
 k = 0
 print("ready", flush=True)

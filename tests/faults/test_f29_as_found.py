@@ -9,8 +9,9 @@ import pytest
 from pmac_comp.base.errors import LinkError, PmacCompError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import motors, recovery, waiting
-from pmac_comp.machine.controller.backup import Backup, compare, read_backup
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings.backup import Backup, compare, read_backup
+from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.workflow.capture import session
 from pmac_comp.workflow.capture.axis import Axis

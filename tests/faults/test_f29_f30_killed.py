@@ -10,7 +10,8 @@ import pytest
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.base.interrupts import DeferredInterrupt
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import journals, upload
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.tables import upload
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from tests.fault_table import all_of
 from tests.faults.change_bench import ChangeBench

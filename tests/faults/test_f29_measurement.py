@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ForeignChange, LinkError, PmacCompError
-from pmac_comp.machine.controller import recovery, temporary
-from pmac_comp.machine.controller.settings import plain_axes, read_axes
+from pmac_comp.machine.controller.contents.settings import plain_axes, read_axes
+from pmac_comp.machine.controller.settings import temporary
+from pmac_comp.machine.controller.whole import recovery
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.axis_setup import AxisSetup, borrowed

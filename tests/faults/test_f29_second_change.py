@@ -18,25 +18,20 @@ from pmac_comp.base.errors import (
     PmacCompError,
     SafetyRefusal,
 )
-from pmac_comp.machine.controller import (
-    grouping,
-    journals,
-    law_upload,
-    recovery,
-    rollback,
-    temporary,
-    waiting,
-)
-from pmac_comp.machine.controller.backup import Backup, read_backup
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.restore import restore
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.law import law_upload
+from pmac_comp.machine.controller.settings import temporary
+from pmac_comp.machine.controller.settings.backup import Backup, read_backup
+from pmac_comp.machine.controller.settings.program_upload import upload_program
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables.upload import upload_tables
+from pmac_comp.machine.controller.whole import grouping, recovery, rollback, waiting
+from pmac_comp.machine.controller.whole.restore import restore
 from tests.faults.change_bench import ChangeBench, Scenario, standing
 from tests.faults.killed_child import dies_after
 from tests.faults.test_f01_f29_every_kind import (

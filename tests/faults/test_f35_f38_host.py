@@ -23,14 +23,14 @@ from pmac_comp.base.errors import (
     SlopeExceeded,
     StorageFull,
 )
-from pmac_comp.machine.controller import upload
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.journal import Journal, Sync
-from pmac_comp.machine.controller.journals import new_transaction_id
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.numbers import nine_digits, plain
-from pmac_comp.machine.controller.safety import check_law, check_table
-from pmac_comp.machine.controller.variables import check_value
+from pmac_comp.machine.controller.card.numbers import nine_digits, plain
+from pmac_comp.machine.controller.card.variables import check_value
+from pmac_comp.machine.controller.change.journal import Journal, Sync
+from pmac_comp.machine.controller.change.journals import new_transaction_id
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.safety import check_law, check_table
+from pmac_comp.machine.controller.tables import upload
 from pmac_comp.workflow.capture.context import context_of
 from tests.unit.machine_controller.card_bench import LIMITS, CardBench
 

@@ -18,8 +18,10 @@ from pmac_comp.base.errors import (
     ReplyTimeout,
     StorageFull,
 )
-from pmac_comp.machine.controller import grouping, journals, persist, upload, waiting
-from pmac_comp.machine.controller.journal import Journal
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.journal import Journal
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import grouping, persist, waiting
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
 from tests.faults.test_f01_f29_every_kind import SCENARIOS

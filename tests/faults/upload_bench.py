@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pmac_comp.base.errors import ControllerState, PmacCompError
-from pmac_comp.machine.controller import recovery, upload
-from pmac_comp.machine.controller.comp_table import CompTable
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import recovery
 from pmac_comp.machine.transport.tap import FaultKind, Way
 from tests.faults.card_state import SavedState
 from tests.faults.same_state import stretches

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.controller.card.identity import read_identity
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import load_plant

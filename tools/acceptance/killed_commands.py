@@ -30,7 +30,7 @@ import paramiko
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.backup import Backup, compare, read_backup
+from pmac_comp.machine.controller.settings.backup import Backup, compare, read_backup
 from pmac_comp.workflow.compensation.file import Compensation, write_compensation
 from tests.compensations import friction_law, lead_map
 from tests.faults.openssh import trusting

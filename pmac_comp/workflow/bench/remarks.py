@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, Drive, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
-from pmac_comp.machine.controller.law_bank import BLOCK_SIZE
+from pmac_comp.machine.controller.contents.law_bank import BLOCK_SIZE
 from pmac_comp.workflow.bench.view import resonance_Hz, tuned_motors
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray, IntArray
 from pmac_comp.base.units import UM_PER_M, UM_PER_MM
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.safety import Limits
+from pmac_comp.machine.controller.contents.safety import Limits
 
 _DAC_PER_WORD = 256.0  # the output register holds 1/256 of a 16-bit DAC unit
 

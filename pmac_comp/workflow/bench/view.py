@@ -7,8 +7,8 @@ from pydantic import BaseModel
 
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.servo_source import servo_source
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.servo_source import servo_source
 from pmac_comp.physics.model.chain import compliance_at_mid_travel_m_per_N, first_mode_rad_per_s
 
 

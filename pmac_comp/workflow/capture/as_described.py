@@ -10,15 +10,15 @@ from typing import Final
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.feed_override import run_refusals
-from pmac_comp.machine.controller.identity import read_servo_period_s
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import read_motors
-from pmac_comp.machine.controller.numbers import plain
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.variables import read_many, read_one, same_value
+from pmac_comp.machine.controller.card.identity import read_servo_period_s
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.numbers import plain
+from pmac_comp.machine.controller.card.variables import read_many, read_one, same_value
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.motors.feed_override import run_refusals
+from pmac_comp.machine.controller.motors.motors import read_motors
 from pmac_comp.workflow.bench.view import tuned_motors
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.card_law import law_refusals, limit_remarks

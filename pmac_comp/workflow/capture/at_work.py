@@ -12,16 +12,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
-from pmac_comp.machine.controller.block_use import law_over_refusals
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.lease import card_lock, host_lock
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings_upload import running_refusals
-from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.temporary import standing
-from pmac_comp.machine.controller.upload_checks import buffer_refusals
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.lease import card_lock, host_lock
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.law.block_use import law_over_refusals
+from pmac_comp.machine.controller.settings.settings_upload import running_refusals
+from pmac_comp.machine.controller.settings.temporary import standing
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.tables.upload_checks import buffer_refusals
 from pmac_comp.machine.transport.url import card_address, parse_url
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

@@ -28,20 +28,22 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.sidecar import Attribute
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import gather, motors, programs
-from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.feed_override import jog_refusals
-from pmac_comp.machine.controller.gather_plan import (
+from pmac_comp.machine.controller.card import registers as reg
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.gather.gather_plan import (
     GatherMode,
     GatherPlan,
     GatherSource,
     motor_source,
     output_source,
 )
-from pmac_comp.machine.controller.gather_samples import GatherResult
-from pmac_comp.machine.controller.motion import program_status
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.supervision import SensorWatch
+from pmac_comp.machine.controller.gather.gather_samples import GatherResult
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.feed_override import jog_refusals
+from pmac_comp.machine.controller.motors.motion import program_status
+from pmac_comp.machine.controller.motors.supervision import SensorWatch
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.capture.axis_setup import AxisSetup
 from pmac_comp.workflow.capture.run_cut import TAIL_s, moving_range

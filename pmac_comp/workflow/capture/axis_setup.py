@@ -10,24 +10,24 @@ from typing import Final
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import temporary
-from pmac_comp.machine.controller.alike import known_in_folder
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journals import own_numbers
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.lease import LEASE_s, drop_lease, hold_lease, renew_lease
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.settings import (
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.variables import read_many, read_range
+from pmac_comp.machine.controller.change.alike import known_in_folder
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journals import own_numbers
+from pmac_comp.machine.controller.change.lease import LEASE_s, drop_lease, hold_lease, renew_lease
+from pmac_comp.machine.controller.change.transaction import RENEW_SHARE
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.settings import (
     AxisDefinitions,
     Settings,
     plain_axes,
     read_axes,
 )
-from pmac_comp.machine.controller.settings_upload import texts
-from pmac_comp.machine.controller.transaction import RENEW_SHARE
-from pmac_comp.machine.controller.variables import read_many, read_range
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.settings import temporary
+from pmac_comp.machine.controller.settings.settings_upload import texts
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.motion.pvt import PROGRAM_NUMBER
 

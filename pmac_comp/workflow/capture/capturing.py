@@ -12,10 +12,10 @@ from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture, write_capture
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.numbers import plain
-from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.card.numbers import plain
+from pmac_comp.machine.controller.card.variables import read_one
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.workflow.capture.as_described import place_remarks, require_as_described
 from pmac_comp.workflow.capture.at_work import measuring
 from pmac_comp.workflow.capture.axis import Axis, run_all

@@ -13,9 +13,9 @@ from typing import Final
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.numbers import plain
-from pmac_comp.machine.controller.variables import read_many, read_one, same_value
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.numbers import plain
+from pmac_comp.machine.controller.card.variables import read_many, read_one, same_value
 
 # What the model takes where a bench file of kind pmac is silent: factory values (Software Reference
 # Manual p. 96-127). Ixx29 belongs to compensation.

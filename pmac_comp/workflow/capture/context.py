@@ -8,12 +8,12 @@ from pathlib import Path
 
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import law_state
-from pmac_comp.machine.controller.alike import known_in_folder
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import require_folder
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.variables import read_one
+from pmac_comp.machine.controller.card.variables import read_one
+from pmac_comp.machine.controller.change.alike import known_in_folder
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journal import require_folder
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.law import law_state
 from pmac_comp.workflow.capture.axis import Axis
 
 

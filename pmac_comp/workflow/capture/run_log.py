@@ -1,7 +1,7 @@
 """What a run has gathered is on the disk while it lasts: logs, and captures made from them.
 
 What lives here: where the log of one run lies, what is said of it after an error, and a capture
-from what it holds. The log itself is ``machine.controller.capture_log``.
+from what it holds. The log itself is ``machine.controller.gather.capture_log``.
 """
 
 import shlex
@@ -19,8 +19,8 @@ from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import Bench, parse_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.sidecar import Attribute
-from pmac_comp.machine.controller.capture_log import CaptureLog, RecoveredLog, recover
-from pmac_comp.machine.controller.gather_plan import COUNTER_NAME
+from pmac_comp.machine.controller.gather.capture_log import CaptureLog, RecoveredLog, recover
+from pmac_comp.machine.controller.gather.gather_plan import COUNTER_NAME
 from pmac_comp.workflow.bench.scales import Scales
 
 SUFFIX = ".log"

@@ -8,8 +8,8 @@ from pmac_comp.base.arrays import IntArray
 from pmac_comp.base.errors import MotorNotSafe, PmacCompError
 from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.supervision import SensorFault, SensorWatch
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.motors.supervision import SensorFault, SensorWatch
 from pmac_comp.machine.wire.numbers import read_number
 from pmac_comp.workflow.bench.scales import Scales
 

@@ -9,7 +9,7 @@ from pmac_comp.base.clock import Clock
 from pmac_comp.base.errors import PmacCompError
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.identity import read_identity
+from pmac_comp.machine.controller.card.identity import read_identity
 from pmac_comp.machine.transport.url import card_address, parse_url
 from pmac_comp.workflow.capture.axis import Axis
 

@@ -17,8 +17,8 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import servo_source
-from pmac_comp.machine.controller.law_bank import LawBlock
+from pmac_comp.machine.controller.contents import servo_source
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.url import Endpoint
 

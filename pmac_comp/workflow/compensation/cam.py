@@ -23,14 +23,16 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MM_PER_M, MS_PER_S
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import gather, motors, programs
-from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.comp_table import CompTable, TableKind, same_on_card
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.motion import wait_for_end
-from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.programs import Program
-from pmac_comp.machine.controller.settings import (
+from pmac_comp.machine.controller.card import registers as reg
+from pmac_comp.machine.controller.card.numbers import parse_integer
+from pmac_comp.machine.controller.card.variables import read_many, read_one, same_value
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.comp_table import CompTable, TableKind, same_on_card
+from pmac_comp.machine.controller.contents.programs import Program
+from pmac_comp.machine.controller.contents.settings import (
     AxisDefinitions,
     Settings,
     differences,
@@ -39,11 +41,11 @@ from pmac_comp.machine.controller.settings import (
     require_settings,
     write_settings,
 )
-from pmac_comp.machine.controller.settings_upload import SettingsUpload, texts
-from pmac_comp.machine.controller.table_set import read_table
-from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.variables import read_many, read_one, same_value
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.contents.table_set import read_table
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.motion import wait_for_end
+from pmac_comp.machine.controller.settings.settings_upload import SettingsUpload, texts
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.axis_setup import UNITS, axis_goal

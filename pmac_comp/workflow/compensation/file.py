@@ -19,7 +19,7 @@ from pmac_comp.base.atomic import atomic_write_text
 from pmac_comp.base.errors import ConfigError, PmacCompError
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable
+from pmac_comp.machine.controller.contents.comp_table import BacklashTable, CompTable
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap

@@ -17,11 +17,12 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import gather, programs
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program
-from pmac_comp.machine.controller.transaction import UploadResult
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.programs import Program
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.settings.program_upload import upload_program
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.compensation.file import Compensation

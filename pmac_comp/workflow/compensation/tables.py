@@ -1,8 +1,8 @@
 """All compensation tables of a compensation, in the form that goes onto the card."""
 
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import Table
-from pmac_comp.machine.controller.safety import check_sums
+from pmac_comp.machine.controller.contents.comp_table import Table
+from pmac_comp.machine.controller.contents.safety import check_sums
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.compensation.cam import render_cam
 from pmac_comp.workflow.compensation.file import Compensation

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmac_comp.base.units import MM_PER_M, MS_PER_S, UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import CT16_PER_CT
+from pmac_comp.machine.controller.contents.comp_table import CT16_PER_CT
 from pmac_comp.physics.compensate.exact import faded
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.motions import HARD_MOVE_m_per_s2, MOVE_S_CURVE_s

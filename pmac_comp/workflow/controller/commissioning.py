@@ -10,15 +10,15 @@ from typing import Any
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.motors import read_motors
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.motors.motors import read_motors
+from pmac_comp.machine.controller.settings.settings_upload import change_settings, texts
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.workflow.capture.as_described import CLOCK, differing_variables
 from pmac_comp.workflow.capture.at_work import at_work, require_free_block
 from pmac_comp.workflow.capture.axis import Axis

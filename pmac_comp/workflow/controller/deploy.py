@@ -11,36 +11,40 @@ from typing import Any
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller import (
-    bumpless,
-    guard_install,
+from pmac_comp.machine.controller.card.processor_load import read_load
+from pmac_comp.machine.controller.card.variables import read_one
+from pmac_comp.machine.controller.change.context import UNKNOWN, Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.comp_table import (
+    BacklashTable,
+    CompTable,
+    Table,
+    TableKind,
+)
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.contents.table_set import read_table, read_tables
+from pmac_comp.machine.controller.law import (
     law_arming,
     law_checks,
     law_goal,
     law_install,
     law_state,
     law_upload,
-    motors,
-    programs,
-    switching,
 )
-from pmac_comp.machine.controller.block_use import block_refusals
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table, TableKind
-from pmac_comp.machine.controller.context import UNKNOWN, Context
-from pmac_comp.machine.controller.feed_override import jog_refusals
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings, texts
-from pmac_comp.machine.controller.table_set import read_table, read_tables
-from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_checks import buffer_refusals, flash_refusals
-from pmac_comp.machine.controller.variables import read_one
-from pmac_comp.machine.controller.verdict import untouched
+from pmac_comp.machine.controller.law.block_use import block_refusals
+from pmac_comp.machine.controller.motors import motors, switching
+from pmac_comp.machine.controller.motors.feed_override import jog_refusals
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.settings.settings_upload import change_settings, texts
+from pmac_comp.machine.controller.tables import bumpless
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.tables.upload import TableUpload
+from pmac_comp.machine.controller.tables.upload_checks import buffer_refusals, flash_refusals
+from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.workflow.capture.as_described import description_refusals
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.compensation.cam import (

@@ -14,18 +14,18 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller import law_state
-from pmac_comp.machine.controller.comp_table import (
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import (
     CT16_PER_CT,
     BacklashTable,
     CompTable,
     Table,
     TableKind,
 )
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
-from pmac_comp.machine.controller.programs import is_present
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.law_bank import LawParameters, evaluate
+from pmac_comp.machine.controller.contents.programs import is_present
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.law import law_state
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.capture.axis import Axis

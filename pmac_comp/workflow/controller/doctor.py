@@ -113,7 +113,7 @@ def _controller(url: str, bench: Bench, backup: Path | None, journal: Path) -> I
 
 
 def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
-    from pmac_comp.machine.controller.identity import read_identity
+    from pmac_comp.machine.controller.card.identity import read_identity
 
     found = read_identity(axis.link)
     kind = "simulated " if axis.simulated else ""
@@ -137,7 +137,7 @@ def _identity(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 def _flash(axis: "Axis", backup: Path | None) -> Finding:
     """Whether the card came up with what was saved."""
-    from pmac_comp.machine.controller import backup as kept
+    from pmac_comp.machine.controller.settings import backup as kept
 
     try:
         if backup is None:
@@ -178,8 +178,8 @@ def _conversion(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 def _processor(axis: "Axis", bench: Bench) -> Iterator[Finding]:
     """How busy the card is, and whether its clock is the one that a law's cost is counted with."""
-    from pmac_comp.machine.controller.processor_load import read_load
-    from pmac_comp.machine.controller.variables import read_one
+    from pmac_comp.machine.controller.card.processor_load import read_load
+    from pmac_comp.machine.controller.card.variables import read_one
     from pmac_comp.workflow.law.law_cost import BUSIEST_FRAC, load_text
 
     clock_MHz = 10.0 * (read_one(axis.link, "I52") + 1.0)
@@ -197,7 +197,7 @@ def _processor(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 
 def _motors(axis: "Axis") -> Iterator[Finding]:
-    from pmac_comp.machine.controller.motors import read_motor
+    from pmac_comp.machine.controller.motors.motors import read_motor
 
     reading = read_motor(axis.link, axis.motor)
     trips = ", ".join(reading.status.trips)
@@ -211,7 +211,7 @@ def _motors(axis: "Axis") -> Iterator[Finding]:
 
 def _override(axis: "Axis") -> Iterator[Finding]:
     """Whether jogs and runs would go at the speed that they are meant for."""
-    from pmac_comp.machine.controller.feed_override import jog_refusals, run_refusals
+    from pmac_comp.machine.controller.motors.feed_override import jog_refusals, run_refusals
     from pmac_comp.workflow.capture.as_described import RUN_SYSTEM
 
     found = [*jog_refusals(axis.link, axis.motor), *run_refusals(axis.link, RUN_SYSTEM)]
@@ -227,8 +227,8 @@ def _reference(axis: "Axis", bench: Bench) -> Iterator[Finding]:
 
 
 def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
-    from pmac_comp.machine.controller.law_checks import owner_refusals
-    from pmac_comp.machine.controller.waiting import number_since_ours
+    from pmac_comp.machine.controller.law.law_checks import owner_refusals
+    from pmac_comp.machine.controller.whole.waiting import number_since_ours
     from pmac_comp.workflow.capture.context import context_to_look
     from pmac_comp.workflow.controller.inspect import judged_tables
 
@@ -249,7 +249,12 @@ def _compensation(axis: "Axis", journal: Path) -> Iterator[Finding]:
 
 def _claim(axis: "Axis") -> Iterator[Finding]:
     """Whether bench files of other axes of this card see that something is changed."""
-    from pmac_comp.machine.controller.claim import FOREIGN, REGISTER, claim_refusal, read_claim
+    from pmac_comp.machine.controller.change.claim import (
+        FOREIGN,
+        REGISTER,
+        claim_refusal,
+        read_claim,
+    )
     from pmac_comp.workflow.capture.context import context_to_look
 
     found = read_claim(axis.link)

@@ -14,28 +14,30 @@ from pmac_comp.base.errors import CommandRefused
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
 from pmac_comp.machine.client.terminal import Ask, open_terminal, terminal_of
-from pmac_comp.machine.controller import law_goal, law_state, motors, recovery, waiting
-from pmac_comp.machine.controller.alike import left_open_alike
-from pmac_comp.machine.controller.claim import claim_refusal, read_claim
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.guard_install import guard_settings
-from pmac_comp.machine.controller.identity import read_identity
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.law_checks import law_elsewhere
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.lease import read_clock, read_lease
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.manifest import Action, CLOCK_PER_s, Lease
-from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.table_recovery import status_by_journal
-from pmac_comp.machine.controller.table_status import (
+from pmac_comp.machine.controller.card.identity import read_identity
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.processor_load import read_load
+from pmac_comp.machine.controller.card.variables import read_many
+from pmac_comp.machine.controller.change.alike import left_open_alike
+from pmac_comp.machine.controller.change.claim import claim_refusal, read_claim
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.lease import read_clock, read_lease
+from pmac_comp.machine.controller.change.manifest import Action, CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.law import law_goal, law_state
+from pmac_comp.machine.controller.law.law_checks import law_elsewhere
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings.guard_install import guard_settings
+from pmac_comp.machine.controller.tables.table_recovery import status_by_journal
+from pmac_comp.machine.controller.tables.table_status import (
     TableStatus,
     announced_elsewhere,
     read_head,
     table_status,
 )
-from pmac_comp.machine.controller.upload_checks import flash_refusals
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.tables.upload_checks import flash_refusals
+from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_to_look

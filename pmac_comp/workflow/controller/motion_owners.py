@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.settings import plain_axes, read_axes, read_body
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.settings import plain_axes, read_axes, read_body
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.compensation.cam import CAM_PROGRAM
 from pmac_comp.workflow.compensation.program import COMPENSATED_PROGRAM

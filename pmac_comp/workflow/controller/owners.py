@@ -6,8 +6,8 @@ motion programs (``motion_owners``), changing anything. Bench files of two axes 
 """
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller.comp_table import CompTable, Table, TableKind
-from pmac_comp.machine.controller.table_set import read_table
+from pmac_comp.machine.controller.contents.comp_table import CompTable, Table, TableKind
+from pmac_comp.machine.controller.contents.table_set import read_table
 from pmac_comp.workflow.capture.axis import Axis
 
 

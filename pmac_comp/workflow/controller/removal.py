@@ -12,35 +12,30 @@ from pathlib import Path
 from typing import Any
 
 from pmac_comp.base.progress import Progress
-from pmac_comp.machine.controller import (
-    guard_install,
-    law_goal,
-    law_install,
-    law_state,
-    motors,
-    programs,
-    temporary,
-)
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.definition_use import definitions_in_use
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.law_checks import law_elsewhere
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.leftovers import (
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.transaction import UploadResult
+from pmac_comp.machine.controller.change.verdict import untouched
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.contents.settings import Settings, read_settings, same_definition
+from pmac_comp.machine.controller.contents.table_set import Key, read_tables
+from pmac_comp.machine.controller.law import law_goal, law_install, law_state
+from pmac_comp.machine.controller.law.law_checks import law_elsewhere
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings import guard_install, temporary
+from pmac_comp.machine.controller.settings.definition_use import definitions_in_use
+from pmac_comp.machine.controller.settings.settings_upload import SettingsUpload, lease_refusals
+from pmac_comp.machine.controller.tables.upload import remove_tables
+from pmac_comp.machine.controller.whole.grouping import grouped
+from pmac_comp.machine.controller.whole.leftovers import (
     REMOVAL,
     before_uploads,
     known_definitions,
     merged,
 )
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.settings import Settings, read_settings, same_definition
-from pmac_comp.machine.controller.settings_upload import SettingsUpload, lease_refusals
-from pmac_comp.machine.controller.table_set import Key, read_tables
-from pmac_comp.machine.controller.transaction import UploadResult
-from pmac_comp.machine.controller.upload import remove_tables
-from pmac_comp.machine.controller.verdict import untouched
-from pmac_comp.machine.controller.waiting import waiting_refusals
+from pmac_comp.machine.controller.whole.waiting import waiting_refusals
 from pmac_comp.workflow.capture.at_work import at_work, require_free_block
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.axis_setup import UNITS

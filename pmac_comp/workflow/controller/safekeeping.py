@@ -10,16 +10,16 @@ from pmac_comp.base.progress import Progress, Steps
 from pmac_comp.base.reading import why
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import backup as kept
-from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.grouping import grouped
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.restore import restore
-from pmac_comp.machine.controller.settings import Settings, differences, read_settings
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.variables import read_one
-from pmac_comp.machine.controller.verdict import mark_left
+from pmac_comp.machine.controller.card.variables import read_one
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.verdict import mark_left
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.settings import Settings, differences, read_settings
+from pmac_comp.machine.controller.settings import backup as kept
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.whole.grouping import grouped
+from pmac_comp.machine.controller.whole.restore import restore
 from pmac_comp.workflow.capture.at_work import at_work, require_free_block
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

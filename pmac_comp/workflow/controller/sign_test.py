@@ -12,15 +12,16 @@ import numpy as np
 
 from pmac_comp.base.errors import ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M, UM_PER_MM
-from pmac_comp.machine.controller import law_state, motors
-from pmac_comp.machine.controller import registers as reg
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
-from pmac_comp.machine.controller.context import UNKNOWN, Context
-from pmac_comp.machine.controller.gather import note_failure
-from pmac_comp.machine.controller.law_aside import law_aside
-from pmac_comp.machine.controller.numbers import parse_integer
-from pmac_comp.machine.controller.sign_check import SignResult, check_master_sign
-from pmac_comp.machine.controller.verdict import link_is_lost
+from pmac_comp.machine.controller.card import registers as reg
+from pmac_comp.machine.controller.card.numbers import parse_integer
+from pmac_comp.machine.controller.change.context import UNKNOWN, Context
+from pmac_comp.machine.controller.change.verdict import link_is_lost
+from pmac_comp.machine.controller.contents.comp_table import BacklashTable, CompTable, Table
+from pmac_comp.machine.controller.gather.gather import note_failure
+from pmac_comp.machine.controller.law import law_state
+from pmac_comp.machine.controller.law.law_aside import law_aside
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.sign_check import SignResult, check_master_sign
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.compensation.cam import reset_time, run_time_to
 from pmac_comp.workflow.controller.standing import stand_to_switch

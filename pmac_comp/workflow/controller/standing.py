@@ -13,11 +13,11 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.base.units import MM_PER_M
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, Table
-from pmac_comp.machine.controller.safety import Limits, raise_all
-from pmac_comp.machine.controller.table_set import Key, TableSet, read_tables
-from pmac_comp.machine.controller.upload_checks import not_at_rest
+from pmac_comp.machine.controller.contents.comp_table import BacklashTable, CompTable, Table
+from pmac_comp.machine.controller.contents.safety import Limits, raise_all
+from pmac_comp.machine.controller.contents.table_set import Key, TableSet, read_tables
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.tables.upload_checks import not_at_rest
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.motion.approach import RUN_UP_m
 

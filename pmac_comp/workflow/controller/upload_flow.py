@@ -13,14 +13,16 @@ from typing import Any
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState, PmacCompError, SafetyRefusal
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import motors, parts, recovery, rollback, temporary, waiting
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journals import ChangeKind
-from pmac_comp.machine.controller.lease import drop_lease, read_change
-from pmac_comp.machine.controller.persist import persist as save_checked
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.table_files import read_table_backup
-from pmac_comp.machine.controller.verdict import is_told, link_is_lost, mark_left, untouched
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journals import ChangeKind
+from pmac_comp.machine.controller.change.lease import drop_lease, read_change
+from pmac_comp.machine.controller.change.verdict import is_told, link_is_lost, mark_left, untouched
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings import temporary
+from pmac_comp.machine.controller.tables.table_files import read_table_backup
+from pmac_comp.machine.controller.whole import parts, recovery, rollback, waiting
+from pmac_comp.machine.controller.whole.persist import persist as save_checked
 from pmac_comp.workflow.capture.at_work import at_work
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

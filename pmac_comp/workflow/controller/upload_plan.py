@@ -12,19 +12,20 @@ from typing import Any
 from pmac_comp.base.errors import PmacCompError, SafetyRefusal
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import guard_install, motors
-from pmac_comp.machine.controller.comp_table import CompTable, Table
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_state import LawHead, read_law_head
-from pmac_comp.machine.controller.open_servos import scratch_remarks
-from pmac_comp.machine.controller.processor_load import read_load
-from pmac_comp.machine.controller.safety import raise_all
-from pmac_comp.machine.controller.saved_plcs import power_up_remarks
-from pmac_comp.machine.controller.settings import plain_axes, read_axes
-from pmac_comp.machine.controller.table_set import Key
-from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_plan import UploadPlan
-from pmac_comp.machine.controller.waiting import waiting_refusals
+from pmac_comp.machine.controller.card.processor_load import read_load
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import CompTable, Table
+from pmac_comp.machine.controller.contents.safety import raise_all
+from pmac_comp.machine.controller.contents.settings import plain_axes, read_axes
+from pmac_comp.machine.controller.contents.table_set import Key
+from pmac_comp.machine.controller.law.law_state import LawHead, read_law_head
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.open_servos import scratch_remarks
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.settings.saved_plcs import power_up_remarks
+from pmac_comp.machine.controller.tables.upload import TableUpload
+from pmac_comp.machine.controller.tables.upload_plan import UploadPlan
+from pmac_comp.machine.controller.whole.waiting import waiting_refusals
 from pmac_comp.machine.transport.url import parse_url
 from pmac_comp.workflow.capture.as_described import place_remarks
 from pmac_comp.workflow.capture.axis import Axis

@@ -16,7 +16,7 @@ import numpy as np
 
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import CT16_PER_CT, BacklashTable
+from pmac_comp.machine.controller.contents.comp_table import CT16_PER_CT, BacklashTable
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.law.rendering import RenderedTable, entries_over_travel
 from pmac_comp.workflow.law.routes import TORQUE_ROUTES

@@ -15,9 +15,9 @@ from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.law_cost import law_cost_cycles, servo_cost_cycles
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.processor_load import ProcessorLoad, read_load
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.processor_load import ProcessorLoad, read_load
+from pmac_comp.machine.controller.law.law_cost import law_cost_cycles, servo_cost_cycles
 from pmac_comp.physics.compensate.design import slower_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop

@@ -11,8 +11,8 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller.comp_table import CT16_PER_CT, CompTable, Table
-from pmac_comp.machine.controller.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.comp_table import CT16_PER_CT, CompTable, Table
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
 from pmac_comp.physics.compensate.exact import faded
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap

@@ -13,7 +13,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
-from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.physics.compensate.exact import (
     Aim,
     Learning,

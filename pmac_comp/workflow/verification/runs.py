@@ -6,12 +6,18 @@ from dataclasses import dataclass
 
 from pmac_comp.base.errors import ControllerState, ForeignChange, VerifyMismatch
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import law_goal, law_state, motors, programs
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import Index
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.lease import parse_number
-from pmac_comp.machine.controller.table_set import POINTERS_TEXT, parse_pointers, read_table
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.lease import parse_number
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.law_bank import Index
+from pmac_comp.machine.controller.contents.table_set import (
+    POINTERS_TEXT,
+    parse_pointers,
+    read_table,
+)
+from pmac_comp.machine.controller.law import law_goal, law_state
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import acting
 from pmac_comp.workflow.compensation.cam import cam_axis

@@ -17,9 +17,9 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.resources import DEFAULT_JOURNAL
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_state import read_law_head
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.law.law_state import read_law_head
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.workflow.accuracy.outcome import outcome_of
 from pmac_comp.workflow.accuracy.static_check import STATIC_RUNS

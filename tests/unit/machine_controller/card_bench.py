@@ -7,10 +7,10 @@ import numpy as np
 
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.safety import Limits
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.contents.safety import Limits
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import FaultyTransport

@@ -11,21 +11,11 @@ import pytest
 from pmac_comp.base.errors import InternalError, MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import data_folder, firmware_path
-from pmac_comp.machine.controller import (
-    gather,
-    law_arming,
-    law_cost,
-    law_goal,
-    law_install,
-    law_state,
-    law_upload,
-    lease,
-    motion,
-    programs,
-)
-from pmac_comp.machine.controller.gather_plan import GatherPlan, GatherSource, bench_sources
-from pmac_comp.machine.controller.gather_samples import GatherResult
-from pmac_comp.machine.controller.law_bank import (
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.card.processor_load import read_load
+from pmac_comp.machine.controller.change import lease
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.law_bank import (
     BankIndex,
     Index,
     LawBlock,
@@ -33,8 +23,18 @@ from pmac_comp.machine.controller.law_bank import (
     WorkIndex,
     evaluate,
 )
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.processor_load import read_load
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.gather.gather_plan import GatherPlan, GatherSource, bench_sources
+from pmac_comp.machine.controller.gather.gather_samples import GatherResult
+from pmac_comp.machine.controller.law import (
+    law_arming,
+    law_cost,
+    law_goal,
+    law_install,
+    law_state,
+    law_upload,
+)
+from pmac_comp.machine.controller.motors import motion
 from pmac_comp.physics.compensate.law import WOUND_FADE, WOUND_YIELD
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import (

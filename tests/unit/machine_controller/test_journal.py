@@ -7,10 +7,10 @@ from types import ModuleType
 import pytest
 
 from pmac_comp.base import atomic
-from pmac_comp.machine.controller import capture_log
-from pmac_comp.machine.controller import journal as journal_file
-from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import is_torn
+from pmac_comp.machine.controller.change import journal as journal_file
+from pmac_comp.machine.controller.change.journal import Journal
+from pmac_comp.machine.controller.change.journals import is_torn
+from pmac_comp.machine.controller.gather import capture_log
 
 STEPS = ("begin", "intent", "written", "done")
 

@@ -8,21 +8,20 @@ import pytest
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import firmware_path
-from pmac_comp.machine.controller import (
+from pmac_comp.machine.controller.contents.law_bank import LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.law import (
     block_use,
-    grouping,
     law_arming,
     law_checks,
     law_goal,
     law_install,
     law_state,
     law_upload,
-    open_servos,
-    rollback,
 )
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.settings import Settings
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.motors import open_servos
+from pmac_comp.machine.controller.whole import grouping, rollback
 from pmac_comp.simulator.card import Card
 from tests.unit.machine_controller.card_bench import LIMITS, CardBench, make_plc_bench
 

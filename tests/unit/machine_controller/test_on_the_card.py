@@ -6,30 +6,20 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, MotorNotSafe, VerifyMismatch
-from pmac_comp.machine.controller import (
-    backup,
-    gather,
-    law_arming,
-    law_install,
-    law_state,
-    law_upload,
-    motors,
-    program_upload,
-    programs,
-    recovery,
-    restore,
-    rollback,
-    settings_upload,
-    sign_check,
-    transaction,
-    upload,
-    variables,
-)
-from pmac_comp.machine.controller.comp_table import BacklashTable, CompTable, TorqueTable
-from pmac_comp.machine.controller.gather_plan import GatherMode, GatherPlan, bench_sources
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.link import Link
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.card import variables
+from pmac_comp.machine.controller.card.link import Link
+from pmac_comp.machine.controller.change import transaction
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.comp_table import BacklashTable, CompTable, TorqueTable
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.gather import gather
+from pmac_comp.machine.controller.gather.gather_plan import GatherMode, GatherPlan, bench_sources
+from pmac_comp.machine.controller.law import law_arming, law_install, law_state, law_upload
+from pmac_comp.machine.controller.motors import motors, sign_check
+from pmac_comp.machine.controller.settings import backup, program_upload, settings_upload
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import recovery, restore, rollback
 from tests.unit.machine_controller.card_bench import CardBench, CycleClock, make_plc_bench
 
 

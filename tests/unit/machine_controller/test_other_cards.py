@@ -6,20 +6,16 @@ import pytest
 
 from pmac_comp.base.errors import CommandRefused, ControllerState, MotorNotSafe
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import (
-    backup,
-    grouping,
-    guard_install,
-    identity,
-    law_install,
-    law_upload,
-    motors,
-    programs,
-    upload,
-)
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.program_upload import upload_program
-from pmac_comp.machine.controller.programs import Program, ProgramKind
+from pmac_comp.machine.controller.card import identity
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.law import law_install, law_upload
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings import backup, guard_install
+from pmac_comp.machine.controller.settings.program_upload import upload_program
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import grouping
 from pmac_comp.simulator.card import Card
 from tests.faults.upload_bench import new_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

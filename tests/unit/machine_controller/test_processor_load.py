@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import processor_load
-from pmac_comp.machine.controller.processor_load import ProcessorLoad, load_of, read_load
+from pmac_comp.machine.controller.card import processor_load
+from pmac_comp.machine.controller.card.processor_load import ProcessorLoad, load_of, read_load
 from tests.unit.machine_controller.card_bench import CardBench
 
 PERIOD_s = 440e-6  # 17600 half cycles at 80 MHz, four phase interrupts of 4400

@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.safety import Limits, check_step, check_sums
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.safety import Limits, check_step, check_sums
 
 LIMITS = Limits(
     max_correction_ct=1000.0,

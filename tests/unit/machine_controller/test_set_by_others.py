@@ -6,23 +6,21 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState
-from pmac_comp.machine.controller import (
-    grouping,
-    guard_install,
-    law_arming,
-    law_install,
-    law_state,
-    law_upload,
-    rollback,
-    upload,
-    waiting,
+from pmac_comp.machine.controller.contents.law_bank import LawParameters
+from pmac_comp.machine.controller.contents.programs import ProgramKind
+from pmac_comp.machine.controller.contents.settings import (
+    Settings,
+    plc_runs,
+    read_settings,
+    set_by_others,
 )
-from pmac_comp.machine.controller.backup import read_backup
-from pmac_comp.machine.controller.law_bank import LawParameters
-from pmac_comp.machine.controller.programs import ProgramKind
-from pmac_comp.machine.controller.restore import restore
-from pmac_comp.machine.controller.settings import Settings, plc_runs, read_settings, set_by_others
-from pmac_comp.machine.controller.settings_upload import change_settings
+from pmac_comp.machine.controller.law import law_arming, law_install, law_state, law_upload
+from pmac_comp.machine.controller.settings import guard_install
+from pmac_comp.machine.controller.settings.backup import read_backup
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.whole import grouping, rollback, waiting
+from pmac_comp.machine.controller.whole.restore import restore
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 

@@ -5,21 +5,15 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
-from pmac_comp.machine.controller import (
-    grouping,
-    journals,
-    recovery,
-    rollback,
-    taking_back,
-    temporary,
-    waiting,
-)
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.journals import ChangeKind, torn_refusals
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.transaction import Change
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journal import Journal
+from pmac_comp.machine.controller.change.journals import ChangeKind, torn_refusals
+from pmac_comp.machine.controller.change.transaction import Change
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.settings import temporary
+from pmac_comp.machine.controller.tables.upload import upload_tables
+from pmac_comp.machine.controller.whole import grouping, recovery, rollback, taking_back, waiting
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 

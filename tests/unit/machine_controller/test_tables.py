@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pmac_comp.base.errors import ConfigError, RemoteProtocolError, VerifyMismatch
-from pmac_comp.machine.controller.comp_table import (
+from pmac_comp.machine.controller.contents.comp_table import (
     BacklashTable,
     CompTable,
     TableKind,
@@ -17,14 +17,14 @@ from pmac_comp.machine.controller.comp_table import (
     parse_entries,
     parse_header,
 )
-from pmac_comp.machine.controller.law_bank import (
+from pmac_comp.machine.controller.contents.law_bank import (
     BankIndex,
     LawBlock,
     LawParameters,
     bank_seal,
 )
-from pmac_comp.machine.controller.table_files import table_from_json, table_to_json
-from pmac_comp.machine.controller.table_set import TableSet, plan, read_tables
+from pmac_comp.machine.controller.contents.table_set import TableSet, plan, read_tables
+from pmac_comp.machine.controller.tables.table_files import table_from_json, table_to_json
 from tests.unit.machine_controller.card_bench import CardBench
 
 entries = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=60)

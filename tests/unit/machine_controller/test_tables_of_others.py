@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import AmplitudeExceeded, ControllerState, SafetyRefusal, VerifyMismatch
-from pmac_comp.machine.controller import grouping, recovery, rollback, upload
-from pmac_comp.machine.controller.comp_table import CompTable, TableKind
-from pmac_comp.machine.controller.manifest import Manifest, ManifestState
-from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.upload_checks import acted
+from pmac_comp.machine.controller.change.manifest import Manifest, ManifestState
+from pmac_comp.machine.controller.contents.comp_table import CompTable, TableKind
+from pmac_comp.machine.controller.tables import upload
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.tables.upload_checks import acted
+from pmac_comp.machine.controller.whole import grouping, recovery, rollback
 from tests.unit.machine_controller.card_bench import CardBench
 
 NEW = CompTable(1, (16, 32, 16, 0), 640000, by_desired=True)

@@ -6,29 +6,25 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ConfigError, ControllerState, ForeignChange, LinkLost
-from pmac_comp.machine.controller import (
+from pmac_comp.machine.controller.change import journals
+from pmac_comp.machine.controller.change.claim import FOREIGN, FREE, REGISTER, read_claim
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.lease import read_lease
+from pmac_comp.machine.controller.contents.comp_table import CompTable, TableKind
+from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
+from pmac_comp.machine.controller.contents.settings import Settings
+from pmac_comp.machine.controller.law import (
     block_use,
-    grouping,
-    guard_install,
-    journals,
     law_checks,
     law_install,
     law_state,
     law_upload,
-    recovery,
-    rollback,
-    temporary,
-    waiting,
 )
-from pmac_comp.machine.controller.claim import FOREIGN, FREE, REGISTER, read_claim
-from pmac_comp.machine.controller.comp_table import CompTable, TableKind
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.law_bank import Index, LawBlock, LawParameters
-from pmac_comp.machine.controller.lease import read_lease
-from pmac_comp.machine.controller.settings import Settings
-from pmac_comp.machine.controller.settings_upload import change_settings
-from pmac_comp.machine.controller.table_status import table_status
-from pmac_comp.machine.controller.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.settings import guard_install, temporary
+from pmac_comp.machine.controller.settings.settings_upload import change_settings
+from pmac_comp.machine.controller.tables.table_status import table_status
+from pmac_comp.machine.controller.tables.upload import remove_tables, upload_tables
+from pmac_comp.machine.controller.whole import grouping, recovery, rollback, waiting
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.unit.machine_controller.card_bench import CardBench
 

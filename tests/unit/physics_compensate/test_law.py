@@ -8,7 +8,7 @@ import pytest
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.law_bank import LawParameters, evaluate
+from pmac_comp.machine.controller.contents.law_bank import LawParameters, evaluate
 from pmac_comp.physics.compensate import law
 from pmac_comp.physics.compensate.law import (
     WOUND_FADE,

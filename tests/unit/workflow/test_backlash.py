@@ -16,11 +16,11 @@ from pmac_comp.base.errors import (
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.comp_table import CompTable, TableKind
-from pmac_comp.machine.controller.law_state import read_law_head
-from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.card.variables import read_many
+from pmac_comp.machine.controller.contents.comp_table import CompTable, TableKind
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.law.law_state import read_law_head
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

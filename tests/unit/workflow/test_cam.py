@@ -18,14 +18,14 @@ from pmac_comp.base.errors import (
 )
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.comp_table import TableKind
-from pmac_comp.machine.controller.settings import read_axes
-from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.table_status import read_head
-from pmac_comp.machine.controller.upload import TableUpload
-from pmac_comp.machine.controller.upload_checks import buffer_refusals
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.card.variables import read_many
+from pmac_comp.machine.controller.contents.comp_table import TableKind
+from pmac_comp.machine.controller.contents.settings import read_axes
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.tables.table_status import read_head
+from pmac_comp.machine.controller.tables.upload import TableUpload
+from pmac_comp.machine.controller.tables.upload_checks import buffer_refusals
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel

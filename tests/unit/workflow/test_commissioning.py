@@ -9,8 +9,8 @@ import pytest
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import Bench, load_bench, parse_bench
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.rollback import rollback_last
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.whole.rollback import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.bench.remarks import remarks

@@ -19,18 +19,13 @@ from pmac_comp.base.errors import (
     VerifyMismatch,
 )
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import (
-    law_goal,
-    law_state,
-    recovery,
-    rollback,
-    sign_check,
-    waiting,
-)
-from pmac_comp.machine.controller.law_bank import LawBlock, LawParameters, evaluate
-from pmac_comp.machine.controller.programs import Program
-from pmac_comp.machine.controller.settings import plc_runs
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.law_bank import LawBlock, LawParameters, evaluate
+from pmac_comp.machine.controller.contents.programs import Program
+from pmac_comp.machine.controller.contents.settings import plc_runs
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.law import law_goal, law_state
+from pmac_comp.machine.controller.motors import sign_check
+from pmac_comp.machine.controller.whole import recovery, rollback, waiting
 from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis
@@ -242,7 +237,7 @@ def test_a_value_that_cannot_be_said_is_no_lost_link(
     def unsayable(*_: object) -> None:
         raise LocalProtocolError("A value has more digits than a register holds.")
 
-    monkeypatch.setattr("pmac_comp.machine.controller.law_upload.fill_bank", unsayable)
+    monkeypatch.setattr("pmac_comp.machine.controller.law.law_upload.fill_bank", unsayable)
     with pytest.raises(LocalProtocolError) as refused:
         deploy(axis, Compensation("law", LAW, LEAD), context_of(axis, tmp_path))
     assert refused.value.left is ControllerState.OLD

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.machine.controller.comp_table import CompTable
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.upload import upload_tables
+from pmac_comp.machine.controller.contents.comp_table import CompTable
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.tables.upload import upload_tables
 from pmac_comp.workflow.capture import session
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

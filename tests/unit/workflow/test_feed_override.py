@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
-from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.capture.as_described import require_as_described
 from pmac_comp.workflow.capture.axis import Axis

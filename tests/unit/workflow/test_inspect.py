@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
-from pmac_comp.machine.controller import law_goal
-from pmac_comp.machine.controller.context import Context
-from pmac_comp.machine.controller.journal import Journal
-from pmac_comp.machine.controller.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.change.context import Context
+from pmac_comp.machine.controller.change.journal import Journal
+from pmac_comp.machine.controller.change.manifest import CLOCK_PER_s, Lease
+from pmac_comp.machine.controller.law import law_goal
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of, context_to_look

@@ -7,7 +7,7 @@ import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.processor_load import ProcessorLoad
+from pmac_comp.machine.controller.card.processor_load import ProcessorLoad
 from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop

@@ -6,9 +6,9 @@ import pytest
 
 from pmac_comp.base.errors import SafetyRefusal
 from pmac_comp.files.bench import Bench
-from pmac_comp.machine.controller import law_goal, law_state
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.rollback import rollback_last
+from pmac_comp.machine.controller.law import law_goal, law_state
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.whole.rollback import rollback_last
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

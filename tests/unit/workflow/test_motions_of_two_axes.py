@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
-from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.settings import read_axes
-from pmac_comp.machine.controller.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.settings import read_axes
+from pmac_comp.machine.controller.contents.table_set import TableSet, read_tables
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.compensation.cam import CAM_PROGRAM, time_motor_variables

@@ -10,8 +10,8 @@ import pytest
 from pmac_comp.base.errors import ConfigError, ForeignChange
 from pmac_comp.cli.compensation import _told
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import grouping, rollback
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.whole import grouping, rollback
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.capturing import plan_capture

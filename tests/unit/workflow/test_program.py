@@ -13,9 +13,10 @@ import pytest
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, VerifyMismatch
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import motors, programs
-from pmac_comp.machine.controller.programs import Program, ProgramKind
-from pmac_comp.machine.controller.safety import check_sums
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.contents.safety import check_sums
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.exact import Aim, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap

@@ -8,8 +8,8 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
-from pmac_comp.machine.controller import programs
-from pmac_comp.machine.controller.programs import ProgramKind
+from pmac_comp.machine.controller.contents import programs
+from pmac_comp.machine.controller.contents.programs import ProgramKind
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.controller import safekeeping, upload_flow
 

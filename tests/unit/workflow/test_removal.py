@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.errors import ControllerState, LinkLost, SafetyRefusal
-from pmac_comp.machine.controller import law_goal, law_install, law_state, motors
-from pmac_comp.machine.controller.backup import Backup, compare, read_backup
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.law_state import LawForm
-from pmac_comp.machine.controller.rollback import rollback_last
-from pmac_comp.machine.controller.settings import read_axes
-from pmac_comp.machine.controller.table_set import read_tables
-from pmac_comp.machine.controller.table_status import table_status
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.settings import read_axes
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.law import law_goal, law_install, law_state
+from pmac_comp.machine.controller.law.law_state import LawForm
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.settings.backup import Backup, compare, read_backup
+from pmac_comp.machine.controller.tables.table_status import table_status
+from pmac_comp.machine.controller.whole.rollback import rollback_last
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis

@@ -10,7 +10,7 @@ import pytest
 
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.machine.controller.context import Context
+from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.model.drive import DriveModel

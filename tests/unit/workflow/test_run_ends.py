@@ -4,8 +4,8 @@ import pytest
 
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.motion import program_status
+from pmac_comp.machine.controller.motors import motors
+from pmac_comp.machine.controller.motors.motion import program_status
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.motion.motions import parse_motion
 

@@ -8,7 +8,7 @@ import pytest
 from pmac_comp.base.errors import CaptureError, ConfigError, StorageFull
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import read_capture
-from pmac_comp.machine.controller.capture_log import CaptureLog
+from pmac_comp.machine.controller.gather.capture_log import CaptureLog
 from pmac_comp.workflow.capture import capturing
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.capturing import CapturePlan, capture_to_folder, recover_to_folder

@@ -8,7 +8,7 @@ import pytest
 
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.files.resources import firmware_path
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis

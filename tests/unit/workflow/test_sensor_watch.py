@@ -8,7 +8,7 @@ import pytest
 
 from pmac_comp.base.errors import CaptureError, MotorNotSafe
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.machine.controller import motors
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.card import Card
 from pmac_comp.simulator.plant import make_plant

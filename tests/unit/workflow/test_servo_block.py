@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from pmac_comp.cli.app import app
 from pmac_comp.files.bench import Bench, parse_bench
-from pmac_comp.machine.controller.law_bank import LawBlock
-from pmac_comp.machine.controller.servo_source import servo_for, servo_source
+from pmac_comp.machine.controller.contents.law_bank import LawBlock
+from pmac_comp.machine.controller.contents.servo_source import servo_for, servo_source
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import default_servo, embedded, make_card

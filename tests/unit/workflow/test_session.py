@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.machine.controller.temporary import standing
+from pmac_comp.machine.controller.settings.temporary import standing
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.session import open_axis
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import LinkLost
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

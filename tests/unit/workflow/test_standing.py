@@ -10,8 +10,8 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import load_bench, parse_bench
-from pmac_comp.machine.controller import motors
-from pmac_comp.machine.controller.table_set import read_tables
+from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow import previews

@@ -9,9 +9,9 @@ import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
 from pmac_comp.files.bench import load_bench
-from pmac_comp.machine.controller.law_checks import no_servo
-from pmac_comp.machine.controller.table_set import TableSet, read_tables
-from pmac_comp.machine.controller.variables import read_many
+from pmac_comp.machine.controller.card.variables import read_many
+from pmac_comp.machine.controller.contents.table_set import TableSet, read_tables
+from pmac_comp.machine.controller.law.law_checks import no_servo
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.workflow.capture.axis import Axis

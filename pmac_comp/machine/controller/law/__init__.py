@@ -1,0 +1,1 @@
+"""The feed-forward law on the card: installed, loaded, armed, and what one pass of it costs."""

@@ -1,0 +1,1 @@
+"""Variables, definitions and programs on the card: changed, kept, put there for a while."""

@@ -1,0 +1,1 @@
+"""Changes of several parts as a whole: grouped, waited for, recovered, rolled back, saved."""
