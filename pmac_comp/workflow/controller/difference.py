@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.machine.controller.contents.comp_table import (
@@ -27,7 +27,6 @@ from pmac_comp.machine.controller.contents.programs import is_present
 from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.machine.controller.law import law_state
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_to_look
 from pmac_comp.workflow.capture.session import open_axis
@@ -35,22 +34,14 @@ from pmac_comp.workflow.compensation.cam import render_cam
 from pmac_comp.workflow.compensation.file import Compensation, read_compensation
 from pmac_comp.workflow.compensation.program import draw_motion
 from pmac_comp.workflow.compensation.tables import tables_of
+from pmac_comp.workflow.controller.law_rows import Row, law_rows
 from pmac_comp.workflow.controller.owners import is_of_axis
 from pmac_comp.workflow.law.rendering import law_parameters
 from pmac_comp.workflow.law.routes import MOTION_ROUTES, TORQUE_ROUTES
 
 _POINTS = 1201
 _REFERENCE_m_per_s2 = 5.0
-# Coefficients of a law that many drives do without.
-_SPECIAL = frozenset({"GH", "GW", "TG", "TH", "VU", "TU", "RS"})
-# Three meanings of one place, TR.
-_FRICTION_WAVE, _COGGING_WAVE, _WOBBLE_WAVE = "TR friction", "TR cogging", "TR wobble"
-_WAVES = frozenset({_FRICTION_WAVE, _COGGING_WAVE, _WOBBLE_WAVE})
-_ELASTIC = frozenset({"A0", "V0", "S0", "GW", "VU"})  # they change along the travel with the screw
-
 _COLUMNS = ("quantity", "old", "new", "unit")
-
-Row = tuple[str, Any, Any, str]
 
 
 @dataclass(frozen=True)
@@ -219,89 +210,6 @@ def _table_curves(axis: Axis, old: list[Table], new: list[Table]) -> list[Curve]
         for up in (True, False)
     ]
     return both[:1] if one_way else both
-
-
-def law_rows(axis: Axis, old: LawParameters | None, new: LawParameters) -> list[Row]:
-    """Coefficients of two laws in units a person knows; None acts as no law.
-
-    A bank holds them at the motor's zero, which may lie outside the travel; they are told for the
-    middle of the travel, as ``compensate`` tells them.
-    """
-    scales = axis.scales
-    middle_m = axis.bench.mid_travel_m
-    period, m = scales.period_s, scales.motor_m_per_ct
-    torque = scales.torque_Nm_per_dac
-    units: list[tuple[str, str, float, str]] = [
-        ("law, per acceleration", "A0", period**2 * UM_PER_M, "um/(m/s2)"),
-        ("law, per speed", "V0", period * UM_PER_M, "um/(m/s)"),
-        ("law, friction (each side)", "S0", m * UM_PER_M, "um"),
-        ("law, look-ahead", "L1", period * US_PER_S, "us"),
-        ("torque, per acceleration", "TJ", torque / m * period**2, "Nm/(m/s2)"),
-        ("torque, per speed", "TB", torque / m * period, "Nm/(m/s)"),
-        ("torque, friction", "TC", torque, "Nm"),
-        ("law, per speed more one way", "VU", period * UM_PER_M, "um/(m/s)"),
-        ("torque, per speed more one way", "TU", torque / m * period, "Nm/(m/s)"),
-        ("torque, constant", "T0", torque, "Nm"),
-        ("law, clearance of the nut", "GH", 2.0 * m * UM_PER_M, "um"),
-        ("law, taken up over (each side)", "GW", m * UM_PER_M, "um"),
-        *_wave_units(scales),
-        ("torque, share that ripples", "RS", 100.0, "%"),
-        ("torque, while the nut crosses", "TG", torque, "Nm"),
-        ("torque, cogging", "TH", torque, "Nm"),
-    ]
-    # What not every drive has is shown where either law has it.
-    special = _SPECIAL | _WAVES
-    shown = [row for row in units if row[1] not in special or _has(row[1], old, new)]
-    middle_ct, middle_mm = middle_m / m, middle_m * MM_PER_M
-    return [
-        ("law, told for the axis at", None if old is None else middle_mm, middle_mm, "mm"),
-        *(
-            (
-                name,
-                None if old is None else _coefficient(old, key, middle_ct) * factor,
-                _coefficient(new, key, middle_ct) * factor,
-                unit,
-            )
-            for name, key, factor, unit in shown
-        ),
-    ]
-
-
-def _wave_units(scales: Scales) -> list[tuple[str, str, float, str]]:
-    """Rows of what TR may be; only that against the wobble grows with the cube of the speed."""
-    torque = scales.torque_Nm_per_dac
-    per_speed_cubed = torque * (scales.period_s / scales.motor_m_per_ct) ** 3
-    return [
-        ("torque, friction per turn", _FRICTION_WAVE, torque, "Nm"),
-        ("torque, second cogging", _COGGING_WAVE, torque, "Nm"),
-        ("torque, against the lead's wobble", _WOBBLE_WAVE, per_speed_cubed, "Nm/(m/s)3"),
-    ]
-
-
-def _wave(law: LawParameters) -> str:
-    """What TR is in a law."""
-    if law.is_wobble:
-        return _WOBBLE_WAVE
-    return _COGGING_WAVE if law.is_second_cogging else _FRICTION_WAVE
-
-
-def _value(law: LawParameters, key: str) -> float:
-    """Coefficient of a bank, or its wave of one kind: none where its TR is another."""
-    if key in _WAVES:
-        return abs(law.TR) if key == _wave(law) else 0.0
-    return float(getattr(law, key))
-
-
-def _coefficient(law: LawParameters, key: str, place_ct: float) -> float:
-    """Coefficient of a bank as it acts at a place of the motor."""
-    value = _value(law, key)
-    if key in _ELASTIC:
-        return value * (1.0 + law.C1 * place_ct)
-    return value + law.TP * place_ct if key == "T0" else value
-
-
-def _has(key: str, *laws: LawParameters | None) -> bool:
-    return any(law is not None and _value(law, key) != 0.0 for law in laws)
 
 
 def reference_motion(bench: Bench) -> tr.Trajectory:

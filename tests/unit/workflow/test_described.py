@@ -15,7 +15,7 @@ from pmac_comp.workflow.compensation import compensate
 from pmac_comp.workflow.compensation.compensate import compensate_files
 from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.compensation.text import describe
-from pmac_comp.workflow.controller.difference import law_rows
+from pmac_comp.workflow.controller.law_rows import law_rows
 from pmac_comp.workflow.law.rendering import law_parameters
 from pmac_comp.workflow.motion.motions import parse_motion
 from tests.compensations import friction_law, lead_map
@@ -148,6 +148,31 @@ def test_each_wave_of_the_turn_has_a_row_with_its_name_and_unit() -> None:
             size = pytest.approx(next(iter(values.values())), rel=1e-6)
             assert rows[name] == (size if other == name else 0.0, size, unit)
             assert other == name or rows[other][1] == 0.0
+
+
+def test_what_only_some_drives_have_is_told_as_compensate_tells_it() -> None:
+    scales = Scales.of(BENCH)
+    axis: Any = SimpleNamespace(scales=scales, bench=BENCH)
+    plain = friction_law()
+    bed = {"bed_share": 0.12, "bed_damping_per_s": 8.0, "bed_stiffness_per_s2": 9e3,
+           "torque_bed_Nm_s2_per_m": 0.02}  # fmt: skip
+    drag = {"drag_m": 0.4e-6, "drag_distance_m": 3e-3, "torque_drag_Nm": 0.02}
+    stribeck = {"stribeck_m": 0.3e-6, "torque_stribeck_Nm": 0.05, "stribeck_speed_m_per_s": 5e-3}
+    place = {"torque_place_Nm_per_m": 0.5}
+    cases: list[tuple[dict[str, float], dict[str, float]]] = [
+        (bed, {"law, share of a bed that swings": 12.0}),
+        (drag, {"law, drag (each side)": 0.4, "law, that drag turns over within": 3000.0,
+                "torque, drag": 0.02}),
+        (stribeck, {"law, friction at rest beyond that": 0.3,
+                    "torque, friction at rest beyond that": 0.05}),
+        (place, {"torque, rising along the travel": 0.5}),
+    ]  # fmt: skip
+    usual = {row[0] for row in law_rows(axis, None, law_parameters(plain, scales))}
+    for values, told in cases:
+        old = law_parameters(plain, scales)
+        new = law_parameters(plain.with_values(**values), scales)
+        rows = {row[0]: row[1:3] for row in law_rows(axis, old, new) if row[0] not in usual}
+        assert rows == {name: (0.0, pytest.approx(size, rel=1e-5)) for name, size in told.items()}
 
 
 def test_coefficients_are_told_for_the_same_place_before_and_on_the_card() -> None:
