@@ -3,7 +3,7 @@
 The way from a model and captures to what is sent, and the modules of each part of it::
 
     the drive      loop motions delay
-    the law        law design resting
+    the law        law evaluation design resting
     by captures    starts grip ripple constant trim clearance
     by place       lead wobble
     one motion     exact

@@ -18,7 +18,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.law import CompensationLaw, friction_levels, friction_state
+from pmac_comp.physics.compensate.evaluation import friction_levels, friction_state
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 from pmac_comp.physics.model.effect import split_name

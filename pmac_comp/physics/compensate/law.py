@@ -1,8 +1,8 @@
-"""The dynamic compensation law: one set of coefficients, evaluated on a commanded trajectory.
+"""The dynamic compensation law: one set of coefficients and the equations that they stand in.
 
-What lives here: the law as data in SI with its validity and provenance, and its arithmetic. What
-may not: counts and registers (``workflow`` renders the law for a controller), the fit of the
-coefficients (``design``). Imports ``base`` only.
+What lives here: the law as data in SI with its validity and provenance, and what its coefficients
+mean. What may not: its arithmetic (``evaluation``), counts and registers (``workflow`` renders the
+law for a controller), the fit of the coefficients (``design``). Imports ``base`` only.
 
 With ``r`` the commanded position, ``v a j`` its backward differences at the servo period (a step of
 less than half a nanometre is a rest) and ``x`` the distance from the law's origin::
@@ -126,29 +126,15 @@ would throw the motor against the other flank: ``TG (g - h)`` holds it back. In 
 and 4 um of play both together leave six tenths of e_r in sinusoids and three quarters in moves.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
-from numba import njit
-
-from pmac_comp.base.arrays import FloatArray, finite_array
+from pmac_comp.base.arrays import finite_array
 from pmac_comp.base.errors import ModelError
 
-REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
 REST_FADE_per_s = 22.6  # of the torque's, where no model tells: 0.37 is left
 REST_UNWIND_per_s = 9.05  # of the table's, where no model tells: 0.67 is left
-OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
-WOUND_FADE = 0.9999  # of the torque against the integrator, per pass in motion
-WOUND_YIELD = 0.01  # of the friction torque, that it gives way per cycle of the next REST_CYCLES
-_WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
-_STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
-# Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
-# with counts of 1 um), and their differences would take the friction states away.
-_STILL_m = 0.5e-9
-_Speed = TypeVar("_Speed", float, FloatArray)
 _MOST_CYCLES = 4  # beyond that the steps of the held torque are worse than no torque
 _POSITIVE = (
     "breakaway_m",
@@ -169,6 +155,29 @@ _NOT_NEGATIVE = (
     "turn_friction_Nm",
     "torque_wobble_Nm_s3_per_m3",
     "drag_m",
+)
+TORQUE_TERMS = (
+    "torque_inertia_Nm_s2_per_m",
+    "torque_jerk_Nm_s3_per_m",
+    "torque_impulse_Nm_s3_per_m",
+    "torque_viscous_Nm_s_per_m",
+    "torque_coulomb_Nm",
+    "torque_load_Nm_s2_per_m",
+    "torque_constant_Nm",
+    "torque_place_Nm_per_m",
+    "torque_stribeck_Nm",
+    "torque_uneven_Nm_s_per_m",
+    "torque_drag_Nm",
+)
+# All that is zero where the output gets no torque; what only shapes these terms stays.
+_WITHOUT_TORQUE = (
+    *TORQUE_TERMS,
+    "turn_friction_Nm",
+    "ripple_Nm",
+    "turn_share",
+    "torque_wobble_Nm_s3_per_m3",
+    "gap_torque_Nm",
+    "torque_bed_Nm_s2_per_m",
 )
 _TRIM = "trim"  # in the provenance
 _COMPUTE_AGAIN = "Compute the compensation again from a model."
@@ -437,395 +446,3 @@ def coefficient_names() -> tuple[str, ...]:
     """Names of all coefficients in order."""
     others = {"provenance", "every_cycles"}
     return tuple(f.name for f in fields(CompensationLaw) if f.name not in others)
-
-
-@dataclass(frozen=True)
-class LawSignals:
-    """What a law sends along a trajectory.
-
-    Parameters
-    ----------
-    correction_m, torque_Nm : ndarray, shape (n,)
-        Added to the command (m) and to the controller's output (N m).
-    clamped : ndarray of bool, shape (n,)
-        Samples at which the amplitude clamp acted.
-    """
-
-    correction_m: FloatArray
-    torque_Nm: FloatArray
-    clamped: FloatArray
-
-
-def evaluate_law(
-    law: CompensationLaw,
-    position_m: FloatArray,
-    period_s: float,
-    *,
-    latency_cycles: int = 0,
-    output_Nm: FloatArray | None = None,
-) -> LawSignals:
-    """Correction in m and torque in N m along a commanded position.
-
-    Parameters
-    ----------
-    law : CompensationLaw
-        Coefficients.
-    position_m : FloatArray, shape (n,)
-        Commanded position in m at the servo period, starting at rest.
-    period_s : float
-        Servo period in s.
-    latency_cycles : int
-        Cycles by which the servo receives the values late (1 from PLC 0, 0 in the open servo). What
-        goes against a wobble comes a cycle late by either door.
-    output_Nm : FloatArray, shape (n,), or None
-        Output of the controller along this trajectory, which tells what rests wound; None means
-        that they wound nothing.
-
-    Returns
-    -------
-    LawSignals
-        What the servo receives in each cycle, clamped to the law's limits; a law that runs every
-        second cycle holds its values for two.
-    """
-    position = finite_array("position_m", position_m)
-    groups = [np.array([float(getattr(law, name)) for name in group]) for group in _EVALUATED]
-    every = law.every_cycles
-    output = np.zeros(0) if output_Nm is None else finite_array("output_Nm", output_Nm)
-    correction, torque = _evaluate(
-        *groups,
-        position[::every],
-        output[::every],
-        every * period_s,
-        law.jerk_limit_m_per_s3,
-        float(every),
-        max(0, 1 - latency_cycles) * period_s,
-    )
-    correction = np.repeat(correction, every)[: position.size]
-    torque = np.repeat(torque, every)[: position.size]
-    clamped = np.abs(correction) > law.amplitude_limit_m
-    correction = np.clip(correction, -law.amplitude_limit_m, law.amplitude_limit_m)
-    torque = np.clip(torque, -law.torque_limit_Nm, law.torque_limit_Nm)
-    return LawSignals(
-        correction_m=delayed(correction, latency_cycles),
-        torque_Nm=delayed(torque, latency_cycles),
-        clamped=clamped,
-    )
-
-
-def friction_levels(
-    law: CompensationLaw, speed_m_per_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Friction of a law at speeds, shape (n,): its elastic error in m and its torque in N m."""
-    slow = _slow_share(speed_m_per_s / law.stribeck_speed_m_per_s)
-    return (
-        law.coulomb_m + law.stribeck_m * slow,
-        law.torque_coulomb_Nm + law.torque_stribeck_Nm * slow,
-    )
-
-
-def friction_state(
-    speed_m_per_s: FloatArray, breakaway_m: float, period_s: float, start: float = 0.0
-) -> FloatArray:
-    """Direction of a motion as its friction has it, -1 to 1, shape (n,).
-
-    It follows the distance over ``breakaway_m`` and holds at rest.
-    """
-    states: FloatArray = _friction_states(speed_m_per_s * period_s / breakaway_m, start)
-    return states
-
-
-def delayed(values: FloatArray, cycles: int) -> FloatArray:
-    """Values, shape (n,), shifted to later samples; the first fills the front."""
-    if cycles <= 0:
-        return values
-    head = np.full(min(cycles, values.size), values[0])
-    return np.concatenate([head, values[: values.size - cycles]])
-
-
-@njit(cache=True, nogil=True)
-def _followed(state: float, way: float) -> float:
-    """Friction state after a way, implicit Euler: holds at standstill, never overshoots."""
-    return (state + way) / (1.0 + abs(way))
-
-
-@njit(cache=True, nogil=True)
-def _faded(
-    states: tuple[float, float, float], rest: float, stays: float, goes: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """Friction states of table and torque, and the torque against the integrator, after a pass.
-
-    ``goes`` are the shares of the states that fade in a pass as a rest begins, and the torque by
-    which the last gives way in one after that where friction pushes along with all it has; it
-    ``stays`` up to that size.
-    """
-    s, t, wound = states
-    if rest < REST_CYCLES:
-        return s * (1.0 - goes[0]), t * (1.0 - goes[1]), wound
-    if rest <= 2.0 * REST_CYCLES and wound * t > 0.0 and abs(wound) > stays:
-        wound -= goes[2] * t
-    return s, t, wound
-
-
-@njit(cache=True, nogil=True)
-def _over(holds: float, inertia: float) -> float:
-    """Acceleration of the table whose elastic error is as large as that of friction."""
-    return holds / inertia if inertia > 0.0 else math.inf
-
-
-@njit(cache=True, nogil=True)
-def _flank(force: float, width: float) -> float:
-    """Flank from -1 to 1 that a force holds; it and the width by the correction they make, m."""
-    return force / max(width, abs(force))
-
-
-@njit(cache=True, nogil=True)
-def _taken_over(state: float, wound: float, beyond: float, breaks_Nm: float) -> tuple[float, float]:
-    """Friction state as the output held it over a rest, and the rest of the torque it winds."""
-    stands = min(max(state + (beyond + wound) / breaks_Nm, -1.0), 1.0)
-    return stands, wound + breaks_Nm * (state - stands)
-
-
-@njit(cache=True, nogil=True)
-def _slow_share(speed: _Speed) -> _Speed:
-    """Share of Stribeck friction at a speed over its own: exp(-speed^2), its series inverted."""
-    square = speed * speed
-    return 1.0 / (1.0 + square * (1.0 + 0.5 * square))
-
-
-@njit(cache=True, nogil=True)
-def _by_turn(p: FloatArray, share: float, place: float) -> tuple[float, float, float]:
-    """Friction, cogging and share of the torque by the turn at a place.
-
-    ``p`` is turn, TR, m, PR, TH, n, PH.
-    """
-    angle = 2.0 * math.pi * place / p[0]
-    sine, cogging = math.sin(p[2] * angle + p[3]), p[4] * math.sin(p[5] * angle + p[6])
-    wave = p[1] * sine
-    return (wave, cogging, share * sine) if p[2] > 0.0 else (0.0, cogging + wave, share * sine)
-
-
-@njit(cache=True, nogil=True)
-def _following(p: FloatArray, size: float, place: float, way: float) -> float:
-    """Torque that lets the loop follow the table: turn, m and PR of ``p``, its size, the way."""
-    phase = p[3] + _WOBBLE_LEAD_rad * way
-    return size * math.sin(p[2] * 2.0 * math.pi * place / p[0] + phase)
-
-
-@njit(cache=True, nogil=True)
-def _swung(
-    p: FloatArray, acceleration: float, speed: float, place: float, period: float
-) -> tuple[float, float, float]:
-    """Acceleration, speed and place of a bed on its spring, a period later; ``p`` is M, D, O."""
-    swing = -p[0] * acceleration - p[1] * speed - p[2] * place
-    speed += period * swing
-    return swing, speed, place + period * speed
-
-
-@njit(cache=True, nogil=True)
-def _followed_share(state: float, goal: float, way: float) -> float:
-    """State that goes to its goal with a way, implicit Euler: holds at standstill."""
-    return (state + way * goal) / (1.0 + way)
-
-
-@njit(cache=True, nogil=True)
-def _crossed(
-    flank: float, lagged: float, goal: float, way: float, share: float
-) -> tuple[float, float, float]:
-    """Flank, the flank that the motor has reached, and by how much that was behind."""
-    flank = _followed_share(flank, goal, way)
-    behind = flank - lagged
-    return flank, lagged + share * behind, behind
-
-
-@njit(cache=True, nogil=True)
-def _held_between(felt: float, swing: float, state: float, most: float) -> float:
-    """What the guide lets the table feel of a bed: friction holds no more than its most either way.
-
-    All of it by the acceleration of the table that takes as much force; ``state`` from -1 to 1 of
-    the friction is in use already.
-    """
-    return min(max(felt, swing - most * (1.0 + state)), swing + most * (1.0 - state))
-
-
-@njit(cache=True, nogil=True)
-def _friction_states(way: FloatArray, start: float) -> FloatArray:
-    state = np.empty_like(way)
-    value = start
-    for k in range(way.size):
-        value = _followed(value, way[k])
-        state[k] = value
-    return state
-
-
-@njit(cache=True, nogil=True)
-def _speed(step_m: float, period: float) -> float:
-    """Speed of the command by its step in a pass, none where it rests."""
-    return step_m / period if abs(step_m) >= _STILL_m else 0.0
-
-
-@njit(cache=True, nogil=True)
-def _jerks(wanted: float, limit: float) -> tuple[float, float]:
-    """The jerk with which the acceleration follows, and what of it the torque answers."""
-    followed = min(max(wanted, -limit), limit)
-    return followed, followed if abs(wanted) <= _STEP * limit else 0.0
-
-
-# The groups of coefficients that ``_evaluate`` takes, each in the order in which it unpacks them.
-_ELASTIC = (
-    "inertia_s2",
-    "viscous_s",
-    "viscous_uneven_s",
-    "coulomb_m",
-    "stribeck_m",
-    "compliance_slope_per_m",
-    "jerk_s3",
-    "breakaway_m",
-    "drag_m",
-)
-_TORQUE_TERMS = (
-    "torque_inertia_Nm_s2_per_m",
-    "torque_jerk_Nm_s3_per_m",
-    "torque_impulse_Nm_s3_per_m",
-    "torque_viscous_Nm_s_per_m",
-    "torque_coulomb_Nm",
-    "torque_load_Nm_s2_per_m",
-    "torque_constant_Nm",
-    "torque_place_Nm_per_m",
-    "torque_stribeck_Nm",
-    "torque_uneven_Nm_s_per_m",
-    "torque_drag_Nm",
-)
-_TORQUE = (*_TORQUE_TERMS, "torque_breakaway_m")
-_BOTH = (
-    "lookahead_s",
-    "origin_m",
-    "stribeck_speed_m_per_s",
-    "rest_fade_per_s",
-    "rest_unwind_per_s",
-    "drag_distance_m",
-)
-_TURN = (  # as ``_by_turn`` has them
-    "turn_m",
-    "turn_friction_Nm",
-    "turn_order",
-    "turn_phase_rad",
-    "ripple_Nm",
-    "ripple_order",
-    "ripple_phase_rad",
-)
-_RIPPLE = (
-    "turn_share",
-    "torque_loop_Nm_s2_per_m",
-    "torque_loop_Nm_s_per_m",
-    "torque_wobble_Nm_s3_per_m3",
-)
-_GAP = ("gap_half_m", "gap_width_m", "gap_lag_s", "gap_torque_Nm", "gap_load_m")
-_BED = (  # the first three as ``_swung`` has them
-    "bed_share",
-    "bed_damping_per_s",
-    "bed_stiffness_per_s2",
-    "torque_bed_Nm_s2_per_m",
-)
-_EVALUATED = (_ELASTIC, _TORQUE, _BOTH, _TURN, _RIPPLE, _GAP, _BED)
-# All that is zero where the output gets no torque; what only shapes these terms stays.
-_WITHOUT_TORQUE = (
-    *_TORQUE_TERMS,
-    "turn_friction_Nm",
-    "ripple_Nm",
-    "turn_share",
-    "torque_wobble_Nm_s3_per_m3",
-    "gap_torque_Nm",
-    "torque_bed_Nm_s2_per_m",
-)
-
-
-@njit(cache=True, nogil=True)
-def _evaluate(
-    elastic: FloatArray,
-    torques: FloatArray,
-    both: FloatArray,
-    turn: FloatArray,
-    rippling: FloatArray,
-    gap: FloatArray,
-    bed_swings: FloatArray,
-    r: FloatArray,
-    output: FloatArray,
-    period: float,
-    limit: float,
-    every: float,
-    late: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Correction in m and torque in N m of each pass, unclamped, shape (n,) each.
-
-    The letters are those of the equations above; ``j1`` and ``j2`` the jerks of the last passes.
-
-    Parameters
-    ----------
-    elastic, torques, both, turn, rippling, gap, bed_swings : ndarray
-        Coefficients, in the groups of ``_EVALUATED``.
-    r : ndarray, shape (n,)
-        Commanded position in m at each pass.
-    output : ndarray, shape (n,) or (0,)
-        The controller's output in N m at each pass; empty where it is not known.
-    period, late : float
-        Time from pass to pass, and by which ``r'`` is behind ``r``, s.
-    limit : float
-        J, m/s3.
-    every : float
-        Servo cycles from pass to pass.
-    """
-    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
-    torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
-    torque_constant, torque_place, torque_stribeck = torques[6:9]
-    torque_uneven, torque_drag, torque_breakaway = torques[9:]
-    lookahead, origin, fading, rest_fade, rest_unwind, drag_distance = both
-    turn_share, loop_a, loop_v, tw = rippling
-    bed_share, _, _, torque_bed = bed_swings
-    gap_half, gap_width, gap_lag, gap_torque, gap_load = gap
-    seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
-    v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = d = 0.0
-    g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
-    breaks, most = torque_coulomb + torque_stribeck, _over(coulomb + stribeck, inertia)
-    goes = (rest_unwind * period, rest_fade * period, WOUND_YIELD * every * breaks)
-    for k in range(r.size):
-        v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
-        j2, j1 = j1, j
-        j, answered = _jerks(((v - v1) / period - a) / period, limit)
-        a += j * period
-        step = (v + lookahead * (a + 0.5 * (lookahead + period) * j)) * period
-        if v == 0.0:
-            rest += every
-            if seen and k > 0:
-                beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
-            s, t, wound = _faded((s, t, wound), rest, breaks if gap_half > 0.0 else 0.0, goes)
-        else:
-            if seen and rest >= REST_CYCLES and breaks > 0.0:
-                t, wound = _taken_over(t, wound, beyond, breaks)
-            rest, wound = 0.0, wound * WOUND_FADE
-        s, t = _followed(s, step / breakaway), _followed(t, step / torque_breakaway)
-        d = _followed(d, step / drag_distance)
-        wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
-        sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
-        sent += torque_viscous * v + torque_drag * d
-        slow = _slow_share(step / period / fading)
-        level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
-        sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound
-        way = abs(v) * period / breakaway
-        if bed_share > 0.0:
-            swing, bed_speed, bed = _swung(bed_swings, a, bed_speed, bed, period)
-            felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
-            sent += torque_bed * felt
-        e = (
-            inertia * (a + felt)
-            + (viscous * v + viscous_uneven * abs(v))
-            + ((coulomb + stribeck * slow) * s + drag * d)
-        )
-        correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
-        if gap_half > 0.0:
-            f = gap_load + e + lookahead * inertia * j
-            g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
-            correction[k] += gap_half * (h - held)
-            crossing = gap_torque * behind
-        sent += (sent - wound + loop_a * a + loop_v * v) * more + cogging + crossing
-        torque[k] = sent + torque_uneven * abs(v) + _following(turn, tw * v**3, r[k] - late * v, t)
-    return correction, torque

@@ -18,7 +18,8 @@ from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 
 _REVERSAL_CLEARANCE_m = 0.2e-3  # samples closer than this to a reversal carry the friction step
 _LEAST_SPEED_m_per_s = 1e-3

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.compensate.law import CompensationLaw, LawSignals, evaluate_law
+from pmac_comp.physics.compensate.evaluation import LawSignals, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner, LoopSignals
 from pmac_comp.physics.signals.metrics import centred_rms_um
 from pmac_comp.physics.signals.trajectory import Trajectory

@@ -26,8 +26,9 @@ from scipy.fft import irfft, next_fast_len, rfft
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate import delay
+from pmac_comp.physics.compensate.evaluation import friction_state
 from pmac_comp.physics.compensate.grip import gripping_torque
-from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner, LoopSignals, model_loop
 from pmac_comp.physics.compensate.starts import held_at_start_Nm
 from pmac_comp.physics.model import slots

@@ -34,8 +34,9 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.grip import gripping_torque
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.promise import MotionPromise

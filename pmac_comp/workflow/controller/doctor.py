@@ -70,7 +70,8 @@ def _compiled(bench: Bench, progress: Progress | None) -> Iterator[Finding]:
     import time
     from multiprocessing import get_context
 
-    from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+    from pmac_comp.physics.compensate.evaluation import evaluate_law
+    from pmac_comp.physics.compensate.law import CompensationLaw
     from pmac_comp.physics.model.drive import DriveModel, simulate
     from pmac_comp.physics.signals.trajectory import dwell
     from pmac_comp.workflow.capture.simulated import warm_up

@@ -18,8 +18,8 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import design_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.exact import exact_correction, faded
-from pmac_comp.physics.compensate.law import evaluate_law
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop, without_static
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model.drive import DriveModel

@@ -13,7 +13,7 @@ from pmac_comp.base.errors import ConfigError
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import PREDICTED, Capture, predicted_remarks
-from pmac_comp.physics.compensate.law import evaluate_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.identify.plausibility import require_positions
 from pmac_comp.workflow.accuracy.outcome import outcome_of
 from pmac_comp.workflow.accuracy.ringing import RingingOutcome, is_ringing

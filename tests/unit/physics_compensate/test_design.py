@@ -10,7 +10,8 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.design import NutGap, design_law, slower_law, start_law
-from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s, evaluate_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.motions import design_motions
 from pmac_comp.physics.compensate.promise import promise

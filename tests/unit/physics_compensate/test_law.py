@@ -9,15 +9,15 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.contents.law_bank import LawParameters, evaluate
-from pmac_comp.physics.compensate import law
-from pmac_comp.physics.compensate.law import (
+from pmac_comp.physics.compensate import evaluation, law
+from pmac_comp.physics.compensate.evaluation import (
     WOUND_FADE,
     WOUND_YIELD,
-    CompensationLaw,
     delayed,
     evaluate_law,
     friction_levels,
 )
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.law.rendering import law_parameters
@@ -68,7 +68,7 @@ SINE = sinusoid(period_s=PERIOD, amplitude_m=0.02, frequency_Hz=2.0, cycles=3.0,
 
 
 def test_every_coefficient_is_evaluated_once_or_a_limit() -> None:
-    evaluated = [name for group in law._EVALUATED for name in group]
+    evaluated = [name for group in evaluation._EVALUATED for name in group]
     assert len(evaluated) == len(set(evaluated))
     assert set(law.coefficient_names()) - set(evaluated) == {
         "amplitude_limit_m",

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.ripple import Kind, TurnTorque, turn_torque, with_turn_torque
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid

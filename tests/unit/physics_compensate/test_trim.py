@@ -7,7 +7,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.law import CompensationLaw, friction_state
+from pmac_comp.physics.compensate.evaluation import friction_state
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.trim import DRAG, shows_reversal, trimmed_law, with_drag
 from pmac_comp.physics.compensate.unmodelled import model_law

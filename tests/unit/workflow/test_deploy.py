@@ -26,7 +26,8 @@ from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.machine.controller.law import law_goal, law_state
 from pmac_comp.machine.controller.motors import sign_check
 from pmac_comp.machine.controller.whole import recovery, rollback, waiting
-from pmac_comp.physics.compensate.law import CompensationLaw, evaluate_law
+from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

@@ -8,7 +8,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.law import friction_state
+from pmac_comp.physics.compensate.evaluation import friction_state
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.workflow.compensation import computing
