@@ -17,6 +17,7 @@ from pmac_comp.simulator.language.scanner import Scanner
 from pmac_comp.simulator.language.statements import AXES, MOTION, Statement
 
 _ASSIGNED = re.compile(r"\s*I\s*(?:[\d\s]+=|\()")
+_RANGE_ASSIGNED = re.compile(r"\s*(?:\.\.|,)[\s\d.,$A-F]*=")
 
 
 class StatementParser(ExpressionParser):
@@ -60,7 +61,7 @@ class StatementParser(ExpressionParser):
             return None
         if self.scanner.peek(2) in ("==", "&=", "|=", "^="):
             return self._synchronous(kind, number, code)
-        if self.scanner.take(".."):
+        if _RANGE_ASSIGNED.match(self.scanner.rest):
             raise CardError(3, "ranges are not program text")
         if not self.scanner.take("="):
             self.scanner.position = start

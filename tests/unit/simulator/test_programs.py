@@ -64,7 +64,8 @@ def test_buffer_rules(card: Card, ask: Ask) -> None:
     assert other.line("CLOSE P1=3 P1") == b"3\r\x06"  # another port's buffer stays open
     assert ask("P1=9") == ""  # goes into the buffer
     assert other.line("P1") == b"3\r\x06"
-    assert ask("P1..3=0") == "ERR003"
+    assert ask("P1..3=0") == ask("P1,3,2=0") == ask("P1, 3 = $A") == "ERR003"
+    assert ask("P1..2") == ask("P1,2") == "3 0"  # asking is no program text
     assert ask("#1P") == "0"  # pure on-line commands are executed
     assert ask("X100") == "ERR003"  # no axis moves in a PLC
     assert int(ask("???")[6:], 16) >> 17 & 1  # PLC buffer open
