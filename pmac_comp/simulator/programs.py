@@ -73,6 +73,8 @@ class Program:
             if statement.kind == "line_end":
                 inline = False
                 continue
+            if statement.starts_line:  # a line that ended on an IF has no mark of its end
+                inline = False
             text = statement.long if long else statement.short
             if inline and found and len(found[-1][1]) + len(text) < _LINE_TEXT_LIMIT:
                 found[-1] = (found[-1][0], found[-1][1] + text)

@@ -124,8 +124,15 @@ class Assembler:
         block = _Block("if", self.here, inline=self._inline(index))
         self.code.emit(vm.OP_JUMP_FALSE, 0)
         block.exits.append(self.here - 1)
-        self.blocks.append(block)
+        self._open(block)
         return used
+
+    def _open(self, block: _Block) -> None:
+        """Enter a block; what ends on a later line holds open what was opened on its own line."""
+        if not block.inline:
+            for outer in self.blocks:
+                outer.inline = False
+        self.blocks.append(block)
 
     def _do_condition_and(self, _index: int) -> None:
         raise CardError(9, "AND without IF or WHILE")
@@ -179,7 +186,7 @@ class Assembler:
         used = self._condition(index)
         self.code.emit(vm.OP_JUMP_FALSE, 0)
         block.exits.append(self.here - 1)
-        self.blocks.append(block)
+        self._open(block)
         return used
 
     def _do_endwhile(self, _index: int) -> None:

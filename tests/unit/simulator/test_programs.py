@@ -34,6 +34,18 @@ def test_listing_can_be_entered_again_and_lists_the_same(ask: Ask) -> None:
     assert ask("LIST PROG 8") == first
 
 
+def test_a_block_that_begins_behind_else_ends_on_its_own_line(card: Card, ask: Ask) -> None:
+    lines = ["IF(P1=1)", "P2=1", "ELSEIF(P1=2)", "P2=2", "IF(P3=1)P4=1", "ENDI", "ENDI", "P5=5"]
+    enter(ask, "OPEN PROG 7 CLEAR", *lines, "CLOSE")
+    assert ask("LIST PROG 7").split(" ") == [*lines, "RET"]
+    enter(ask, "P1..5=0", "P3=1", "&1#1->X", "#1J/ B7R")
+    card.run_cycles(20)
+    assert ask("P2 P4 P5") == "0 0 5"
+    enter(ask, "P1=2", "B7R")
+    card.run_cycles(20)
+    assert ask("P2 P4 P5") == "2 1 5"
+
+
 @pytest.mark.parametrize(
     "lines",
     [
