@@ -33,6 +33,7 @@ _AHEAD = 1  # pieces of motion that may wait when the next move is calculated
 _MOST_TAG = 1 << 30
 # Run-time error codes of Y:+$14 (p. 505).
 _ERROR_LABEL, _ERROR_STACK, _ERROR_COUNTER = 6, 5, 3
+_DEEPEST_CALL = 15
 
 
 def _at_once() -> bool:
@@ -299,6 +300,13 @@ class CoordinateSystem(AxisPositions):
         self.stop_now()
         for motor in self.motors:
             self.card.servo.abort_motion(motor)
+
+    def enter(self, frame: Frame) -> None:
+        """Go on in a called program; a run-time error where the calls are nested too deeply."""
+        if len(self.frames) >= _DEEPEST_CALL:
+            self.fail(_ERROR_STACK)
+        else:
+            self.frames.append(frame)
 
     def flush_assignments(self) -> None:
         """MFLUSH: forget synchronous assignments that wait."""

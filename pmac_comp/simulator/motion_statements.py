@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 _DWELL_END_CYCLES = 2.0
 _LONGEST_TIME_ms = 8388607.0
-_DEEPEST_CALL = 15
 Arguments = tuple[float, ...]
 Doer = Callable[["CoordinateSystem", Statement, Arguments], None]
 _DOERS: dict[str, Doer] = {}
@@ -156,13 +155,13 @@ def _call(system: CoordinateSystem, _statement: Statement, arguments: Arguments)
     number = int(arguments[0])
     label = round((arguments[0] - number) * 100000)
     program = system.card.programs.programs.get(number)
-    if program is None or program.assembled is None or len(system.frames) >= _DEEPEST_CALL:
+    if program is None or program.assembled is None:
         raise CardError(16)
     if label not in program.assembled.labels:
         raise CardError(16)
     frame = system.frame_of(program)
     frame.context.state[vm.S_PC] = program.assembled.labels[label]
-    system.frames.append(frame)
+    system.enter(frame)
 
 
 # --- positions -----------------------------------------------------------------------------------

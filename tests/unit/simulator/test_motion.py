@@ -166,6 +166,16 @@ def test_calls_loops_labels_and_inline_conditions(card: Card, ask: Ask) -> None:
     assert ask("&1??")[5] == "0"
 
 
+@pytest.mark.parametrize("line", ["CALL1", "GOSUB5 N5 GOSUB5"])
+def test_calls_without_end_overflow_the_stack(card: Card, ask: Ask, line: str) -> None:
+    prepare(ask, line)
+    card.run_cycles(20)
+    assert ask("&1B1R") == ""
+    card.run_cycles(20)
+    assert int(ask("&1??")[6:12], 16) >> 22 & 1  # run-time error
+    assert ask("RY$2014") == "5"
+
+
 def test_synchronous_assignment_acts_when_the_next_move_starts(card: Card, ask: Ask) -> None:
     ask("M500->Y:$10F0,0,8")
     prepare(ask, "LINEAR INC TA20 TS0 TM100", "M500=1", "X100", "M500==2", "X100", "P30=1", "X100")
