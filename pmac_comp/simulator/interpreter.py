@@ -102,7 +102,8 @@ class Interpreter:
             execute_command(context)
         except CardError as error:
             if error.code == 3 and not self._card.programs.is_open_on(context.owner):
-                if _is_program_text(scanner.text[start:]):
+                # A command that read all of it knows the words, and refuses them for what they ask.
+                if _program_text(scanner.text[start:]) > scanner.position - start:
                     raise CardError(5) from error
             elif error.code == 5 and self._card.programs.is_open_on(context.owner):
                 raise CardError(3) from error
@@ -225,12 +226,14 @@ class Interpreter:
     }
 
 
-def _is_program_text(text: str) -> bool:
+def _program_text(text: str) -> int:
+    """Characters of the program statement that a text begins with, 0 if it begins with none."""
     try:
         for kind in (MOTION, PLC):
-            statement = StatementParser(Scanner(text), kind).statement()
+            scanner = Scanner(text)
+            statement = StatementParser(scanner, kind).statement()
             if statement is not None and statement.kind != "assign":
-                return True
+                return scanner.position
     except CardError:
-        return False
-    return False
+        return 0
+    return 0

@@ -91,6 +91,8 @@ def test_answer(ask: Ask, line: str, answer: str) -> None:
         ("OPEN FORWARD", 3),
         ("OPEN BIN ROT", 3),
         ('SEND"x"', 5),
+        ("GATHER", 3),  # a command as well: it lacks its own buffer, not that of a program
+        ("OPEN PROG 1 CLEAR X1 CLOSE B1.5", 3),  # no such label
     ],
 )
 def test_refusal(ask: Ask, line: str, code: int) -> None:
