@@ -304,9 +304,16 @@ class ProgramStore:
 
 
 def listing(
-    program: Program, *, long: bool, start: int | None = None, length: int | None = None
+    program: Program,
+    *,
+    long: bool,
+    is_open: bool = False,
+    start: int | None = None,
+    length: int | None = None,
 ) -> list[str]:
     """Lines of LIST; with a start or length every line has its word offset in front.
+
+    The last RETURN is there once the buffer was closed.
 
     Raises
     ------
@@ -314,6 +321,8 @@ def listing(
         ERR003 when the start lies beyond the end.
     """
     lines = program.lines(long=long)
+    if is_open:
+        lines.pop()
     if start is None and length is None:
         return [text for _, text in lines]
     first = start or 0

@@ -11,7 +11,7 @@ from pmac_comp.simulator.commands.line import LineContext, command
 from pmac_comp.simulator.compensation import TableKind
 from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.statements import MOTION, PLC
-from pmac_comp.simulator.programs import listing
+from pmac_comp.simulator.programs import Program, listing
 from pmac_comp.simulator.user_memory import define_user_buffer
 
 _KINDS = {"COMP": TableKind.COMP, "TCOMP": TableKind.TCOMP, "BLCOMP": TableKind.BLCOMP}
@@ -83,7 +83,7 @@ def _list_program(context: LineContext) -> None:
         start = context.scanner.integer() or 0
         if context.scanner.take(","):
             length = context.scanner.integer()
-    _answer_listing(context, listing(program, long=_long(context), start=start, length=length))
+    _answer_program(context, program, start, length)
 
 
 @command("LISTPLC", "LISPLC")
@@ -97,11 +97,19 @@ def _list_plc(context: LineContext) -> None:
             start = context.card.plcs.next_offset(number)
         if context.scanner.take(","):
             length = context.scanner.integer()
-    _answer_listing(context, listing(program, long=_long(context), start=start, length=length))
+    _answer_program(context, program, start, length)
 
 
 def _long(context: LineContext) -> bool:
     return bool(context.card.variables.int_i(9) & 1)
+
+
+def _answer_program(
+    context: LineContext, program: Program, start: int | None = None, length: int | None = None
+) -> None:
+    is_open = program is context.card.programs.open_program
+    lines = listing(program, long=_long(context), is_open=is_open, start=start, length=length)
+    _answer_listing(context, lines)
 
 
 def _answer_listing(context: LineContext, lines: list[str]) -> None:
@@ -162,7 +170,7 @@ def _list(context: LineContext) -> None:
     program = store.open_program
     if program is None:
         raise CardError(3)
-    _answer_listing(context, listing(program, long=_long(context))[:-1])
+    _answer_program(context, program)
 
 
 def _list_table(context: LineContext, kind: TableKind) -> None:

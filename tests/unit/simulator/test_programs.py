@@ -81,7 +81,7 @@ def test_buffer_rules(card: Card, ask: Ask) -> None:
     assert ask("#1P") == "0"  # pure on-line commands are executed
     assert ask("X100") == "ERR003"  # no axis moves in a PLC
     assert int(ask("???")[6:], 16) >> 17 & 1  # PLC buffer open
-    assert ask("LIST") == "P1=9"
+    assert ask("LIST") == ask("LIST PLC 3") == "P1=9"  # CLOSE appends RETURN
     assert ask("SIZE").startswith("-")
     assert ask("CLOSE") == ""
     assert ask("LIST PLC 3") == "P1=9 RET"
