@@ -6,6 +6,7 @@ p. 254-263 (control characters).
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 _ONE_BYTE = bytes([FLUSH_REPLY])
 _NOTHING = b"\x00"  # what the interface says when the card has nothing to say
 _LINE_ENDS = b"\r\x06\n"
+# Where the interface stops reading the card: an error or what a program says ends with its CR.
+_TEXT_END = re.compile(rb"\x06|\x02[^\r]*\r|\x07\r?[^\r]*\r")
 _FIRST_LINE = 1
 _ASCII_PIECE = 128  # bytes of an ASCII line taken at once
 
@@ -142,7 +145,9 @@ class EthernetSession:
         """Execute the text of a request; its answer waits."""
         self._waiting.clear()  # a new command drops what was not read
         # The interface adds the CR, so a lone control character is acknowledged, too.
-        self._waiting += self.port.receive(request.text + b"\r")
+        answer = self.port.receive(request.text + b"\r")
+        # A program that the line has started speaks after the acknowledgement.
+        self._waiting[:0] = answer
 
     def _get_response(self, request: Request) -> bytes:
         self._run(request)
@@ -155,9 +160,17 @@ class EthernetSession:
     def _next_part(self) -> bytes:
         if not self._waiting:
             return _NOTHING
-        part = bytes(self._waiting[:MAX_REPLY])
-        del self._waiting[:MAX_REPLY]
+        size = self._part_size()
+        part = bytes(self._waiting[:size])
+        del self._waiting[:size]
         return part
+
+    def _part_size(self) -> int:
+        """Bytes of the next part: to the end of the text, 1400 at most (manual p. 37)."""
+        if self.card.variables.int_i(4) & 1:
+            return MAX_REPLY  # a checksum may look like an end, and follows it
+        end = _TEXT_END.search(self._waiting, 0, MAX_REPLY)
+        return MAX_REPLY if end is None else end.end()
 
     def _get_line(self, _request: Request) -> bytes:
         for index, code in enumerate(self._waiting[:MAX_REPLY]):

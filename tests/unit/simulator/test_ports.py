@@ -114,6 +114,23 @@ def ask(session: EthernetSession, request: wire.Request) -> bytes:
     return session.receive(wire.encode(request))
 
 
+def test_what_a_program_says_comes_apart_from_the_answer(card: Card) -> None:
+    s = EthernetSession(card)
+    run, more = ethernet_requests.get_response, ethernet_requests.get_buffer()
+    for line in (b"OPEN PLC 4 CLEAR", b'SENDP"packet"', b"DISABLE PLC 4", b"CLOSE", b"I5=2"):
+        assert ask(s, run(line)) == b"\x06"
+    ask(s, ethernet_requests.send_line(b"ENABLE PLC 4 P1"))
+    card.run_cycles(20)
+    assert [ask(s, more) for _ in range(3)] == [b"0\r\x06", b"\x02packet\r", b"\x00"]
+    # A program that the line itself starts speaks behind its acknowledgement.
+    for line in (b"&1#1->X #1J/ OPEN PROG 1 CLEAR", b'SENDP"said"', b"CLOSE"):
+        assert ask(s, run(line)) == b"\x06"
+    card.run_cycles(20)
+    assert ask(s, run(b"&1B1R")) == b"\x06"
+    card.run_cycles(20)
+    assert ask(s, more) == b"\x02said\r"
+
+
 def test_requests_of_the_packet_port(card: Card) -> None:
     s = EthernetSession(card)
     assert ask(s, ethernet_requests.get_response(b"i6=1 i3=2 ver")) == b"1.947  \r\x06"
