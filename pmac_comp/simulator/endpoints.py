@@ -181,6 +181,8 @@ class StreamClient(asyncio.Protocol):
             said = self.session.pending()
             if said:
                 self.transport.write(said)
+            if self.transport.get_write_buffer_size() > MOST_UNSENT_BYTES:
+                self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the client."""

@@ -36,6 +36,7 @@ _LINE_ENDS = b"\r\x06\n"
 # Where the interface stops reading the card: an error or what a program says ends with its CR.
 _TEXT_END = re.compile(rb"\x06|\x02[^\r]*\r|\x07\r?[^\r]*\r")
 _FIRST_LINE = 1
+_MOST_SAID = 65536  # bytes of what programs say that wait for a client; the rest is lost
 _ASCII_PIECE = 128  # bytes of an ASCII line taken at once
 
 
@@ -136,7 +137,7 @@ class EthernetSession:
             raise Refused(str(dropped)) from dropped
 
     def _announced(self, port: str, text: str) -> None:
-        if port == "P":
+        if port == "P" and len(self._waiting) < _MOST_SAID:
             self._waiting += self.port.unsolicited(text)
 
     # --- text -----------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import socket
 import struct
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import paramiko
@@ -238,6 +239,24 @@ def test_f42_a_client_that_never_reads_is_dropped(endpoints, card):
         assert served(endpoints["tcp"])
     assert card.cycles > before
     assert resident_MB() - before_MB < 100.0
+
+
+@pytest.mark.faults
+def test_f42_a_client_that_never_reads_what_programs_say_is_dropped(endpoints, card):
+    with connect(endpoints["ascii"]) as link:
+        link.settimeout(20.0)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        link.sendall(b"P1\r")
+        assert link.recv(1024)  # it is a client by now
+        for _ in range(20):
+            card.interpreter.announce("S", "x" * 1_000_000)
+            time.sleep(0.05)
+        assert served(endpoints["tcp"])
+        received = 0
+        with suppress(ConnectionResetError):
+            while received < 20_000_000 and (data := link.recv(65536)):
+                received += len(data)
+        assert received < 15_000_000
 
 
 @pytest.mark.faults

@@ -131,6 +131,17 @@ def test_what_a_program_says_comes_apart_from_the_answer(card: Card) -> None:
     assert ask(s, more) == b"\x02said\r"
 
 
+def test_what_a_program_says_to_a_client_that_never_asks_is_bounded(card: Card) -> None:
+    s = EthernetSession(card)
+    for _ in range(20_000):
+        card.interpreter.announce("P", "still here")
+    said = 0
+    while ask(s, ethernet_requests.read_ready())[0]:
+        said += len(ask(s, ethernet_requests.get_buffer()))
+    assert 60_000 < said < 70_000
+    assert ask(s, ethernet_requests.get_response(b"P1=4 P1")) == b"4\r\x06"
+
+
 def test_requests_of_the_packet_port(card: Card) -> None:
     s = EthernetSession(card)
     assert ask(s, ethernet_requests.get_response(b"i6=1 i3=2 ver")) == b"1.947  \r\x06"
