@@ -30,9 +30,9 @@ from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel, simulate, simulate_many
 from pmac_comp.physics.model.loop import NODE_SPACING_m
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 
 # Order of the enumeration in bench_model.c.
 PARAMETERS = (

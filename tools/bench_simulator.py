@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock, LawParameters
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -42,8 +42,8 @@ from pmac_comp.machine.controller.tables.upload import upload_tables
 from pmac_comp.machine.transport.base import Framing, Transport
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.wire.ethernet import MAX_REPLY, BufferVerdict, RequestCode
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 
 N_ENTRIES = 1000
 ROUNDS = 40

@@ -130,7 +130,7 @@ def sim(
     --json FILE keeps that line too.
     """
     if supported:
-        from pmac_comp.simulator.support import report, report_lines
+        from pmac_comp.simulator.dialog.support import report, report_lines
 
         output.finish(report(), json_target, lambda: output.echo_all(report_lines()))
         return

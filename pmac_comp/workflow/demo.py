@@ -200,8 +200,8 @@ def run_demo(
         warm_up(loaded, plant)
         card = make_card(loaded, plant=plant, servo=servo)
         recorder = TruthRecorder(card)
-    from pmac_comp.simulator.pace import HostPace
-    from pmac_comp.simulator.server import ServeOptions, running_server
+    from pmac_comp.simulator.serving.pace import HostPace
+    from pmac_comp.simulator.serving.server import ServeOptions, running_server
 
     pace = HostPace()
     options = ServeOptions(tcp=0, pace=pace)

@@ -13,7 +13,7 @@ from pmac_comp.machine.controller.change.transaction import UploadResult
 from pmac_comp.machine.controller.contents.law_bank import BANK_VALUES, BankIndex, Index, LawBlock
 from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.faults.same_state import stretches
 from tests.faults.upload_bench import SameIds, put_back, saved
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench

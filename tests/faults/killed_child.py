@@ -13,8 +13,8 @@ from pmac_comp.base.errors import LinkLost, PmacCompError, ReplyTimeout
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.tap import FaultyTransport
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 
 
 class SkippingClock(SystemClock):

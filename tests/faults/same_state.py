@@ -24,7 +24,7 @@ from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way
 from pmac_comp.machine.wire.ethernet import RequestReader
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 from tests.faults.card_state import digest
 from tests.unit.machine_controller.card_bench import CardBench
 

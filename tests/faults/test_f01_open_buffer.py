@@ -17,7 +17,7 @@ from pmac_comp.machine.controller.whole.grouping import grouped
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way
-from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
+from pmac_comp.simulator.dialog.sessions import AsciiSession, EthernetSession
 from tests.unit.machine_controller.card_bench import CardBench
 
 pytestmark = pytest.mark.faults

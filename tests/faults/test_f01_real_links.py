@@ -21,8 +21,8 @@ from pmac_comp.machine.controller.whole import recovery, waiting
 from pmac_comp.machine.transport.opening import open_transport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, FaultyTransport, Way
 from pmac_comp.machine.transport.url import parse_url
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import AsciiSession, EthernetSession
 from tests.faults.openssh import trusting
 from tests.faults.socket_peers import peer
 from tests.faults.ssh_gateway import SECRET, USER, Gateway

@@ -11,7 +11,7 @@ from pmac_comp.machine.controller.contents.settings import plc_runs
 from pmac_comp.machine.controller.law import law_upload
 from pmac_comp.machine.controller.motors import motors
 from pmac_comp.machine.controller.whole import recovery
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import embedded

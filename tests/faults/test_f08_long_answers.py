@@ -14,7 +14,7 @@ from pmac_comp.machine.controller.settings.program_upload import upload_program
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.simulator.sessions import AsciiSession
+from pmac_comp.simulator.dialog.sessions import AsciiSession
 from tests.faults.upload_bench import new_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 

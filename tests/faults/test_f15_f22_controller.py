@@ -28,7 +28,7 @@ from pmac_comp.machine.controller.settings import backup, guard_install
 from pmac_comp.machine.controller.tables import table_files, table_recovery, upload
 from pmac_comp.machine.controller.tables.table_status import HEAD_LINES, table_status
 from pmac_comp.machine.controller.whole import persist, recovery, restore
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.faults.upload_bench import UploadBench, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench
 

@@ -14,7 +14,7 @@ from pmac_comp.machine.controller.change.lease import card_lock, read_lease
 from pmac_comp.machine.controller.contents.law_bank import Index
 from pmac_comp.machine.controller.tables.upload import upload_tables
 from pmac_comp.machine.transport.url import card_address
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.at_work import at_work, measuring
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.axis_setup import AxisSetup

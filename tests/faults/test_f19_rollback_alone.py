@@ -23,7 +23,7 @@ from pmac_comp.machine.controller.whole import grouping, recovery, rollback, wai
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 from tests.faults.test_f01_f29_every_kind import thinned, whole_route
 from tests.faults.upload_bench import new_table, put_back, saved
 from tests.unit.machine_controller.card_bench import REQUEST_CYCLES, CardBench, make_plc_bench

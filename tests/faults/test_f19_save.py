@@ -27,8 +27,8 @@ from pmac_comp.machine.controller.tables.table_status import read_head
 from pmac_comp.machine.controller.whole import persist, recovery, waiting
 from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 from pmac_comp.workflow.controller.inspect import lease_text
 from tests.faults.upload_bench import new_table, old_table
 from tests.unit.machine_controller.card_bench import REQUEST_CYCLES, CardBench

@@ -10,7 +10,7 @@ import pytest
 from pmac_comp.base.errors import ControllerState, PmacCompError
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.whole import persist, recovery
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.faults.change_bench import (
     WATCHED_I,
     Scenario,

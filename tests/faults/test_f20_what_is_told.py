@@ -23,7 +23,7 @@ from pmac_comp.machine.controller.tables.table_recovery import status_by_journal
 from pmac_comp.machine.controller.tables.upload import remove_tables, upload_tables
 from pmac_comp.machine.controller.whole import parts, persist, recovery, rollback
 from pmac_comp.machine.controller.whole.grouping import grouped
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import embedded, make_card

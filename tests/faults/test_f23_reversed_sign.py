@@ -15,9 +15,9 @@ from pmac_comp.machine.controller.contents.comp_table import CompTable, Table
 from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.memory import read_long
-from pmac_comp.simulator.registers import M_STATUS1, S1_OPEN_LOOP, motor_base
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory.memory import read_long
+from pmac_comp.simulator.memory.registers import M_STATUS1, S1_OPEN_LOOP, motor_base
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import embedded

@@ -13,8 +13,8 @@ import numpy as np
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.effects import EFFECTS, Values, truth_of
 from tests.generators.motions import Command, campaign, judging_campaign
 from tests.generators.sizing import (

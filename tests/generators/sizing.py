@@ -16,10 +16,10 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator.closed_loop import run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
 from tests.generators.effects import EFFECTS, MOST, Values
 from tests.generators.motions import Command
 

@@ -4,9 +4,9 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import identify
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 
 SLOW = frozenset({"move_slow", "triangle_slow"})  # long runs, for friction at low speed

@@ -10,8 +10,8 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import Diagnosis, diagnose
 from pmac_comp.physics.model.effect import effect_library
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.motions import sine
 
 BENCH = load_bench("paper")

@@ -10,9 +10,9 @@ from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import effect_library
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.generators.motions import sine
 from tools.acceptance.prediction_table import plant_of

@@ -2,8 +2,8 @@
 
 from pmac_comp.physics.diagnose import diagnose
 from pmac_comp.physics.model.effect import effect_library
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.motions import sine, strokes
 from tests.generators.other_benches import LIGHT, bench_of
 

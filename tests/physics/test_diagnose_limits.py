@@ -13,9 +13,9 @@ from pmac_comp.physics.model import chain
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values, effect_library
 from pmac_comp.physics.model.parameters import parameter
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.motions import sine, strokes
 
 BENCH = load_bench("paper_x4")

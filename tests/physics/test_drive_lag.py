@@ -10,8 +10,8 @@ from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.identify.drive_lag import DriveLag, measured_drive_lag
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.law import beyond_model
 from pmac_comp.workflow.law.beyond_model import made_with, shown_by_runs
 from pmac_comp.workflow.law.drive_lag import lag_note, lag_remarks

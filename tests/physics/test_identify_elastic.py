@@ -24,8 +24,8 @@ from pmac_comp.physics.identify import (
 from pmac_comp.physics.identify.linear_start import six_coefficients
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tools.acceptance import identify_coverage as tool
 
 BENCH = load_bench("paper")

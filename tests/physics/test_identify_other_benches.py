@@ -12,10 +12,10 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import Identification, identify
 from pmac_comp.physics.identify.linear_start import starting_model
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.generators.other_benches import COARSE, SLENDER, bench_of
 from tools.acceptance.identify_coverage import truth_si

@@ -9,11 +9,11 @@ from pmac_comp.physics.diagnose.onset import without_onset
 from pmac_comp.physics.identify import identify, identify_with_friction
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.expected import expected_response
-from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tools.acceptance import prediction_table as tool
 from tools.acceptance.identify_coverage import truth_si

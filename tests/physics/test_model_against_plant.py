@@ -7,9 +7,9 @@ from pmac_comp.files.bench import SiControl, load_bench
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.expected import expected_response
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew
 from pmac_comp.simulator.plant.ballscrew import make_plant
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
 from tests.generators.true_values import friction_of
 from tools.acceptance.identify_coverage import truth_si
 

@@ -8,11 +8,11 @@ from scipy.integrate import solve_ivp
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator.closed_loop import run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant, modal_frequencies_Hz
 from pmac_comp.simulator.plant.effects import PLANT_EFFECTS
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
 
 BENCH = load_bench("paper")
 TS = BENCH.servo_period_s

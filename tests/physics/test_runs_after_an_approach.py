@@ -15,8 +15,8 @@ from pmac_comp.physics.identify import records as rec
 from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.model.prediction import predict_files
 
 BENCH = load_bench("paper_x4")

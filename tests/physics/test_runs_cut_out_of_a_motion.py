@@ -16,8 +16,8 @@ from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.resting import start_of
 from pmac_comp.physics.model.start import Start
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.model.prediction import predict_files
 
 BENCH = load_bench("paper_x4")

@@ -5,9 +5,9 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.identify.scale_age import measured_scale_age
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.accuracy.late_scale import scale_age_s
 from pmac_comp.workflow.compensation.computing import compute_compensation
 from pmac_comp.workflow.law import beyond_model

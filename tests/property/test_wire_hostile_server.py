@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.wire import ethernet, ethernet_requests
 from pmac_comp.machine.wire.ethernet import encode
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import AsciiSession, EthernetSession
 
 pytestmark = pytest.mark.faults
 MAX_ANSWER = 2_000_000

@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.server import ServeOptions, running_server
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
 
 pytestmark = pytest.mark.system
 

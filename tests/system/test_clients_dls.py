@@ -14,8 +14,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.server import ServeOptions, running_server
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / ".venv-clients" / "bin" / "python"

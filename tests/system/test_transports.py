@@ -18,8 +18,8 @@ from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.client.terminal import open_terminal
 from pmac_comp.machine.wire import ethernet_requests
 from pmac_comp.machine.wire.ethernet import encode
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.server import ServeOptions, running_server
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
 from tests.faults.openssh import openssh_server, trusting
 from tests.faults.ssh_gateway import SECRET, USER, Gateway
 

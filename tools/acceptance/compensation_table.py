@@ -31,7 +31,7 @@ import numpy as np
 
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller.card.identity import read_identity
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import load_plant
 from pmac_comp.simulator.plant.effects import PLANT_EFFECTS

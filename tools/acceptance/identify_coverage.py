@@ -24,10 +24,10 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify import identify, identify_with_friction
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid, triangle
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import DriveTruth
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 from tests.generators.true_values import friction_of
 

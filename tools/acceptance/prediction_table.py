@@ -31,11 +31,11 @@ from pmac_comp.physics.identify import Identification, identify, identify_with_f
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.expected import expected_response
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.ballscrew import BallscrewPlant
 from pmac_comp.simulator.plant.effects import PlantEffects
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 
 AIM_um = 0.2

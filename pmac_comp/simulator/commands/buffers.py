@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.compensation import TableKind
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.statements import MOTION, PLC
-from pmac_comp.simulator.programs import Program, listing
-from pmac_comp.simulator.user_memory import define_user_buffer
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.user_memory import define_user_buffer
+from pmac_comp.simulator.programs.programs import Program, listing
+from pmac_comp.simulator.servo.compensation import TableKind
 
 _KINDS = {"COMP": TableKind.COMP, "TCOMP": TableKind.TCOMP, "BLCOMP": TableKind.BLCOMP}
 _GATHER_RANGE = re.compile(r"\s*(\d*)\s*(?:,\s*(\d+))?")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pmac_comp.simulator import registers as r
-from pmac_comp.simulator.axes import read_definition
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.coordinate_system import CoordinateSystem
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.keywords import axis_modes
 from pmac_comp.simulator.language.parser import StatementParser
 from pmac_comp.simulator.language.statements import AXES, MOTION
-from pmac_comp.simulator.numbers import format_number
+from pmac_comp.simulator.memory import registers as r
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.numbers import format_number
+from pmac_comp.simulator.programs.axes import read_definition
+from pmac_comp.simulator.programs.coordinate_system import CoordinateSystem
 
 
 @command("&")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pmac_comp.simulator.commanded_faults import command_fault
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.servo.commanded_faults import command_fault
 
 
 @command("FAULT")

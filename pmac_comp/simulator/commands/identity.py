@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 from pmac_comp.machine.wire.identity import SIMULATED_ID
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.memory.errors import CardError
 
 FIRMWARE = "1.947"
 CARD_ID = "603382"  # 3U Turbo PMAC2 (UMAC), which clients know

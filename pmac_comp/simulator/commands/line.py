@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, ExpressionParser
 from pmac_comp.simulator.language.keywords import program_word
 from pmac_comp.simulator.language.scanner import Scanner
+from pmac_comp.simulator.memory.errors import CardError
 
 if TYPE_CHECKING:
-    from pmac_comp.simulator.card import Card
-    from pmac_comp.simulator.coordinate_system import CoordinateSystem
+    from pmac_comp.simulator.card.card import Card
+    from pmac_comp.simulator.programs.coordinate_system import CoordinateSystem
 
 Handler = Callable[["LineContext"], None]
 KEYWORDS: dict[str, Handler] = {}

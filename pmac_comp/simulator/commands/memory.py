@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.memory import (
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.memory import (
     LONG_MASK,
     WORDS,
     read_long,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pmac_comp.simulator import registers as r
 from pmac_comp.simulator.commands.coordinate import define_axis
 from pmac_comp.simulator.commands.line import LineContext, bare_constant, command, execute_command
-from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.memory import read_float48
+from pmac_comp.simulator.memory import registers as r
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.memory import read_float48
 
 
 @command("##")

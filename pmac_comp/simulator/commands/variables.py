@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from pmac_comp.simulator.commands.line import LineContext, command
-from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.memory.errors import CardError
 
 _DEFINITION = re.compile(
     r"\*|(?:DP|X|Y|D|L|F)\s*:?\s*(?:\$[0-9A-F]+|\d+)(?:\s*,\s*[0-9]+)*(?:\s*,\s*[USDC](?![A-Z0-9]))?"

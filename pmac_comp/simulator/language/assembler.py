@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pmac_comp.simulator import vm
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, Compiled
 from pmac_comp.simulator.language.statements import MOTION, PLC, Statement
+from pmac_comp.simulator.memory import vm
+from pmac_comp.simulator.memory.errors import CardError
 
 CONDITION_LINES = ("condition_and", "condition_or")
 

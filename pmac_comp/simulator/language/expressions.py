@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pmac_comp.simulator import vm
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.scanner import Scanner, parse_number
-from pmac_comp.simulator.numbers import format_number
+from pmac_comp.simulator.memory import vm
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.numbers import format_number
 
 FUNCTIONS = {
     "SIN": vm.OP_SIN,

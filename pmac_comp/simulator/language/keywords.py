@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from pmac_comp.simulator import vm
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code
 from pmac_comp.simulator.language.scanner import Scanner
 from pmac_comp.simulator.language.statements import AXES, MOTION, PLC, Statement
+from pmac_comp.simulator.memory import vm
+from pmac_comp.simulator.memory.errors import CardError
 
 if TYPE_CHECKING:
     from pmac_comp.simulator.language.parser import StatementParser

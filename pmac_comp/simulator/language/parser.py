@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 
-from pmac_comp.simulator import vm
-from pmac_comp.simulator.errors import CardError
-from pmac_comp.simulator.ivariables import TABLE
 from pmac_comp.simulator.language.expressions import STORES, STORES_AT, Code, ExpressionParser
 from pmac_comp.simulator.language.keywords import KEYWORDS, names_at, program_word
 from pmac_comp.simulator.language.scanner import Scanner
 from pmac_comp.simulator.language.statements import AXES, MOTION, Statement
+from pmac_comp.simulator.memory import vm
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.ivariables import TABLE
 
 _ASSIGNED = re.compile(r"\s*I\s*(?:[\d\s]+=|\()")
 _RANGE_ASSIGNED = re.compile(r"\s*(?:\.\.|,)[\s\d.,$A-F]*=")

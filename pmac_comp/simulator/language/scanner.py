@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from pmac_comp.simulator.errors import CardError
+from pmac_comp.simulator.memory.errors import CardError
 
 _NUMBER = re.compile(r"\$[0-9A-F]+|\d+\.?\d*|\.\d+")
 _INTEGER = re.compile(r"\$[0-9A-F]+|\d+")

@@ -23,8 +23,8 @@ from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.url import Endpoint
 
 if TYPE_CHECKING:
-    from pmac_comp.simulator.card import Card
-    from pmac_comp.simulator.pace import HostPace
+    from pmac_comp.simulator.card.card import Card
+    from pmac_comp.simulator.serving.pace import HostPace
 
 _LOOK_s = 2e-4
 _WARM_UP_s = 0.05
@@ -86,7 +86,7 @@ def make_card(
     faults: bool = False,
 ) -> "Card":
     """Card with the drive of a plant file, or the bench's own."""
-    from pmac_comp.simulator.card import Card
+    from pmac_comp.simulator.card.card import Card
     from pmac_comp.simulator.plant.door import load_plant
 
     return Card(
@@ -101,7 +101,7 @@ def make_card(
 
 def _servo_text(servo: Path, bench: Bench) -> str:
     """Source of an open servo; that of this installation for the block of a bench file."""
-    from pmac_comp.simulator.open_servo import read_open_servo
+    from pmac_comp.simulator.servo.open_servo import read_open_servo
 
     text = read_open_servo(servo)
     if not servo_source.is_as_it_comes(text):
@@ -112,7 +112,7 @@ def _servo_text(servo: Path, bench: Bench) -> str:
 @contextmanager
 def embedded(card: "Card") -> Iterator[Commander]:
     """Conversation with a card in this process over its packet port, in simulated time."""
-    from pmac_comp.simulator.sessions import EthernetSession
+    from pmac_comp.simulator.dialog.sessions import EthernetSession
 
     session = EthernetSession(card)
 
@@ -173,7 +173,7 @@ def serve_forever(
     ``starting`` is called when all options were found good, before anything is compiled, ``ready``
     with the endpoints once all of them listen.
     """
-    from pmac_comp.simulator.server import ServeOptions, check_options, serve
+    from pmac_comp.simulator.serving.server import ServeOptions, check_options, serve
 
     if tcp is None and udp is None and ascii_port is None and not pty:
         tcp = 1025
@@ -191,9 +191,9 @@ def serve_forever(
 
 def _check_files(bench: Bench, plant: str | None, servo: Path | None, flash: Path | None) -> None:
     """Refuse files that the card cannot start with, as far as it is quickly seen."""
-    from pmac_comp.simulator.flash import check_image
-    from pmac_comp.simulator.open_servo import translate_open_servo
+    from pmac_comp.simulator.memory.flash import check_image
     from pmac_comp.simulator.plant.door import check_plant
+    from pmac_comp.simulator.servo.open_servo import translate_open_servo
 
     if plant is not None:
         check_plant(plant)

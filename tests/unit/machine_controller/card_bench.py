@@ -15,8 +15,8 @@ from pmac_comp.machine.transport.base import Framing
 from pmac_comp.machine.transport.pair import PairTransport
 from pmac_comp.machine.transport.tap import FaultyTransport
 from pmac_comp.physics.signals.trajectory import Trajectory
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.motion.motions import Motion
 from pmac_comp.workflow.motion.pvt import pvt_program
@@ -101,7 +101,7 @@ class CardBench:
         return int(self.card.variables.read_i(51))
 
     def values(self, kind: str, motor: int) -> list[int] | None:
-        from pmac_comp.simulator.compensation import TableKind
+        from pmac_comp.simulator.servo.compensation import TableKind
 
         return self.card.tables.values(TableKind[kind], motor)
 

@@ -36,7 +36,7 @@ from pmac_comp.machine.controller.law import (
 )
 from pmac_comp.machine.controller.motors import motion
 from pmac_comp.physics.compensate.evaluation import WOUND_FADE, WOUND_YIELD
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.unit.machine_controller.card_bench import (
     AXIS_LINES,
     CardBench,

@@ -22,7 +22,7 @@ from pmac_comp.machine.controller.law import (
 from pmac_comp.machine.controller.law.law_state import LawForm
 from pmac_comp.machine.controller.motors import open_servos
 from pmac_comp.machine.controller.whole import grouping, rollback
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.unit.machine_controller.card_bench import LIMITS, CardBench, make_plc_bench
 
 OTHER_PLC_0 = ["CLOSE", "OPEN PLC 0 CLEAR", "P1=P1+1", "CLOSE"]

@@ -16,7 +16,7 @@ from pmac_comp.machine.controller.settings import backup, guard_install
 from pmac_comp.machine.controller.settings.program_upload import upload_program
 from pmac_comp.machine.controller.tables import upload
 from pmac_comp.machine.controller.whole import grouping
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from tests.faults.upload_bench import new_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 

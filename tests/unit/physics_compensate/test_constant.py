@@ -17,8 +17,8 @@ from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.unmodelled import model_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid, trapezoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 
 BENCH = load_bench("paper")
 LAW = CompensationLaw(torque_coulomb_Nm=0.5, torque_limit_Nm=10.0)

@@ -12,8 +12,8 @@ from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.ripple import Kind, TurnTorque, turn_torque, with_turn_torque
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.compensations import rubbing_model
 
 BENCH = load_bench("paper_x4")

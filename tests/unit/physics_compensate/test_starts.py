@@ -11,8 +11,8 @@ from pmac_comp.physics.compensate.starts import held_at_start_Nm, state_at_start
 from pmac_comp.physics.compensate.unmodelled import unmodelled
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.approach import approach
 from tests.generators.true_values import friction_of
 

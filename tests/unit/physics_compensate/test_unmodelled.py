@@ -20,8 +20,8 @@ from pmac_comp.physics.compensate.unmodelled import (
 )
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.true_values import friction_of
 
 BENCH = load_bench("paper_x4")

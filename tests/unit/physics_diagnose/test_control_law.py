@@ -12,8 +12,8 @@ from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.identify.records import TORQUE_FEEDFORWARD
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals import trajectory as tr
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 
 BENCH = load_bench("paper_x4")
 TS = BENCH.servo_period_s

@@ -14,9 +14,9 @@ from pmac_comp.physics.diagnose.result import Finding
 from pmac_comp.physics.diagnose.simpler import _at_an_end, _unknown, single_cause, stretched
 from pmac_comp.physics.diagnose.workbench import Workbench, split
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import kernel_ballscrew as k
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.motion.campaigns import calibration_motions
 
 BENCH = load_bench("paper_x4")

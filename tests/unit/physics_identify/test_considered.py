@@ -15,8 +15,8 @@ from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.chain import USUAL_SHARES
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from tests.generators.other_benches import SLENDER, bench_of
 
 PAPER = load_bench("paper")

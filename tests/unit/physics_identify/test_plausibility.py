@@ -11,8 +11,8 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.plausibility import require_plausible, require_positions
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 
 BENCH = load_bench("paper")
 MOTION = sinusoid(

@@ -10,8 +10,8 @@ from pmac_comp.physics.identify import problem as own
 from pmac_comp.physics.identify.records import nuisances, prepare
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.closed_loop import closed_loop_capture
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 
 BENCH = load_bench("paper")
 

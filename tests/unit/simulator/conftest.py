@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 
 Ask = Callable[[str], str]
 

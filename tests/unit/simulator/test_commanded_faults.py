@@ -9,9 +9,9 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.machine.client.commander import Commander
 from pmac_comp.machine.wire import ethernet as wire
 from pmac_comp.machine.wire import ethernet_requests
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.server import ServeOptions, running_server
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
 
 from .conftest import Ask
 

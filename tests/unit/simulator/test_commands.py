@@ -2,8 +2,8 @@
 
 import pytest
 
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.ivariables import TABLE
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory.ivariables import TABLE
 
 from .conftest import Ask
 

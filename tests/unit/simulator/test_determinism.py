@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 
 SETUP = """
 I5=3 I8=0 I124=$20001 I113=0 I114=0 I111=64000 I116=1000 I117=1

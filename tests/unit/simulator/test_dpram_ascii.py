@@ -5,8 +5,8 @@ import struct
 import pytest
 
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import EthernetSession
 
 from .conftest import Ask
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 
 from .conftest import Ask
 

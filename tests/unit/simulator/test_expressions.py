@@ -2,12 +2,12 @@
 
 import pytest
 
-from pmac_comp.simulator.errors import CardError
 from pmac_comp.simulator.language.expressions import Code, ExpressionParser
+from pmac_comp.simulator.language.machine import Machine
 from pmac_comp.simulator.language.scanner import Scanner
-from pmac_comp.simulator.machine import Machine
-from pmac_comp.simulator.memory import Memory
-from pmac_comp.simulator.variables import Variables
+from pmac_comp.simulator.memory.errors import CardError
+from pmac_comp.simulator.memory.memory import Memory
+from pmac_comp.simulator.memory.variables import Variables
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.flash import check_image
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory.flash import check_image
 
 from .conftest import Ask
 

@@ -5,7 +5,7 @@ Source: Turbo PMAC Software Reference Manual p. 284-300, 318-343, 409-416, 435-4
 
 import pytest
 
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 
 from .conftest import Ask
 

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmac_comp.simulator.memory import Memory, read_float48, read_long, write_float48, write_long
+from pmac_comp.simulator.memory.memory import (
+    Memory,
+    read_float48,
+    read_long,
+    write_float48,
+    write_long,
+)
 
 
 @pytest.mark.parametrize(

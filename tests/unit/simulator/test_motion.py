@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.memory import read_long
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory.memory import read_long
 
 from .conftest import Ask
 

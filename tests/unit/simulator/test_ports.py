@@ -7,8 +7,8 @@ import pytest
 from pmac_comp.machine.wire import ethernet as wire
 from pmac_comp.machine.wire import ethernet_requests
 from pmac_comp.machine.wire.dialog import format_line, format_reply, line_sum
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.sessions import AsciiSession, EthernetSession
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog.sessions import AsciiSession, EthernetSession
 
 
 @pytest.mark.parametrize("i3", range(4))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 
 from .conftest import Ask
 

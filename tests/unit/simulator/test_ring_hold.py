@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.ring_hold import NO_LIMIT, POINTER_OFFSET, PATIENCE_s
-from pmac_comp.simulator.server import ServeOptions, running_server
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
+from pmac_comp.simulator.servo.ring_hold import NO_LIMIT, POINTER_OFFSET, PATIENCE_s
 
 from .conftest import Ask
 

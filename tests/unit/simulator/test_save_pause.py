@@ -10,8 +10,8 @@ import pytest
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.wire.ethernet_requests import command_packet
-from pmac_comp.simulator.card import Card, SAVE_TIME_s
-from pmac_comp.simulator.server import ServeOptions, running_server
+from pmac_comp.simulator.card.card import Card, SAVE_TIME_s
+from pmac_comp.simulator.serving.server import ServeOptions, running_server
 
 SPEED = 4.0
 ACK = b"\x06"

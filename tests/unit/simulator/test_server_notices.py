@@ -9,9 +9,9 @@ import pytest
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.wire.ethernet import NAMED_ONLY
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant.door import GuardedPlant
-from pmac_comp.simulator.server import ServeOptions, SimulatorServer
+from pmac_comp.simulator.serving.server import ServeOptions, SimulatorServer
 
 
 class Slow:

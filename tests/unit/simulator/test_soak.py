@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.memory import read_long
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory.memory import read_long
 
 SETUP = """
 I5=2 I124=$20001 I113=0 I114=0 I116=300 I117=1 I68=0

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pmac_comp.simulator import manual
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.support import refused, report, report_lines, supported
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.dialog import manual
+from pmac_comp.simulator.dialog.support import refused, report, report_lines, supported
 
 from .conftest import Ask
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from pmac_comp.base.errors import ConfigError
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.server import ServeOptions, check_options, serve
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.serving.server import ServeOptions, check_options, serve
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[3]
 def test_the_server_needs_no_module_that_only_posix_has() -> None:
     absent = "import sys; sys.modules.update(dict.fromkeys(['tty', 'termios', 'pty', 'fcntl']))"
     done = subprocess.run(
-        [sys.executable, "-c", f"{absent}; import pmac_comp.simulator.server"],
+        [sys.executable, "-c", f"{absent}; import pmac_comp.simulator.serving.server"],
         cwd=ROOT,
         capture_output=True,
         text=True,

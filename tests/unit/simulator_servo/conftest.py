@@ -3,10 +3,10 @@
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.memory import Memory
-from pmac_comp.simulator.servo import Servo
-from pmac_comp.simulator.variables import Variables
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.memory.memory import Memory
+from pmac_comp.simulator.memory.variables import Variables
+from pmac_comp.simulator.servo.servo import Servo
 
 BENCH = load_bench("paper")
 

@@ -8,9 +8,9 @@ import itertools
 import numpy as np
 import pytest
 
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.compensation import CompensationTables, TableKind
-from pmac_comp.simulator.memory import Memory
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.memory.memory import Memory
+from pmac_comp.simulator.servo.compensation import CompensationTables, TableKind
 
 from .conftest import BENCH, new_servo
 

@@ -8,10 +8,10 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, NonFinite
 from pmac_comp.files.bench import load_bench, parse_bench
-from pmac_comp.simulator import trajectory as traj
-from pmac_comp.simulator.closed_loop import closed_loop_capture, run_closed_loop
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.kernel_ballscrew import S_CYCLE
+from pmac_comp.simulator.servo import trajectory as traj
+from pmac_comp.simulator.servo.closed_loop import closed_loop_capture, run_closed_loop
 
 BENCH = load_bench("paper")
 TS = BENCH.servo_period_s

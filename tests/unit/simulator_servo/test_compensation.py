@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmac_comp.simulator import compensation as comp
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.compensation import CompensationTables, TableKind
-from pmac_comp.simulator.memory import Memory
-from pmac_comp.simulator.user_memory import lowest_defined
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.memory.memory import Memory
+from pmac_comp.simulator.memory.user_memory import lowest_defined
+from pmac_comp.simulator.servo import compensation as comp
+from pmac_comp.simulator.servo.compensation import CompensationTables, TableKind
 
 COMP, TCOMP, BLCOMP = TableKind.COMP, TableKind.TCOMP, TableKind.BLCOMP
 

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from pmac_comp.simulator.compiled import keep_fresh
+from pmac_comp.simulator.servo.compiled import keep_fresh
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner():\n    return {value}\n"
 OUTER = (

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pmac_comp.simulator import conversion, encoder
-from pmac_comp.simulator.registers import ECT_BASE
+from pmac_comp.simulator.memory.registers import ECT_BASE
+from pmac_comp.simulator.servo import conversion, encoder
 
 CHANNEL = 0x78000
 

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from pmac_comp.simulator import registers as reg
+from pmac_comp.simulator.memory import registers as reg
 
 COUNTER, POSITION, OUTPUT = 0x400000, 0x80008B, 0x4000BF
 

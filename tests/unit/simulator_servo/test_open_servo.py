@@ -6,9 +6,9 @@ import pytest
 from pmac_comp.base.errors import ConfigError
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.contents.law_bank import BANK_SIZE, SEAL, BankIndex
-from pmac_comp.simulator import kernel_servo as ks
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.open_servo import read_open_servo, translate_open_servo
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.servo import kernel_servo as ks
+from pmac_comp.simulator.servo.open_servo import read_open_servo, translate_open_servo
 
 SHIPPED = translate_open_servo(read_open_servo(firmware_path("feedforward_servo.txt")))
 

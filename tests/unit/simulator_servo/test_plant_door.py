@@ -9,9 +9,9 @@ import pytest
 
 from pmac_comp.base.errors import ConfigError, ModelError, NonFinite
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.closed_loop import run_closed_loop
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import BallscrewPlant, GuardedPlant, load_plant
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
 
 BENCH = load_bench("paper")
 OWN = """

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator.closed_loop import run_closed_loop
 from pmac_comp.simulator.plant import BallscrewPlant, load_plant
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
 
 EXAMPLE = Path(__file__).parents[3] / "configs/plant_two_masses.py"
 BENCH = load_bench("paper")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pmac_comp.simulator import kernel_servo as ks
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.compensation import TableKind
-from pmac_comp.simulator.memory import write_float48, write_long
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.memory.memory import write_float48, write_long
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo import kernel_servo as ks
+from pmac_comp.simulator.servo.compensation import TableKind
 
 UNIT = 3072
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator import servo_law as law
+from pmac_comp.simulator.memory import registers as reg
+from pmac_comp.simulator.servo import servo_law as law
 
 UNIT = 32 * 96
 ONE = 2000 * 96 / 2**19  # DAC units per count at the factory gain

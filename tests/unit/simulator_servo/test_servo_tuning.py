@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import parse_bench
-from pmac_comp.simulator.card import Card
-from pmac_comp.simulator.closed_loop import run_closed_loop
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
-from pmac_comp.simulator.servo_tuning import pmac_gains
+from pmac_comp.simulator.servo.closed_loop import run_closed_loop
+from pmac_comp.simulator.servo.servo_tuning import pmac_gains
 from tests.generators.control_laws import PAPER, SI, other_law
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmac_comp.simulator import trajectory as traj
+from pmac_comp.simulator.servo import trajectory as traj
 
 UNIT = 3072.0
 LIMITS = traj.JogLimits(

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pmac_comp.simulator import encoder
-from pmac_comp.simulator import kernel_servo as ks
-from pmac_comp.simulator import registers as reg
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
+from pmac_comp.simulator.memory import registers as reg
 from pmac_comp.simulator.plant import kernel_ballscrew as pk
 from pmac_comp.simulator.plant import make_plant
+from pmac_comp.simulator.servo import encoder
+from pmac_comp.simulator.servo import kernel_servo as ks
 
 from .conftest import BENCH
 

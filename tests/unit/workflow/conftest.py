@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.simulated import TruthRecorder, embedded, make_card
 

@@ -5,7 +5,7 @@ import pytest
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.files.bench import Bench, load_bench, parse_bench
 from pmac_comp.machine.controller.motors import motors
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.capturing import prepare
 from pmac_comp.workflow.capture.card_law import limit_remarks

@@ -12,7 +12,7 @@ from pmac_comp.files.bench import Bench, load_bench, parse_bench
 from pmac_comp.machine.controller.motors import motors
 from pmac_comp.machine.controller.whole.rollback import rollback_last
 from pmac_comp.physics.signals.trajectory import sinusoid
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.bench.remarks import remarks
 from pmac_comp.workflow.capture.as_described import place_remarks
 from pmac_comp.workflow.capture.axis import Axis

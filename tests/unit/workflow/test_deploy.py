@@ -28,7 +28,7 @@ from pmac_comp.machine.controller.motors import sign_check
 from pmac_comp.machine.controller.whole import recovery, rollback, waiting
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import TruthRecorder

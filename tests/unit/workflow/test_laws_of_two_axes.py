@@ -9,7 +9,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.law import law_goal, law_state
 from pmac_comp.machine.controller.law.law_state import LawForm
 from pmac_comp.machine.controller.whole.rollback import rollback_last
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.compensation.file import Compensation

@@ -13,7 +13,7 @@ from pmac_comp.physics.compensate.loop import counted_loop, model_loop
 from pmac_comp.physics.compensate.promise import promise, run_with_law
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import Trajectory, trapezoid
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.accuracy.outcome import ROUNDING
 from pmac_comp.workflow.capture.axis import Axis

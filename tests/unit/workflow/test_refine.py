@@ -14,7 +14,7 @@ from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.trajectory import sinusoid
 from pmac_comp.report.repeated import learning_section
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of

@@ -12,7 +12,7 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.machine.controller.contents.law_bank import Index, WorkIndex
 from pmac_comp.machine.controller.law import law_goal, law_state
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import default_servo, embedded

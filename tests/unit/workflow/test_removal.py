@@ -18,7 +18,7 @@ from pmac_comp.machine.controller.settings.backup import Backup, compare, read_b
 from pmac_comp.machine.controller.tables.table_status import table_status
 from pmac_comp.machine.controller.whole.rollback import rollback_last
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.capturing import acting_remarks
 from pmac_comp.workflow.capture.context import context_of

@@ -10,7 +10,7 @@ from pmac_comp.base.errors import ChangeInterrupted, ControllerState
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.contents.table_set import read_tables
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import embedded

@@ -10,7 +10,7 @@ from pmac_comp.base.errors import CaptureError, MotorNotSafe
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.signals.trajectory import trapezoid
-from pmac_comp.simulator.card import Card
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.capture import capturing
 from pmac_comp.workflow.capture.axis import Axis

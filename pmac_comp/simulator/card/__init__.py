@@ -1,0 +1,1 @@
+"""The card put together, and how it comes up."""

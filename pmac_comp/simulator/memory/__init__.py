@@ -1,0 +1,1 @@
+"""The data spaces of the card and the variables laid over them, bytecode, buffers, flash."""

@@ -1,0 +1,1 @@
+"""What runs on the card beside the servo task: motion programs, rotary buffers, PLCs."""

@@ -1,0 +1,1 @@
+"""The card behind sockets and terminals, as fast as wanted."""

@@ -1,0 +1,1 @@
+"""The servo task: sensors, conversion table, trajectories, compensation, control law, gather."""
