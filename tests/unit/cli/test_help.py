@@ -4,17 +4,22 @@ import re
 import runpy
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import DEFAULT, create_autospec
 
 import numpy as np
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from pmac_comp.base.errors import PmacCompError
 from pmac_comp.cli.app import CHANGING, app
 from pmac_comp.cli.output import WRITTEN
 from pmac_comp.files.capture import Capture, write_capture
+from pmac_comp.workflow.capture import capturing
+from pmac_comp.workflow.compensation import compensate
+from pmac_comp.workflow.controller import upload_flow
+from pmac_comp.workflow.model import identification
 from pmac_comp.workflow.motion.motions import KEYS
+from pmac_comp.workflow.verification import verify
 
 PERIOD_S = 442e-6
 ROOT = Path(__file__).resolve().parents[3]
@@ -105,17 +110,35 @@ def test_files_that_the_readme_names_exist() -> None:
     assert [name for name in named if not any(list(root.glob(name)) for root in roots)] == []
 
 
-def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_python_of_the_readme_calls_what_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each step takes the place of the real function with its signature, and is called in turn."""
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.chdir(tmp_path)
-    Path("bench.toml").write_bytes((ROOT / "configs/paper.toml").read_bytes())
-    time_s = PERIOD_S * np.arange(4)
-    Path("runs").mkdir()
-    write_capture(Path("runs/a.h5"), Capture(time_s, 0.0 * time_s, 0.0 * time_s))
+    called = []
+
+    def captured(_url: str, _bench: str, _plan: object, out: Path) -> None:
+        called.append(f"capture {out}")
+        out.mkdir()
+        write_capture(out / "a.h5", Capture(*(PERIOD_S * np.arange(4) for _ in range(3))))
+
+    steps = [
+        (capturing, "capture_to_folder", captured),
+        (identification, "identify_files", None),
+        (compensate, "compensate_files", None),
+        (upload_flow, "upload_file", None),
+        (verify, "verify_on_controller", None),
+    ]
+    for module, name, done in steps:
+        stub = create_autospec(getattr(module, name), side_effect=done)
+        if done is None:
+            stub.side_effect = lambda *_, _name=name, **__: called.append(_name) or DEFAULT
+        monkeypatch.setattr(module, name, stub)
     script = Path("snippet.py")
     script.write_text(block)
-    with pytest.raises(PmacCompError, match="capture"):  # it comes as far as four samples reach
-        runpy.run_path(str(script))
+    runpy.run_path(str(script))
+    assert called == ["capture calibration", "capture lead", *(name for _, name, _ in steps[1:])]
 
 
 def test_command_lines_to_paste_name_all_that_the_command_requires() -> None:
