@@ -1,8 +1,9 @@
 """An axis under a controller: made ready, moved along trajectories, and gathered in SI.
 
-What lives here: the sequence of one run and the conversion of raw counts to a ``Capture``. What
-may not: the registers themselves (``machine.controller``), the fit. Nothing here is repeated
-after a doubt: a run that did not come back whole is run again from its start.
+What lives here: the sequence of one run. What may not: the registers themselves
+(``machine.controller``), what is gathered and the capture it becomes (``samples``), the fit.
+Nothing here is repeated after a doubt: a run that did not come back whole is run again from its
+start.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +14,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.clock import Deadline
 from pmac_comp.base.errors import (
     CaptureError,
@@ -28,16 +28,12 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.sidecar import Attribute
 from pmac_comp.machine.client.commander import Commander
-from pmac_comp.machine.controller.card import registers as reg
 from pmac_comp.machine.controller.contents import programs
 from pmac_comp.machine.controller.contents.safety import raise_all
 from pmac_comp.machine.controller.gather import gather
 from pmac_comp.machine.controller.gather.gather_plan import (
     GatherMode,
     GatherPlan,
-    GatherSource,
-    motor_source,
-    output_source,
 )
 from pmac_comp.machine.controller.gather.gather_samples import GatherResult
 from pmac_comp.machine.controller.motors import motors
@@ -46,8 +42,9 @@ from pmac_comp.machine.controller.motors.motion import program_status
 from pmac_comp.machine.controller.motors.supervision import SensorWatch
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.capture.axis_setup import AxisSetup
-from pmac_comp.workflow.capture.run_cut import TAIL_s, moving_range
+from pmac_comp.workflow.capture.run_cut import TAIL_s
 from pmac_comp.workflow.capture.run_log import RunLog
+from pmac_comp.workflow.capture.samples import capture_of_samples, gather_plan, stored
 from pmac_comp.workflow.capture.sensors import (
     MISMATCH_m,
     block_watch,
@@ -56,8 +53,6 @@ from pmac_comp.workflow.capture.sensors import (
     require_agreement,
 )
 from pmac_comp.workflow.motion.approach import (
-    APPROACHED,
-    RELAXED,
     PROGRAM_DWELL_s,
     SETTLE_s,
     run_up_m,
@@ -121,8 +116,6 @@ class Axis:
     def motor(self) -> int:
         """Number of the motor that closes the loop."""
         return self.bench.encoder.motor_number
-
-    # Motion ---------------------------------------------------------------------------------------
 
     def enable(self) -> None:
         """Close the loop where the axis stands."""
@@ -205,7 +198,7 @@ class Axis:
             The motor tripped on the way.
         """
         check_motion(motion, self.bench)
-        relaxed = relaxed and self.plan().mode is GatherMode.RING
+        relaxed = relaxed and gather_plan(self.link, self.bench).mode is GatherMode.RING
         whole, first = relaxing(motion) if relaxed else (motion, 0)
         self.prepare(whole)
         self.require_room(whole)
@@ -216,7 +209,14 @@ class Axis:
                 self._go_to_start(whole)
                 result = self._gather(whole, progress)
             if not result.gaps:
-                return self.capture_of(result, whole, first)
+                return capture_of_samples(
+                    result,
+                    whole,
+                    self.scales,
+                    self._attributes(whole),
+                    skipped=first,
+                    with_rests=self.keeps_rests,
+                )
             if progress is not None:
                 progress(f"{motion.name}: samples lost, run {attempt + 2} of {_ATTEMPTS}", -1.0)
         result.require_whole()
@@ -311,7 +311,7 @@ class Axis:
         self.move_to(place_m / self.scales.motor_m_per_ct)
 
     def _gather(self, motion: Motion, progress: Progress | None) -> GatherResult:
-        plan = self.plan()
+        plan = gather_plan(self.link, self.bench)
         duration_s = _gathered_s(motion)
         clock = self.link.clock
         start_s = clock.now_s()
@@ -361,7 +361,7 @@ class Axis:
     def _gather_ram(
         self, plan: GatherPlan, duration_s: float, start: Callable[[], None]
     ) -> GatherResult:
-        n_samples, words = self._stored(plan, duration_s)
+        n_samples, words = stored(plan, duration_s, self.scales.period_s)
         with gather.prepared(self.link, plan, words):
             self.link.command("GATHER")
             start()
@@ -369,11 +369,6 @@ class Axis:
             gather.await_stored(self.link, plan, n_samples)
             self.link.command("ENDGATHER")
             return gather.read_ram(self.link, plan, n_samples)
-
-    def _stored(self, plan: GatherPlan, duration_s: float) -> tuple[int, int]:
-        """Samples of a run in the card's own buffer, and the long words that they take."""
-        n_samples = 1 + int(np.ceil(duration_s / (self.scales.period_s * plan.period_cycles)))
-        return n_samples, plan.layout.long_words * n_samples + gather.HEADER_LONG_WORDS
 
     def require_room(self, motion: Motion) -> None:
         """Refuse a run that the card's own buffer cannot hold; SIZE is what is free (p. 396).
@@ -383,11 +378,11 @@ class Axis:
         CaptureError
             The run is gathered there and is too long; nothing was moved for it.
         """
-        plan = self.plan()
+        plan = gather_plan(self.link, self.bench)
         if plan.mode is GatherMode.RING:
             return
         gather.stop(self.link)  # a buffer that was left behind is in the way
-        _, words = self._stored(plan, _gathered_s(motion))
+        _, words = stored(plan, _gathered_s(motion), self.scales.period_s)
         free = int(self.link.query("SIZE")[0])
         if words <= free:
             return
@@ -448,70 +443,8 @@ class Axis:
                 )
             self.link.clock.sleep_s(_LOOK_s)
 
-    # Gather ---------------------------------------------------------------------------------------
-
-    def plan(self) -> GatherPlan:
-        """What a run gathers: command, feedback, following error, scale and output."""
-        motor = self.motor
-        sources: list[GatherSource] = [
-            motor_source("commanded", motor, reg.COMMANDED),
-            motor_source("actual", motor, reg.ACTUAL),
-            motor_source("following_error", motor, reg.FOLLOWING_ERROR),
-        ]
-        if self.bench.scale is not None:
-            sources.append(motor_source("scale", self.bench.scale.motor_number, reg.ACTUAL))
-        sources.append(output_source("output", motor))
-        ring = self.bench.controller.dpram != "none" and self.link.capabilities.memory
-        return GatherPlan(
-            tuple(sources),
-            mode=GatherMode.RING if ring else GatherMode.RAM,
-            dpram=self.bench.controller.dpram if ring else "large",
-        )
-
-    def capture_of(self, result: GatherResult, motion: Motion, skipped: int = 0) -> Capture:
-        """Capture in SI of raw samples, cut to the motion with a little rest at both ends.
-
-        The first ``skipped`` samples of the motion only prepared it.
-        """
-        raw, scales = result.raw, self.scales
-        commanded = scales.motor_m(raw["commanded"])
-        actual = scales.motor_m(raw["actual"])
-        # Feedback plus following error is the net desired position whatever sign convention the
-        # compensation register has (Software Reference Manual p. 382 and p. 516 differ).
-        desired = actual + scales.motor_m(raw["following_error"])
-        table = scales.table_m(raw["scale"]) if "scale" in raw else None
-        torque = scales.torque_Nm(raw["output"])
-        first, last = moving_range(
-            commanded,
-            scales.period_s,
-            motion.position_m,
-            skipped,
-            with_rests=self.keeps_rests,
-        )
-        part = slice(first, last)
-        if table is not None:
-            self._check_sensors(actual[part], table[part])
-        count = commanded[part].size
-        return Capture(
-            time_s=np.arange(count, dtype=np.float64) * scales.period_s,
-            commanded_position_m=commanded[part],
-            desired_position_m=desired[part],
-            motor_position_m=actual[part],
-            table_position_m=None if table is None else table[part],
-            # The word gathered in a cycle is the output of that cycle.
-            torque_command_Nm=torque[part],
-            attributes={
-                **self._attributes(motion),
-                "start": RELAXED if skipped else APPROACHED,
-                "first_servo_cycle": int(result.servo_cycle[first]),
-            },
-        )
-
-    def _check_sensors(self, motor: FloatArray, table: FloatArray) -> None:
-        """The same watch on a whole run."""
-        require_agreement(SensorWatch(MISMATCH_m).feed(motor, table))
-
     def _attributes(self, motion: Motion) -> dict[str, Attribute]:
+        plan = gather_plan(self.link, self.bench)
         return {
             "source": _SIMULATED_SOURCE if self.simulated else _SOURCE,
             "controller": self.identity or self.link.name,
@@ -519,7 +452,7 @@ class Axis:
             "start_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "servo_period_s": self.scales.period_s,
             "decimation": 1,
-            "gather_sources": " ".join(source.name for source in self.plan().sources),
+            "gather_sources": " ".join(source.name for source in plan.sources),
             "bench_text": self.bench.text,
         }
 

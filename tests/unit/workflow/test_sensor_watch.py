@@ -14,6 +14,7 @@ from pmac_comp.simulator.card.card import Card
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.workflow.capture import capturing
 from pmac_comp.workflow.capture.axis import Axis
+from pmac_comp.workflow.capture.samples import gather_plan
 from pmac_comp.workflow.capture.simulated import embedded
 from pmac_comp.workflow.motion.approach import APPROACHED
 from pmac_comp.workflow.motion.motions import Motion, parse_motion, relaxing
@@ -128,7 +129,8 @@ def test_runs_in_the_cards_own_memory_are_approached_and_not_wiggled() -> None:
     with embedded(Card(bench)) as link:
         axis = Axis(link, bench)
         axis.enable()
-        free_s = int(link.query("SIZE")[0]) / axis.plan().layout.long_words * bench.servo_period_s
+        words = gather_plan(link, bench).layout.long_words
+        free_s = int(link.query("SIZE")[0]) / words * bench.servo_period_s
         assert motion.duration_s < free_s < relaxing(motion)[0].duration_s
         capture = axis.run(motion, relaxed=True)
     assert capture.attributes["start"] == APPROACHED
