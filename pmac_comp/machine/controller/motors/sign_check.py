@@ -14,13 +14,15 @@ from pmac_comp.machine.controller.card import registers as reg
 from pmac_comp.machine.controller.card.link import Link
 from pmac_comp.machine.controller.card.numbers import parse_integer
 from pmac_comp.machine.controller.card.variables import read_many, read_one
+from pmac_comp.machine.controller.change.card_time import CardDeadline
 from pmac_comp.machine.controller.contents.law_bank import MASTER_WORD_ADDRESS
 from pmac_comp.machine.controller.gather.gather import note_failure
-from pmac_comp.machine.controller.motors.motors import read_motor, require_stationary
+from pmac_comp.machine.controller.motors.motors import moving_motors, read_motor, require_stationary
 
 STEPS: Final = 20
 STEP_PAUSE_s: Final = 0.01
 SETTLE_s: Final = 0.5
+RETURN_s: Final = 3.0  # friction holds the motor until the integrator has taken it along
 LEAST_RESPONSE: Final = 0.6  # of the offset; less means that something else holds the motor
 
 
@@ -102,6 +104,7 @@ def _measure(link: Link, motor: int, offset_ct: float, put: Callable[[float], No
         raise
     _take_out(link, put, offset_ct, reached)
     moved_ct = after_ct - before_ct
+    _await_return(link, motor, after_ct, LEAST_RESPONSE * moved_ct)
     if abs(moved_ct) < LEAST_RESPONSE * abs(offset_ct):
         raise MotorNotSafe(
             f"An offset of {offset_ct:g} counts in the master word moved motor #{motor} by "
@@ -116,6 +119,21 @@ def _take_out(link: Link, put: Callable[[float], None], offset_ct: float, reache
     """As slowly as it was put in: at once it would kick the axis."""
     for k in range(reached - 1, -1, -1):
         put(offset_ct * k / STEPS)
+        link.clock.sleep_s(STEP_PAUSE_s)
+
+
+def _await_return(link: Link, motor: int, from_ct: float, least_ct: float) -> None:
+    """Wait until the motor went back by as much and stands, or no longer than that may take.
+
+    Inside its friction it stands first: whoever looked then took it for settled, and what came next
+    was refused because the motor moved.
+    """
+    deadline = CardDeadline(link, RETURN_s)
+    while not deadline.expired():
+        back_ct = from_ct - _position_ct(link, motor)
+        has_returned = abs(back_ct) >= abs(least_ct) and back_ct * least_ct >= 0.0
+        if has_returned and not moving_motors(link, [motor]):
+            return
         link.clock.sleep_s(STEP_PAUSE_s)
 
 
