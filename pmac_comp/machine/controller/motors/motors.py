@@ -284,7 +284,7 @@ def _second_look(
         m: begun.travelled_ct.get(m, 0.0) + abs(second[m].position_ct - begun.first[m].position_ct)
         for m in motors
     }
-    reasons = [_motion(begun.first[m], second[m], travelled_ct[m]) for m in motors]
+    reasons = [_motion(begun.first[m], second[m], travelled_ct[m], watched_s) for m in motors]
     return Rest(tuple(r for r in reasons if r), second, travelled_ct, watched_s)
 
 
@@ -306,18 +306,20 @@ def is_fresh(link: Link, motors: Sequence[int], look: Standstill) -> bool:
 
 def executing_moves(readings: Mapping[int, MotorReading]) -> tuple[str, ...]:
     """Why motors are not at rest, as far as one reading tells."""
-    found = (_motion(reading, reading, 0.0) for reading in readings.values())
+    found = (_motion(reading, reading, 0.0, 0.0) for reading in readings.values())
     return tuple(reason for reason in found if reason)
 
 
-def _motion(first: MotorReading, second: MotorReading, travelled_ct: float) -> str:
+def _motion(
+    first: MotorReading, second: MotorReading, travelled_ct: float, watched_s: float
+) -> str:
     name = f"motor #{second.motor}"
     for reading in (first, second):
         active = reading.status.is_activated and reading.status.is_closed_loop
         if active and not reading.status.is_commanded_still:
             return f"{name} is executing a move"
     if travelled_ct > _allowed_ct(second):
-        return f"{name} moves by itself ({travelled_ct:.1f} counts within 0.1 s)"
+        return f"{name} moves by itself ({travelled_ct:.1f} counts within {watched_s:.2g} s)"
     return ""
 
 
