@@ -262,6 +262,35 @@ def _apply_controller(vector: FloatArray, bench: Bench) -> None:
         vector[s.CASCADE_GAIN] = force * bench.lead_m_per_rad
 
 
+@dataclass(frozen=True)
+class VelocityGains:
+    """What a PID of a bench file makes of speed; zero for another law.
+
+    Parameters
+    ----------
+    proportional_Nm_per_m : float
+        On command less motor.
+    damping_Nm_s_per_m, feedforward_Nm_s_per_m : float
+        Torque against the motor's speed, and with that of the command.
+    """
+
+    proportional_Nm_per_m: float
+    damping_Nm_s_per_m: float
+    feedforward_Nm_s_per_m: float
+
+    @property
+    def lacking_Nm_s_per_m(self) -> float:
+        """Torque per speed that the loop takes from a motor which is where its command is."""
+        return self.damping_Nm_s_per_m - self.feedforward_Nm_s_per_m
+
+
+def velocity_gains(bench: Bench) -> VelocityGains:
+    """Gains of a bench file that act on speed, and the one that a lack of them stretches."""
+    vector = s.neutral_vector()
+    _apply_controller(vector, bench)
+    return VelocityGains(float(vector[s.KP]), float(vector[s.KD]), float(vector[s.KVFF]))
+
+
 def _apply_pmac(vector: FloatArray, bench: Bench) -> None:
     """PID of the motor's I-variables in N m per m at the table.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, Drive, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
 from pmac_comp.machine.controller.contents.law_bank import BLOCK_SIZE
+from pmac_comp.physics.model.chain import velocity_gains
 from pmac_comp.workflow.bench.view import resonance_Hz, tuned_motors
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ _RESONANCE_Hz = (5.0, 3000.0)
 _GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
 _DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
 _FULL_DAC = 32768.0
+_FACTORY_Ixx31, _FACTORY_Ixx08 = 1280.0, 96.0  # Ixx09 as Ixx08; Software Reference p. 112-124
+_LAG_SHARE = 0.5  # of the peak torque; a law needs the rest for inertia and friction
 _PEAK_OF_SENSITIVITY = 2.5  # 1.3 to 2 is usual (Aastroem and Murray, Feedback Systems, 10.3)
 
 
@@ -62,7 +65,7 @@ def remarks(bench: Bench) -> list[str]:
         )
     if bench.scale is None:
         out.append("there is no [scale]: compensation at the table cannot be identified or checked")
-    return out + _pace(bench) + implausible(bench)
+    return out + _pace(bench) + lag_remarks(bench) + implausible(bench)
 
 
 def _pace(bench: Bench) -> list[str]:
@@ -75,6 +78,39 @@ def _pace(bench: Bench) -> list[str]:
         f"I8 {said}, so PLC 0 does not run every servo cycle; the upload of a law sets I8 to what "
         "`compensate --every` asks for"
     ]
+
+
+def lag_remarks(bench: Bench) -> list[str]:
+    """Whether the loop's damping holds the motor back by more torque than a law can send.
+
+    A law takes that lag away as long as its torque reaches. Beyond, its fit made up for the clamp
+    with friction of the wrong sign: on a drive without velocity feed-forward (simulated) 0.55 of
+    the total error were left and twice the aim of e_r.
+    """
+    gains, speed_m_per_s = velocity_gains(bench), bench.usable_speed_m_per_s
+    limit_Nm = bench.drive.torque_limit_Nm
+    lacking_Nm = gains.lacking_Nm_s_per_m * speed_m_per_s
+    if abs(lacking_Nm) <= _LAG_SHARE * limit_Nm or gains.proportional_Nm_per_m == 0.0:
+        return []
+    lag_mm = lacking_Nm / gains.proportional_Nm_per_m * MM_PER_M
+    way = "behind" if lag_mm > 0.0 else "ahead of"
+    return [
+        f"velocity feed-forward and damping of the loop differ by {abs(lacking_Nm):.3g} N m at "
+        f"{speed_m_per_s * MM_PER_M:.0f} mm/s, the drive has {limit_Nm:g}: the motor runs up to "
+        f"{abs(lag_mm):.2g} mm {way} its command, and no law can send that torque. "
+        f"{_feedforward_text(bench)}, on the card too, before runs are captured"
+    ]
+
+
+def _feedforward_text(bench: Bench) -> str:
+    """The gain of velocity feed-forward that makes up for the damping, for people."""
+    if bench.controller.kind != "pmac":
+        return "Set Kvff_Nm_s_per_mm to Kd_Nm_s_per_mm"
+    motor, given = bench.encoder.motor_number, bench.controller.ivariables
+    damping = given.get(f"I{motor}31", _FACTORY_Ixx31)
+    # Both loops of a motor with one encoder have the same scale, but need not.
+    scales = given.get(f"I{motor}09", _FACTORY_Ixx08) / given.get(f"I{motor}08", _FACTORY_Ixx08)
+    return f"Set I{motor}32 = {damping * scales:.0f}, which makes up for I{motor}31"
 
 
 def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:

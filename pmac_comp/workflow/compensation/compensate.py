@@ -13,7 +13,7 @@ from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import predicted_remarks
 from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.unmodelled import model_law
-from pmac_comp.workflow.bench.remarks import loop_remarks
+from pmac_comp.workflow.bench.remarks import lag_remarks, loop_remarks
 from pmac_comp.workflow.bench.same_axis import captures_of
 from pmac_comp.workflow.compensation.computing import compute_compensation
 from pmac_comp.workflow.compensation.file import Compensation, check_route, write_compensation
@@ -125,6 +125,7 @@ def compensate_files(
             *drag_remarks(law),
             *shown_remarks(law),
             *(flank_remarks(law) if route != "table" else ()),
+            *lag_remarks(loaded),
             *loop_remarks(loaded, drive),
             *_expected_worse(loaded, compensation, drive),
             *cost_remarks(loaded, route, law, offers),

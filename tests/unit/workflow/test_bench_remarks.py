@@ -4,7 +4,8 @@ import pytest
 
 from pmac_comp.files.bench import load_bench, parse_bench
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.workflow.bench.remarks import implausible, loop_remarks, remarks
+from pmac_comp.workflow.bench.remarks import implausible, lag_remarks, loop_remarks, remarks
+from tests.generators.control_laws import SI, other_law
 
 TEXT = load_bench("paper").text
 
@@ -77,6 +78,35 @@ def test_the_pace_of_plc_0_is_told_as_the_bench_file_has_it(line, said):
     told = [text for text in remarks(parse_bench(TEXT.replace(stated, line))) if "I8" in text]
     assert bool(told) == bool(said)
     assert said in "".join(told)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("I132 = 2804", "I132 = 0", "71.3 N m at 500 mm/s, the drive has 19.11: the motor runs up"),
+        ("I132 = 2804", "I132 = 0", "to 4.8 mm behind its command"),
+        ("I132 = 2804", "I132 = 0", "Set I132 = 2774, which makes up for I131"),
+        ("I132 = 2804", "I132 = 5608", "ahead of its command"),
+        ("I132 = 2804", "", "Set I132 = 2774"),  # a card without settings has 1280
+        ("I132 = 2804", "I132 = 2600", ""),  # a law sends what that lacks
+    ],
+)
+def test_a_lag_that_no_law_can_take_away_is_remarked_on(old, new, said):
+    """Its fit made up for the clamp of the torque with friction of the wrong sign, unsaid."""
+    assert old in TEXT
+    told = " ".join(lag_remarks(parse_bench(TEXT.replace(old, new, 1))))
+    assert (said in told) if said else (told == "")
+
+
+@pytest.mark.parametrize("name", ["paper", "paper_x4", "emps"])
+def test_existing_benches_have_no_such_lag(name):
+    assert lag_remarks(load_bench(name)) == []
+
+
+def test_the_gain_that_a_lag_asks_for_is_one_of_the_bench_s_own_form():
+    table = "".join(line for line in SI.splitlines(keepends=True) if "Kvff" not in line)
+    bench = other_law("si", table)
+    assert "Set Kvff_Nm_s_per_mm to Kd_Nm_s_per_mm" in " ".join(lag_remarks(bench))
 
 
 @pytest.mark.parametrize("name", ["paper", "paper_x4", "emps"])
