@@ -1,6 +1,6 @@
 """Commands of the compensation: compute, compare, upload, take back, verify, improve."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -226,7 +226,7 @@ def recover(
     progress = ProgressLines()
     result = recover_upload(url, bench, journal, keep=keep, progress=progress)
     progress.close()
-    output.finish(result, json_target, lambda: output.echo_all(_ended(result)))
+    output.finish(result, json_target, lambda: output.echo_all(_ended(result, _SETTLED)))
 
 
 def rollback(
@@ -291,12 +291,16 @@ _MEANS = {
 }
 
 
-def _ended(result: dict[str, Any]) -> list[str]:
+# What a recovery finds done may have been a removal or a set-up as well.
+_SETTLED = {**_MEANS, "NEW": "what the last change meant stands on the controller"}
+
+
+def _ended(result: dict[str, Any], means: Mapping[str, str] = _MEANS) -> list[str]:
     """The verdict and what it rests on, one statement a line, then what may follow."""
     verdict, said = result["verdict"], result["said"]
     if len(said) == 1:
         return [f"{verdict}: {said[0]}", result["next"]]
-    return [f"{verdict}: {_MEANS[verdict]}", *(f"  - {text}" for text in said), result["next"]]
+    return [f"{verdict}: {means[verdict]}", *(f"  - {text}" for text in said), result["next"]]
 
 
 def _told(verb: str, plan: dict[str, Any]) -> list[str]:

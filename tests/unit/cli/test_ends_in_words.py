@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmac_comp.base.errors import ControllerState, SafetyRefusal
-from pmac_comp.cli.compensation import _ended
+from pmac_comp.cli.compensation import _SETTLED, _ended
 from pmac_comp.cli.controller import capture
 
 MOTIONS = ["sine:amplitude_mm=10,frequency_Hz=2"]
@@ -21,6 +21,12 @@ def test_one_statement_stands_beside_the_verdict_several_below_it() -> None:
         "  - law off",
         "Go on",
     ]
+
+
+def test_a_recovery_after_a_removal_does_not_say_that_an_upload_stands() -> None:
+    said = ["everything stands as meant", "nothing was left open; the last change was remove: done"]
+    first, *_ = _ended({"verdict": "NEW", "said": said, "next": "Look at it"}, _SETTLED)
+    assert first == "NEW: what the last change meant stands on the controller"
 
 
 def test_each_refusal_keeps_its_advice_below_it() -> None:
