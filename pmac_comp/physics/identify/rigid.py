@@ -121,11 +121,14 @@ def _rows(capture: Capture, bench: Bench, friction: str) -> tuple[FloatArray, Fl
     if capture.n <= 4 * BORDER_SAMPLES or int(capture.mask.sum()) < 2:
         return np.empty((0, len(SYMMETRIC if friction == "symmetric" else ASYMMETRIC))), force_N[:0]
     motion = motion_of(capture.motor_position_m, capture.sample_period_s, capture.mask)
-    v = motion.velocity_m_per_s
-    columns = _columns(motion.acceleration_m_per_s2, v, _direction(v, bench), friction)
+    v, direction = motion.velocity_m_per_s, _direction(motion.velocity_m_per_s, bench)
+    columns = _columns(motion.acceleration_m_per_s2, v, direction, friction)
     inner = slice(BORDER_SAMPLES, capture.n - BORDER_SAMPLES)
     both = np.column_stack([columns, force_N])[inner]
-    thin, usable = decimated(both, motion.usable[inner], _decimation(capture))
+    # At rest friction takes up any force below its level: that row says nothing of the drive, and
+    # what a controller without an integrator holds there, mostly one way, would pass for a bias.
+    tells = motion.usable & (direction != 0.0) if np.any(direction) else motion.usable
+    thin, usable = decimated(both, tells[inner], _decimation(capture))
     return thin[usable, :-1], thin[usable, -1]
 
 

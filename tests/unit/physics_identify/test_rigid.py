@@ -49,6 +49,18 @@ def test_invalid_samples_do_not_matter() -> None:
     assert fit.coefficients == pytest.approx(TRUE, rel=0.02)
 
 
+def test_the_force_held_at_rest_is_no_bias() -> None:
+    # There and back with long rests, in all of which the controller holds most of the friction.
+    there_and_back = 0.1 - 0.03 * np.cos(2 * np.pi * 0.5 * np.clip(TIME_S % 4.0, 1.0, 3.0))
+    capture = capture_of(np.asarray(there_and_back))
+    resting = np.gradient(there_and_back) == 0.0
+    assert capture.torque_command_Nm is not None
+    held = np.where(resting, -17.0 * BENCH.lead_m_per_rad, capture.torque_command_Nm)
+    fit = rigid_regression([replace(capture, torque_command_Nm=held)], BENCH)
+    assert fit.value("bias_force_N") == pytest.approx(TRUE[3], abs=0.5)
+    assert fit.value("coulomb_N") == pytest.approx(TRUE[2], abs=0.5)
+
+
 @pytest.mark.faults
 @pytest.mark.parametrize(
     ("name", "position_m", "parameter"),
