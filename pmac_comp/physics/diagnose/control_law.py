@@ -31,6 +31,7 @@ _LEAST_SHARE = 0.02  # of the torque's rms: less is rounding, or the moment of a
 _MUCH = 0.1  # the same where no gains explain it
 _EXPLAINED = 0.2  # of that difference is all that other gains may leave
 _OFF, _SAME = 0.03, 0.01  # of a gain
+_CARRIES = 0.5  # of the difference: a gain that makes so much of it is off, however little
 _SHIFTS = (0, 1, -1)  # samples by which torque and positions may have been gathered apart
 
 
@@ -41,6 +42,21 @@ class _Law:
     parts: FloatArray
     recorded: FloatArray
     free: FloatArray
+
+
+@dataclass(frozen=True)
+class _Factors:
+    """Factors of the gains that fit all runs best, and rms in N m.
+
+    NaN is the factor of a gain that does nothing in these runs. ``sizes_Nm`` are those of the terms
+    of the gains, ``before_Nm`` and ``left_Nm`` the differences without and with these factors.
+    """
+
+    gains: FloatArray
+    sizes_Nm: FloatArray
+    left_Nm: float
+    before_Nm: float
+    torque_Nm: float
 
 
 def told_of_law(records: Sequence[Record], bench: Bench) -> tuple[str, ...]:
@@ -62,13 +78,13 @@ def told_of_law(records: Sequence[Record], bench: Bench) -> tuple[str, ...]:
     whole = [r for r in records if _is_whole(r, bench, vector)]
     if vector[s.LAW] >= 0.5 or not whole:
         return ()
-    factors = min((_factors(whole, vector, shift) for shift in _SHIFTS), key=lambda f: f[1])
-    gains, left, before, torque = factors
-    if left > _EXPLAINED * before:
-        return (_beside(before),) if before > _MUCH * torque else ()
-    if before < _LEAST_SHARE * torque:
+    found = min((_factors(whole, vector, shift) for shift in _SHIFTS), key=lambda f: f.left_Nm)
+    if found.left_Nm > _EXPLAINED * found.before_Nm:
+        much = found.before_Nm > _MUCH * found.torque_Nm
+        return (_beside(found.before_Nm),) if much else ()
+    if found.before_Nm < _LEAST_SHARE * found.torque_Nm:
         return ()
-    wrong = _listed(gains)
+    wrong = _listed(found)
     if not wrong:
         return ()
     return (
@@ -88,18 +104,24 @@ def _beside(before_Nm: float) -> str:
     )
 
 
-def _listed(gains: FloatArray) -> str:
-    """Gains that are off, in words; nothing where none is. NaN stands for one that does nothing."""
+def _listed(found: _Factors) -> str:
+    """Gains that are off, in words; nothing where none is.
+
+    Terms that nearly cancel, as where the axis lags far behind without feed-forward, make much of
+    a fraction of a per cent of one of them.
+    """
+    gains = found.gains
     used = gains[np.isfinite(gains)]
+    carries = np.abs(gains - 1.0) * found.sizes_Nm > _CARRIES * found.before_Nm
     if np.ptp(used) < _SAME and abs(used.mean() - 1.0) > _OFF:
         return (
             f"all gains {used.mean():.3g} times the stated ones (the factor that they share, or "
             "the torque per unit of the output)"
         )
     return ", ".join(
-        f"{name} {gain:.3g} times the stated one"
-        for name, gain in zip(_NAMES, gains.tolist(), strict=True)
-        if abs(gain - 1.0) > _OFF
+        f"{name} {gain:.{3 if abs(gain - 1.0) > _OFF else 4}g} times the stated one"
+        for name, gain, much in zip(_NAMES, gains.tolist(), carries.tolist(), strict=True)
+        if abs(gain - 1.0) > _OFF or much
     )
 
 
@@ -115,13 +137,7 @@ def _is_whole(record: Record, bench: Bench, vector: FloatArray) -> bool:
     )
 
 
-def _factors(
-    records: Sequence[Record], vector: FloatArray, shift: int
-) -> tuple[FloatArray, float, float, float]:
-    """Factors of the gains that fit all runs best, and rms in N m: left, before, torque's own.
-
-    NaN is the factor of a gain that does nothing in these runs.
-    """
+def _factors(records: Sequence[Record], vector: FloatArray, shift: int) -> _Factors:
     laws = [_law(r, vector, shift) for r in records]
     projected = [_without(law.free, np.column_stack([law.parts, law.recorded])) for law in laws]
     every = np.concatenate(projected)
@@ -132,7 +148,7 @@ def _factors(
     missed = recorded - parts.sum(axis=1)
     gains[used] = 1.0 + np.linalg.lstsq(parts[:, used], missed, rcond=None)[0]
     left = recorded - parts[:, used] @ gains[used]
-    return gains, _rms(left), _rms(missed), _rms(recorded)
+    return _Factors(gains, size, _rms(left), _rms(missed), _rms(recorded))
 
 
 def _law(record: Record, vector: FloatArray, shift: int) -> _Law:

@@ -10,6 +10,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.control_law import told_of_law
 from pmac_comp.physics.diagnose.records import prepare
 from pmac_comp.physics.identify.records import TORQUE_FEEDFORWARD
+from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals import trajectory as tr
 from pmac_comp.simulator.plant import make_plant
@@ -38,6 +39,9 @@ def _with(variable: str, factor: float) -> Bench:
     return BENCH.model_copy(update={"controller": ivariables})
 
 
+WITHOUT_FEEDFORWARD = _with("I132", 0.0)
+
+
 def test_the_law_of_the_bench_file_is_not_doubted(run: Capture) -> None:
     assert _said(BENCH, run) == ()
 
@@ -53,6 +57,24 @@ def test_nothing_is_told_of_what_a_capture_does_not_hold(run: Capture) -> None:
 def test_a_gain_that_the_capture_was_not_made_with_is_named(run: Capture) -> None:
     (line,) = _said(_with("I131", 1.0 / 1.15), run)
     assert "that of derivative gain 1.15 times the stated one." in line
+
+
+def test_little_of_a_gain_that_makes_much_of_the_torque_is_told(run: Capture) -> None:
+    # Far behind its command the axis is driven by a difference of large terms: an integrator that
+    # takes the error in before its output is used is half a per cent of the proportional gain.
+    vector = DriveModel.base(WITHOUT_FEEDFORWARD).kernel_vector()
+    command = np.asarray(0.03 * (1.0 - np.cos(4.0 * np.pi * np.arange(6000) * TS)))
+    plant = make_plant(WITHOUT_FEEDFORWARD, effects={}, seed=2)
+    lagging = closed_loop_capture(WITHOUT_FEEDFORWARD, plant, command)
+    assert lagging.torque_command_Nm is not None
+    sooner = vector[s.KI] * TS * (lagging.desired_m - lagging.motor_position_m)
+    said = _said(
+        WITHOUT_FEEDFORWARD,
+        replace(lagging, torque_command_Nm=lagging.torque_command_Nm + sooner),
+    )
+    assert _said(WITHOUT_FEEDFORWARD, lagging) == ()
+    assert len(said) == 1
+    assert "proportional gain 1.006 times the stated one" in said[0]
 
 
 def test_a_factor_of_all_gains_is_told_once(run: Capture) -> None:
