@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from pmac_comp.base.units import MM_PER_M
+from pmac_comp.base.units import MM_PER_M, UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.localise import TURNED
 from pmac_comp.physics.diagnose.result import SeparatingExperiment
@@ -320,16 +320,41 @@ def swinging_mass(model: DriveModel) -> SwingingMass:
     return SwingingMass(whole_kg * share / (1.0 + share), own_Hz)
 
 
+def tilt_um_per_m_per_s2(model: DriveModel) -> float:
+    """What a scale would have to misread by the acceleration in place of a model's windup, um.
+
+    The torque that passes the coupling turns the screw and drives the table: most of its wind-up
+    goes with the acceleration, as does a table, head or bracket that tilts.
+    """
+    vector = model.kernel_vector()
+    lead = vector[slots.LEAD]
+    carried = vector[slots.J_COUPLING] + vector[slots.J_SCREW] + lead**2 * vector[slots.M_TABLE]
+    return float(UM_PER_M * model.parameters["coupling_windup.compliance_rad_per_Nm"] * carried)
+
+
 def unlisted_twins(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:
-    """Sentences on causes out of the library that leave the very trace of a claimed effect."""
-    if "base_mode" not in claimed:
-        return ()
+    """Sentences on causes out of the library that leave the trace of a claimed effect."""
+    told = {"base_mode": _told_of_swinging, "coupling_windup": _told_of_tilting}
+    return tuple(tell(model) for name, tell in told.items() if name in claimed)
+
+
+def _told_of_swinging(model: DriveModel) -> str:
     twin = swinging_mass(model)
     return (
         f"A mass of {twin.mass_kg:.3g} kg that swings at {twin.frequency_Hz:.3g} Hz on a spring on "
         "the table leaves exactly the trace of this base_mode: no motor encoder and no scale tells "
         "them apart. An accelerometer on the bed does, or the same run with what hangs loose on "
-        "the table clamped.",
+        "the table clamped."
+    )
+
+
+def _told_of_tilting(model: DriveModel) -> str:
+    return (
+        "A table, scale head or bracket that tilts by "
+        f"{tilt_um_per_m_per_s2(model):.2g} um per m/s2 of acceleration leaves nearly the trace of "
+        "this coupling_windup, and only friction tells them apart: torque at standstill winds the "
+        "coupling up and tilts nothing. Turn the motor by torque steps with the nut side clamped, "
+        "or read the table by a second scale at another height."
     )
 
 

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.physics.diagnose.lookalikes import swinging_mass, unlisted_twins
+from pmac_comp.physics.diagnose.lookalikes import (
+    swinging_mass,
+    tilt_um_per_m_per_s2,
+    unlisted_twins,
+)
 from pmac_comp.physics.model import slots
-from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.model.drive import DriveModel, simulate
 
 SWINGS = {"frequency_Hz": 60.0, "mass_ratio": 0.2, "damping_ratio": 0.04}
 MODEL = DriveModel.base(load_bench("paper")).with_effect("base_mode", SWINGS)
@@ -33,3 +37,20 @@ def test_it_is_told_where_the_bed_is_named_and_only_there():
     assert "54.8 Hz" in told
     assert "accelerometer" in told
     assert unlisted_twins(MODEL, ("backlash",)) == ()
+
+
+def test_a_reading_that_tilts_with_the_acceleration_lags_as_a_coupling_that_winds_up():
+    plain = DriveModel.base(load_bench("paper_x4"))
+    soft = plain.with_effect("coupling_windup", {"compliance_rad_per_Nm": 5e-4})
+    time_s = plain.bench.servo_period_s * np.arange(6000)
+    command = 0.01 * (1.0 - np.cos(2.0 * np.pi * 4.0 * time_s))
+    lag_um = 1e6 * (
+        simulate(soft, command).mechanical_error_m - simulate(plain, command).mechanical_error_m
+    )
+    acceleration = np.gradient(np.gradient(command, time_s), time_s)
+    late = slice(2000, -10)
+    per_acceleration = np.polyfit(acceleration[late], lag_um[late], 1)[0]
+    assert -per_acceleration == pytest.approx(tilt_um_per_m_per_s2(soft), rel=0.15)
+    (told,) = unlisted_twins(soft, ("coupling_windup",))
+    assert "0.31 um per m/s2" in told
+    assert "second scale" in told
