@@ -139,13 +139,11 @@ def _silent(text: str) -> None:
 
 def _refuse_unjudged(workbench: Workbench) -> None:
     """What is judged where nothing moves is judged by nothing."""
-    usable = np.concatenate([r.usable for r in workbench.records])
-    fitting = np.concatenate(workbench.fitting)
-    fitted, judged = np.any(usable & fitting), np.any(usable & ~fitting)
+    fitted, judged = workbench.telling([r.usable for r in workbench.records])
     if fitted and judged:
         return
     raise NotIdentifiable(
-        "The runs cannot be diagnosed: no sample after the first motion is left to "
+        "The runs cannot be diagnosed: too few samples after the first motion are left to "
         f"{'judge by' if fitted else 'fit'}.",
         code="PC-DIA-017",
         hint="Without --validate two sixths of each capture are held back for judging: give "

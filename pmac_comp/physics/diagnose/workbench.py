@@ -18,7 +18,12 @@ from pmac_comp.base.errors import NonFinite
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.diagnose.gram import Gram, Prior, Solution, gram_of_record
 from pmac_comp.physics.diagnose.records import Record, simulate_all
-from pmac_comp.physics.diagnose.statistics import Whitener, fit_whitener, huber_weights
+from pmac_comp.physics.diagnose.statistics import (
+    Whitener,
+    fit_whitener,
+    huber_weights,
+    rows_with_past,
+)
 from pmac_comp.physics.model.drive import DriveModel
 
 Columns = list[NDArray[np.float32]]
@@ -385,10 +390,23 @@ class Workbench:
         some, every = (np.concatenate(c) for c in (found, usable))
         left_out = np.count_nonzero(some & every) > _MOST_UNRULY * np.count_nonzero(every)
         # Nor where no evidence would be left to fit or to judge by.
-        fitted = np.concatenate(self.fitting)
-        if left_out or not all(np.any(every & ~some & part) for part in (fitted, ~fitted)):
+        calm_rows = self.telling([u & ~f for u, f in zip(usable, found, strict=True)])
+        if left_out or min(calm_rows) == 0:
             return tuple(np.zeros_like(u) for u in usable)
         return found
+
+    def telling(self, usable: Sequence[BoolArray]) -> tuple[int, int]:
+        """Samples that fit and that judge, of the usable ones of each record, shape (m,).
+
+        A sample tells something only with those before it that its whitening takes in.
+        """
+        told = {True: 0, False: 0}
+        for mask, good in zip(self.fitting, usable, strict=True):
+            for first, last, fits in _stretches(mask):
+                if last - first > 2 * _ORDER:
+                    rows = rows_with_past(good[first:last], _ORDER)
+                    told[fits] += int(np.count_nonzero(rows))
+        return told[True], told[False]
 
     def doubtful(self, model: DriveModel) -> tuple[FloatArray, ...]:
         """What a softer onset of friction would change, shape (m, channels, places) per record.

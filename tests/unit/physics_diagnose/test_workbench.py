@@ -96,3 +96,22 @@ def test_where_rounding_decides_is_left_out_as_long_as_evidence_is_left(moved_m,
     calmed = bench.with_noise(Noise(whitener, unruly=unruly))
     assert len(calmed.calm_records) == len(calmed.whole_records(calm=True)) == calm
     assert all(np.any(r.valid) for r in calmed.calm_records)
+
+
+def test_a_few_calm_samples_are_no_evidence_to_judge_by():
+    # Rounding decides the judging run but for its first five samples, which have no past.
+    bench, rounded = _judged([1e-8, 1e-8, 1e-5])
+    bench = replace(bench, fitting=tuple(np.full(400, i < 2) for i in range(3)))
+    rounded[2][:105] = 0.0
+    model: Any = SimpleNamespace(bench=SimpleNamespace(motor_resolution_m=1e-7))
+    assert not np.any(np.concatenate(bench.unruly(model, rounded)))
+
+
+def test_samples_tell_only_with_those_that_their_whitening_takes_in():
+    bench, _ = _judged([1e-8, 1e-8])
+    every = np.ones(400, dtype=np.bool_)
+    few = np.zeros(400, dtype=np.bool_)
+    few[100:106] = True
+    assert bench.telling([every, few]) == (394, 0)
+    few[106] = True
+    assert bench.telling([every, few]) == (394, 1)
