@@ -9,6 +9,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose import Diagnosis, diagnose
+from pmac_comp.physics.model.drive import DriveModel, simulate
 from pmac_comp.physics.model.effect import effect_library
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
@@ -123,3 +124,42 @@ def test_a_bias_out_of_the_library_is_not_called_a_cable():
     found = diagnose(runs(BENCH, {"bias_force": {"force_N": 80.0}}), BENCH, effects=library)
     assert found.verdict == "unknown"
     assert found.named == ()
+
+
+def heavy_and_late() -> Bench:
+    """Motor encoder only, a cascade for 300 kg whose lag is known; the mass is not."""
+    emps = load_bench("emps")
+    cascade = emps.controller.cascade
+    assert cascade is not None
+    tuned = cascade.model_copy(
+        update={"kp_per_s": 60.0, "kv_V_per_m_per_s": 1200.0, "gain_N_per_V": 35.0}
+    )
+    lag = emps.nominal.model_copy(
+        update={"current_bandwidth_Hz": 350.0, "actuator_delay_us": 1000.0}
+    )
+    controller = emps.controller.model_copy(update={"cascade": tuned})
+    return emps.model_copy(update={"controller": controller, "nominal": lag})
+
+
+def test_an_axis_much_heavier_than_usual_that_nobody_weighed_gets_no_name():
+    # With 50 kg this loop swings between the limits of its torque, and no step led out of that: a
+    # torque limit got the name.
+    bench = heavy_and_late()
+    drive = DriveModel.base(bench).with_parameters(
+        {"chain.mass_kg": 300.0, "coulomb.guide_N": 90.0, "viscous.guide_Ns_per_m": 650.0}
+    )
+    time_s = bench.servo_period_s * np.arange(4000)
+    captures = []
+    for half_m, frequency_Hz in ((0.05, 0.8), (0.02, 1.7), (0.04, 1.0)):
+        command = half_m * (1.0 - np.cos(2.0 * np.pi * frequency_Hz * time_s))
+        seen = simulate(drive, command, quantise=True)
+        captures.append(
+            Capture(
+                time_s, command, seen.motor_position_m, torque_command_Nm=seen.torque_command_Nm
+            )
+        )
+    offered = {n: effect_library()[n] for n in ("torque_saturation", "payload", "bias_force")}
+    found = diagnose(captures[:2], bench, validate=captures[2:], effects=offered)
+    assert found.verdict == "none"
+    assert found.model.parameters["chain.mass_kg"] == pytest.approx(300.0, rel=0.01)
+    assert found.gap_after_um < 1.0

@@ -49,6 +49,7 @@ from pmac_comp.physics.diagnose.statistics import sign_flip_p
 from pmac_comp.physics.diagnose.torque_place import told_by_torque
 from pmac_comp.physics.diagnose.words import Rival, Story, statements_of
 from pmac_comp.physics.diagnose.workbench import Workbench, split
+from pmac_comp.physics.identify.rigid import rigid_start
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
@@ -114,6 +115,7 @@ def diagnose(
     library = _candidates(effects, start)
     fit = prepare([*captures, *validate], bench, prefix="capture")
     records, judges = fit[: len(captures)], fit[len(captures) :]
+    start = rigid_start(captures, bench, start)
     with working() as executor:
         workbench = Workbench(fit, split(records, judges), executor)
         _refuse_unjudged(workbench)

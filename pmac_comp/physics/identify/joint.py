@@ -42,7 +42,13 @@ from pmac_comp.physics.identify.result import (
     correlation_of,
     estimate,
 )
-from pmac_comp.physics.identify.rigid import force_of, rigid_regression
+from pmac_comp.physics.identify.rigid import (
+    IN_MODEL,
+    force_of,
+    in_model,
+    rigid_regression,
+    rigid_start,
+)
 from pmac_comp.physics.model.drive import DriveModel, Response
 
 _STATIC_EFFECTS = ("lead_linear", "lead_cyclic", "encoder_eccentricity", "scale_slope")
@@ -59,12 +65,6 @@ _NO_DETAIL_AT_REST = {
 }
 _WORSE = 2.2  # around reversals over elsewhere; plain Coulomb friction gives 1.5 to 1.8
 _FEW_ROWS = 50
-_RIGID_NAMES = {
-    "mass_kg": "chain.mass_kg",
-    "viscous_N_s_per_m": "viscous.guide_Ns_per_m",
-    "coulomb_N": "coulomb.guide_N",
-    "bias_force_N": "bias_force.force_N",
-}
 
 
 def identify(
@@ -132,6 +132,8 @@ def identify(
         return _identify_rigid(captures, bench, start, progress)
     if model is None:
         require_table(captures)
+    if not warm:
+        start = rigid_start(captures, bench, start)
     return _identify_elastic(
         captures,
         bench,
@@ -361,12 +363,7 @@ def _identify_rigid(
         progress("inverse dynamics by least squares", 0.0)
     fit = rigid_regression(captures, bench)
     model = start.with_effect("bias_force") if "bias_force" not in start.effects else start
-    values = {
-        name: fit.value(own)
-        for own, name in _RIGID_NAMES.items()
-    }  # fmt: skip
-    model = model.with_parameters({k: max(v, 0.0) if k != "bias_force.force_N" else v
-                                   for k, v in values.items()})  # fmt: skip
+    model = model.with_parameters(in_model(fit))
     records = [rec.prepare(capture, bench) for capture in captures]
     residuals, figures = _rigid_residuals(records, bench, model)
     if progress is not None:
@@ -374,7 +371,7 @@ def _identify_rigid(
     return Identification(
         model=model,
         parameters=_rigid_estimates(fit, model),
-        correlation_names=tuple(_RIGID_NAMES.values()),
+        correlation_names=tuple(IN_MODEL.values()),
         correlation=correlation_of(fit.covariance),
         noise=_noise(residuals),
         residuals=residuals,
@@ -390,7 +387,7 @@ def _identify_rigid(
 def _rigid_estimates(fit: Regression, model: DriveModel) -> dict[str, ParameterEstimate]:
     return {
         name: estimate(name, fit.value(own), fit.std(own), model.spec(name).unit)
-        for own, name in _RIGID_NAMES.items()
+        for own, name in IN_MODEL.items()
     }
 
 

@@ -20,8 +20,16 @@ from pmac_comp.physics.identify.derivatives import (
     motion_of,
 )
 from pmac_comp.physics.identify.regression import Regression, regress
+from pmac_comp.physics.model.drive import DriveModel
 
 SYMMETRIC = ("mass_kg", "viscous_N_s_per_m", "coulomb_N", "bias_force_N")
+IN_MODEL = {
+    "mass_kg": "chain.mass_kg",
+    "viscous_N_s_per_m": "viscous.guide_Ns_per_m",
+    "coulomb_N": "coulomb.guide_N",
+    "bias_force_N": "bias_force.force_N",
+}
+"""Parameters of a rigid model by the names that they have here."""
 ASYMMETRIC = (
     "mass_kg",
     "viscous_positive_N_s_per_m",
@@ -78,6 +86,42 @@ def rigid_regression(
     fit = regress(names, columns, force_N, block=round(_BLOCK_s * rate_Hz), advice=_ADVICE)
     _check_mass(fit)
     return fit
+
+
+def rigid_start(captures: Sequence[Capture], bench: Bench, start: DriveModel) -> DriveModel:
+    """A rigid model at mass and friction of inverse dynamics, where nobody stated a mass.
+
+    A loop that is tuned for the mass of the axis need not be stable with another one, and from an
+    unstable loop no step leads anywhere. Without torque, or with runs that do not tell, the model
+    stays as it is.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs that are going to be fitted.
+    bench : Bench
+        Lead, servo period; current loop and delay where stated.
+    start : DriveModel
+        Model to begin with; one that is not rigid, or has a mass already, is returned as it is.
+    """
+    told = [c for c in captures if c.torque_command_Nm is not None]
+    if not (start.is_rigid and told):
+        return start
+    mass = start.spec("chain.mass_kg")
+    if mass.kind != "free" or start.parameters[mass.name] != mass.nominal:
+        return start
+    try:
+        fit = rigid_regression(told, bench)
+    except NotIdentifiable:
+        return start
+    values = in_model(fit)
+    return start.with_parameters({k: v for k, v in values.items() if k in start.parameters})
+
+
+def in_model(fit: Regression) -> dict[str, float]:
+    """Values of a symmetric fit by the names of a rigid model; only a bias may be negative."""
+    values = {name: fit.value(own) for own, name in IN_MODEL.items()}
+    return {k: v if k == "bias_force.force_N" else max(v, 0.0) for k, v in values.items()}
 
 
 def _check_mass(fit: Regression) -> None:

@@ -9,7 +9,8 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.identify.rigid import rigid_regression
+from pmac_comp.physics.identify.rigid import rigid_regression, rigid_start
+from pmac_comp.physics.model.drive import DriveModel
 
 BENCH = load_bench("emps")
 TIME_S = np.arange(8000) * 1e-3
@@ -59,6 +60,18 @@ def test_the_force_held_at_rest_is_no_bias() -> None:
     fit = rigid_regression([replace(capture, torque_command_Nm=held)], BENCH)
     assert fit.value("bias_force_N") == pytest.approx(TRUE[3], abs=0.5)
     assert fit.value("coulomb_N") == pytest.approx(TRUE[2], abs=0.5)
+
+
+def test_a_mass_that_nobody_stated_begins_where_the_captures_put_it() -> None:
+    guess, captures = DriveModel.base(BENCH), [capture_of(two_tones())]
+    begun = rigid_start(captures, BENCH, guess).parameters
+    assert begun["chain.mass_kg"] == pytest.approx(TRUE[0], rel=0.02)
+    assert begun["coulomb.guide_N"] == pytest.approx(TRUE[2], rel=0.05)
+    found = guess.with_parameters({"chain.mass_kg": 70.0})
+    assert rigid_start(captures, BENCH, found) is found
+    blind = [replace(captures[0], torque_command_Nm=None)]
+    assert rigid_start(blind, BENCH, guess) is guess
+    assert rigid_start([capture_of(np.full(TIME_S.size, 0.1))], BENCH, guess) is guess
 
 
 @pytest.mark.faults
