@@ -129,13 +129,14 @@ def tied_with(
         and alike(other.effect, winner.effect, library)
         # In that corner of its range it is the winner, not a rival of it.
         and true_name(other.effect, other.fitted.model) != winner.effect
-        and (_inseparable(winner, other, rows, rules) or _bends(winner, other, gap_um))
+        and (inseparable(winner, other, rows, rules) or _bends(winner, other, gap_um))
     ]
     tied += [name for name in exact_twins(winner.effect) if name not in tied]
     return tuple(tied)
 
 
-def _inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: Rules) -> bool:
+def inseparable(winner: Contender, other: Contender, rows: FloatArray, rules: Rules) -> bool:
+    """Whether runs leave open which of two look-alikes it is; ``rows`` of shape (blocks,)."""
     lost = other.fitted.blocks - winner.fitted.blocks
     per_row = float(lost.sum()) / float(rows.sum())
     if not justified(winner.effect, other.effect):

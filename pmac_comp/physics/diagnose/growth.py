@@ -165,6 +165,7 @@ def grow(
         whole, rounds = reviser.pruned(whole, rounds)
         if whole is not grown:
             point, open_SI = settled(part, evaluate(part, whole.model))
+        rounds = reviser.likened(evaluate(workbench, point.model), rounds)
     progress("looking at how friction sets in")
     final = with_onset(workbench, evaluate(workbench, point.model))
     beside_onset: Screening | None = None

@@ -104,6 +104,11 @@ def as_true_name(effect: str, model: DriveModel) -> DriveModel:
     return bare.with_effect("backlash", {"gap_m": 2.0 * half_m * (1.0 - soft)})
 
 
+def in_its_corner(effect: str) -> str:
+    """What an effect is in a corner of its range, wherever it is now; nothing if there is none."""
+    return _TRUE_NAMES.get(effect, "")
+
+
 def true_name(effect: str, model: DriveModel) -> str:
     """The effect that an effect of a model is in truth; nothing where it is itself."""
-    return _TRUE_NAMES.get(effect, "") if imitation(effect, model) else ""
+    return in_its_corner(effect) if imitation(effect, model) else ""

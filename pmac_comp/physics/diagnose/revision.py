@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.progress import Tell
-from pmac_comp.physics.diagnose.acceptance import Round, earned
+from pmac_comp.physics.diagnose.acceptance import Round, earned, inseparable
 from pmac_comp.physics.diagnose.contenders import (
     ELEMENTARY,
     Contender,
@@ -18,8 +18,8 @@ from pmac_comp.physics.diagnose.contenders import (
     contend,
     judged,
 )
-from pmac_comp.physics.diagnose.imitations import as_true_name, true_name
-from pmac_comp.physics.diagnose.lookalikes import alike
+from pmac_comp.physics.diagnose.imitations import as_true_name, in_its_corner, true_name
+from pmac_comp.physics.diagnose.lookalikes import alike, justified
 from pmac_comp.physics.diagnose.records import gap
 from pmac_comp.physics.diagnose.refit import Fitted, Frozen, evaluate, linearised, refit
 from pmac_comp.physics.diagnose.screen import Screened
@@ -92,6 +92,38 @@ class Reviser:
             kept[i] = replace(done, accepted=found[0], tied=tied, contenders=(found[0], *others))
             whole = found[0].fitted
         return whole, kept
+
+    def likened(self, whole: Fitted, rounds: Sequence[Round]) -> list[Round]:
+        """Rounds tied with what their effect is in its corner, where that does as well.
+
+        What acts in events has minima of its own: as a candidate it began far from the size that
+        the other one found, and lost by where it got stuck.
+        """
+        kept = list(rounds)
+        for i, done in enumerate(kept):
+            twin = self._twin(whole, done, rounds)
+            if twin is not None:
+                others = (c for c in done.contenders if c.effect != twin.effect)
+                kept[i] = replace(done, tied=(*done.tied, twin.effect), contenders=(*others, twin))
+        return kept
+
+    def _twin(self, whole: Fitted, done: Round, rounds: Sequence[Round]) -> Contender | None:
+        """What a round's effect is in its corner, if it earns the place and the runs leave it."""
+        if done.accepted is None:
+            return None
+        name = in_its_corner(done.accepted.effect)
+        present = {split_name(n)[0] for n in whole.model.effects}
+        start = _start(name, done, rounds)
+        known = name in {*present, *done.tied}
+        if start is None or known or not justified(done.accepted.effect, name):
+            return None
+        self.progress(f"refitting with {name} of that size instead")
+        found = self._instead(whole, done, start)
+        if found is None or not earned(found[0], found[1], self.rules):
+            return None
+        rows = Ground.of(self.workbench, whole, self.library).rows
+        now = replace(done.accepted, fitted=whole)
+        return found[0] if inseparable(now, found[0], rows, self.rules) else None
 
     def _instead(
         self, whole: Fitted, done: Round, start: Screened

@@ -4,10 +4,12 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pmac_comp.physics.diagnose import contenders, growth, revision
 from pmac_comp.physics.diagnose.acceptance import Round
+from pmac_comp.physics.diagnose.contenders import Contender
 from pmac_comp.physics.diagnose.diagnose import _broken_off
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.records import Gap
@@ -49,6 +51,34 @@ def test_the_only_effect_is_asked_whether_it_is_needed_unless_it_earned_beyond_d
     kept, (done,) = reviser.pruned(whole, [bare])  # type: ignore[arg-type]
     assert kept is (less if asked else whole)
     assert (done.accepted is None) == asked
+
+
+def _accepted(effect: str) -> Contender:
+    return Contender(effect, effect, None, None, 1e5, 1e5, 1e-9, 1e5, 0.4)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("more", "tied"), [(1.0, ("backlash",)), (40.0, ())])
+def test_play_lost_by_a_far_start_is_a_tie_where_it_does_as_well_at_the_size_of_the_soft_zone(
+    monkeypatch, more, tied
+):
+    # Both scatter alike from block to block; on the mean the play leaves a little or much more.
+    scatter = 30.0 * np.cos(np.arange(50.0) * 2.4)
+    zone = _accepted("preload_loss")
+    play = SimpleNamespace(effect="backlash", fitted=SimpleNamespace(blocks=scatter + more))
+    whole = SimpleNamespace(
+        model=SimpleNamespace(effects=("coulomb", "preload_loss@centre")), blocks=np.zeros(50)
+    )
+    screening = SimpleNamespace(starts={"backlash": ("far",)})
+    done = Round(None, screening, (zone,), zone, (), 3e3, 1e3, 1.2, 0.2)  # type: ignore[arg-type]
+    monkeypatch.setattr(Reviser, "_instead", lambda self, *a: (play, done))
+    monkeypatch.setattr(revision, "earned", lambda *a: True)
+    monkeypatch.setattr(
+        revision, "Ground", SimpleNamespace(of=lambda *a: SimpleNamespace(rows=np.full(50, 20.0)))
+    )
+    reviser = Reviser(None, {}, contenders.Rules(), lambda text: None)  # type: ignore[arg-type]
+    (after,) = reviser.likened(whole, [done])  # type: ignore[arg-type]
+    assert after.tied == tied
+    assert (play in after.contenders) == bool(tied)
 
 
 @pytest.mark.parametrize(
@@ -293,6 +323,7 @@ def test_an_effect_that_a_later_one_replaced_takes_no_other_effects_place(
             renamed=lambda whole, done: (whole, done),
             widened=lambda whole, done: (whole, done),
             pruned=pruned,
+            likened=lambda whole, done: done,
         ),
     }
     for name, stand_in in same.items():
