@@ -10,14 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmac_comp.base.units import US_PER_S
 from pmac_comp.physics.diagnose.acceptance import Round
 from pmac_comp.physics.diagnose.candidates import amplitude_of
 from pmac_comp.physics.diagnose.contenders import Contender, Rules
 from pmac_comp.physics.diagnose.growth import Grown
 from pmac_comp.physics.diagnose.imitations import ONSET, imitation
+from pmac_comp.physics.diagnose.lookalikes import tilt_um_per_m_per_s2, windup_lags_s
 from pmac_comp.physics.diagnose.refit import evaluate, refit
 from pmac_comp.physics.diagnose.remainder import Remainder
 from pmac_comp.physics.diagnose.result import Estimate, Finding
+from pmac_comp.physics.identify.result import Z95
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -32,6 +35,7 @@ _BULK = (
 )
 _ALONE_ROUNDS = 3
 _LEAST_WITHIN = 0.02  # of the time that runs spend below the force of a corner that they cross
+_TILT = frozenset({"coupling_windup", "channel_skew"})
 _TOO_SMALL = "its size cannot be told from nothing"
 _NO_IMITATIONS = frozenset({_TOO_SMALL, ONSET})
 
@@ -109,6 +113,8 @@ def claims_of(
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
         if done.accepted.effect in beyond:
             why = "no run crosses its corner, so what shows is a spring of another stiffness"
+        if done.accepted.effect in _TILT and not why:
+            why = _tilted(grown, estimates)
         if done.accepted.effect in apart and not why:
             why = "its size would have to differ from run to run"
         many = left.missed and len(grown.accepted) > _MOST_BESIDE
@@ -164,6 +170,31 @@ def unreached(grown: Grown) -> frozenset[str]:
     # A zone around zero force may be narrow in force and wide in deflection: play has none.
     passed = split_name(key)[1] != "beyond" or within > _LEAST_WITHIN
     return frozenset() if passed and within < 1.0 else frozenset({"preload_loss"})
+
+
+def _tilted(grown: Grown, estimates: Sequence[Estimate]) -> str:
+    """Why a coupling that winds up beside a skew is neither, or nothing.
+
+    What passes a coupling is the torque of inertia and friction. Where a skew gives back the lag
+    that viscous friction makes in it, the table lags by the acceleration alone.
+    """
+    model = grown.final.model
+    if not {c.effect for c in grown.accepted} >= _TILT:
+        return ""
+    least_us, most_us = (US_PER_S * lag for lag in windup_lags_s(model))
+    given_back = any(
+        e.name == "channel_skew.time_us"
+        and e.value < -Z95 * e.std
+        and least_us - Z95 * e.std < -e.value < most_us + Z95 * e.std
+        for e in estimates
+    )
+    if not given_back:
+        return ""
+    return (
+        f"the skew takes back the {least_us:.2g} to {most_us:.2g} us of lag that viscous friction "
+        "makes in such a coupling, so that the table lags by its acceleration alone, as where a "
+        f"table, scale head or bracket tilts by {tilt_um_per_m_per_s2(model):.2g} um per m/s2"
+    )
 
 
 def _listed(findings: Sequence[Finding]) -> str:

@@ -332,6 +332,19 @@ def tilt_um_per_m_per_s2(model: DriveModel) -> float:
     return float(UM_PER_M * model.parameters["coupling_windup.compliance_rad_per_Nm"] * carried)
 
 
+def windup_lags_s(model: DriveModel) -> tuple[float, float]:
+    """By how much the table lags per speed as viscous friction winds a model's coupling up.
+
+    With none and with all of the shaft's on the screw's side of the coupling: runs tell little of
+    where it acts.
+    """
+    vector = model.kernel_vector()
+    table = vector[slots.LEAD] ** 2 * vector[slots.GUIDE + slots.VISCOUS]
+    shaft = vector[slots.NUT + slots.VISCOUS] + vector[slots.MOTOR + slots.VISCOUS]
+    compliance = model.parameters["coupling_windup.compliance_rad_per_Nm"]
+    return float(compliance * table), float(compliance * (table + shaft))
+
+
 def unlisted_twins(model: DriveModel, claimed: Collection[str]) -> tuple[str, ...]:
     """Sentences on causes out of the library that leave the trace of a claimed effect."""
     told = {"base_mode": _told_of_swinging, "coupling_windup": _told_of_tilting}

@@ -261,3 +261,41 @@ def test_sizes_of_named_effects_are_taken_without_what_is_not_claimed(monkeypatc
         assert alone.final.model is accepted[0].fitted.model
         assert [c.effect for c in alone.accepted] == ["payload"]
         assert not alone.open_SI
+
+
+@pytest.mark.parametrize(("skew_us", "claimed"), [(-0.9, False), (-3.0, True), (0.9, True)])
+def test_a_coupling_whose_lag_by_speed_a_skew_takes_back_is_none(skew_us, claimed):
+    # A scale head that tilts by 0.25 um per m/s2 got both names, each well determined.
+    rounds = []
+    for name in ("coupling_windup", "channel_skew"):
+        item = SimpleNamespace(
+            effect=name,
+            key=name,
+            fit_gain=1e9,
+            gap_um=0.1,
+            screened=SimpleNamespace(start=SIZED.start),
+        )
+        screening = SimpleNamespace(rival_gain=0.0)
+        rounds.append(
+            SimpleNamespace(
+                accepted=item, gap_um=0.2, floor_um=0.07, rows_fit=1e4, screening=screening
+            )
+        )
+    model = (
+        DriveModel.base(BENCH)
+        .with_effect("coupling_windup", {"compliance_rad_per_Nm": 5e-4})
+        .with_effect("channel_skew", {"time_s": 1e-6 * skew_us})
+    )
+    size = Estimate("channel_skew.time_us", skew_us, "us", 0.2, skew_us - 0.4, skew_us + 0.4)
+    grown: Any = SimpleNamespace(
+        rounds=tuple(rounds),
+        accepted=tuple(r.accepted for r in rounds),
+        final=SimpleNamespace(model=model),
+    )
+    left: Any = SimpleNamespace(
+        unexplained=False, explained=True, visible=False, open_share=0.0, missed=False
+    )
+    found = claims_of(grown, left, (size,), Rules())
+    assert found.effects == (("coupling_windup", "channel_skew") if claimed else ())
+    assert found.imitated is not claimed
+    assert all("0.31 um per m/s2" in why for why in found.withheld.values())
