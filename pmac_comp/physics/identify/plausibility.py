@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import CaptureError, SampleGap
@@ -26,6 +27,8 @@ from pmac_comp.physics.model.quasi_static import compliance_m_per_N
 _FEWEST = 100  # valid samples that say anything
 _MOVES_m = 2e-4  # less motion than this says nothing about ratios
 _FOLLOWS = (0.7, 1.4)  # motor over command
+_STANDS = 0.1  # of what is asked: a motor that moves by less has not followed at all
+_SLOW_s = 0.2  # what lasts as long every position loop follows
 _SCALE = 0.01  # table over motor less one: lead error and growth are below 1e-4
 _SOFTER = 2.0  # than stated, at most: a slender screw lets a fast sine grow by some per cent
 _LAGS_m = 5e-5  # more than friction and a worn nut hold back
@@ -175,9 +178,18 @@ def _require_motor_follows(capture: Capture, bench: Bench, name: str) -> None:
     ratio = _ratio(capture.motor_position_m, capture.desired_m, capture)
     if ratio is None or _FOLLOWS[0] < ratio < _FOLLOWS[1]:
         return
-    stands = float(np.ptp(capture.motor_position_m[capture.mask])) < _MOVES_m
-    if not stands and _share_at(capture, _least_limit_Nm(bench)) > _FLAT:
-        return  # a saturated drive may do anything
+    moved, asked = (
+        float(np.ptp(v[capture.mask])) for v in (capture.motor_position_m, capture.desired_m)
+    )
+    stands = moved < min(_MOVES_m, _STANDS * asked)
+    if not stands:
+        # Beyond its bandwidth a loop follows late and by less, in the end against the command.
+        motor_m, desired_m = capture.motor_position_m, capture.desired_m
+        ratio = _ratio(_slowly(motor_m, capture), _slowly(desired_m, capture), capture)
+        if ratio is None or _FOLLOWS[0] < ratio < _FOLLOWS[1]:
+            return
+        if _share_at(capture, _least_limit_Nm(bench)) > _FLAT:
+            return  # a saturated drive may do anything
     if stands:
         what = "the motor did not move with the command"
         hint = "Was the motor powered and the loop closed? Check the channel of the motor."
@@ -369,6 +381,13 @@ def _inertia_kgm2(bench: Bench) -> float | None:
         return None
     rotary = nominal.motor_inertia_kgm2 + (nominal.screw_inertia_kgm2 or 0.0)
     return rotary + nominal.table_mass_kg * bench.lead_m_per_rad**2
+
+
+def _slowly(values: FloatArray, capture: Capture) -> FloatArray:
+    """A position without what is faster than ``_SLOW_s``, shape (n,)."""
+    width = max(1, round(_SLOW_s / capture.sample_period_s))
+    once = uniform_filter1d(bridged(values, capture.mask), width, mode="nearest")
+    return np.asarray(uniform_filter1d(once, width, mode="nearest"))
 
 
 def _ratio(values: FloatArray, against: FloatArray, capture: Capture) -> float | None:

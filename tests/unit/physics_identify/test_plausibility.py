@@ -153,3 +153,28 @@ def test_a_slender_screw_lets_a_fast_sine_grow_and_a_wrong_scale_is_still_told()
     ):
         with pytest.raises(CaptureError, match="the table moved"):
             require_positions(grown(ratio, frequency_Hz), bench, "run")
+
+
+@pytest.mark.parametrize("frequency_Hz", [25.0, 40.0])
+def test_a_motion_faster_than_the_loop_is_not_taken_for_wrong_counts_or_a_wrong_sign(frequency_Hz):
+    law = BENCH.controller
+    slack = {name: value * 0.5 for name, value in law.ivariables.items() if name == "I130"}
+    without = {**law.ivariables, **slack, "I132": 0.0, "I135": 0.0}
+    bench = BENCH.model_copy(update={"controller": law.model_copy(update={"ivariables": without})})
+    motion = sinusoid(
+        period_s=bench.servo_period_s, amplitude_m=2e-4, frequency_Hz=frequency_Hz, cycles=60
+    )
+    run = closed_loop_capture(bench, make_plant(bench, effects=None, seed=3), motion.position_m)
+    in_step = np.polyfit(run.commanded_position_m, run.motor_position_m, 1)[0]
+    assert in_step < 0.7
+    require_positions(run, bench, "run")
+    # The same on top of a slow motion, with a motor that counts the wrong way.
+    slow_m = 5e-3 * np.sin(2.0 * np.pi * 0.5 * run.time_s)
+    reversed_run = replace(
+        run,
+        commanded_position_m=run.commanded_position_m + slow_m,
+        motor_position_m=-run.motor_position_m - slow_m,
+        desired_position_m=None,
+    )
+    with pytest.raises(CaptureError, match="moved against the command"):
+        require_positions(reversed_run, bench, "run")
