@@ -77,6 +77,8 @@ def _interrupted(words: Sequence[str]) -> str:
     command = next(iter(words), "")
     if command not in CHANGING:
         return "interrupted"
+    if "--dry-run" in words:
+        return "interrupted; a rehearsal changes nothing"
     if command in _MOVING:
         return (
             "interrupted; the axis was stopped and is left as `pmac-comp status` shows it. If it "

@@ -175,3 +175,19 @@ def test_an_interruption_takes_the_place_of_an_earlier_result(
     assert (left.value.code, error["exit_code"], error["left"]) == (130, 130, None)
     assert ("recover" in error["message"] + error["hint"]) == (command == "upload")
     assert error["message"] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["upload", "remove", "capture", "verify"])
+def test_a_rehearsal_that_is_interrupted_left_nothing_to_be_settled(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    def run(**_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(app, "app", run)
+    with pytest.raises(SystemExit) as left:
+        app.main([command, "--dry-run"])
+    assert left.value.code == 130
+    told = capsys.readouterr().err
+    assert "interrupted; a rehearsal changes nothing" in told
+    assert "recover" not in told
