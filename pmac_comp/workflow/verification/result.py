@@ -19,6 +19,10 @@ from pmac_comp.workflow.verification.learning import Refinement
 # What a law is meant to leave at the table: this share of the mechanical error, or so little.
 _MEANT_FRAC: Final = 0.10
 _MEANT_um: Final = 0.15
+_MEANT_OF_TOTAL: Final = 0.2
+_WHERE_LESS: Final = (
+    "Where the model expects less, `pmac-comp diagnose` on the runs before tells what it lacks"
+)
 
 _MOSTLY = 0.7  # share of the repeatability that is the motor's own
 _GREW = 1.2  # the reversal value of so few targets scatters
@@ -155,17 +159,24 @@ class Verification:
         return [*out, *self._left()]
 
     def _left(self) -> list[str]:
-        """On which motions a route with torque leaves more of e than it is meant to, for people."""
+        """On which motions a route with torque leaves more than it is meant to, for people."""
         if self.route not in TORQUE_ROUTES:
             return []
-        left = [text for m in self.motions if (text := _left_text(m, self.floor_um))]
-        if not left:
-            return []
-        return [
-            f"more than a tenth of e stays on {len(left)} of {len(self.motions)} motions, the "
-            f"sensors' steps taken out: {'; '.join(left)}. Where the model expects less, "
-            "`pmac-comp diagnose` on the runs before tells what it lacks"
-        ]
+        of_e = [text for m in self.motions if (text := _left_text(m, self.floor_um))]
+        of_total = [text for m in self.motions if (text := _left_of_total_text(m, self.floor_um))]
+        n = len(self.motions)
+        out: list[str] = []
+        if of_e:
+            out.append(
+                f"more than a tenth of e stays on {len(of_e)} of {n} motions, the sensors' steps "
+                f"taken out: {'; '.join(of_e)}. {_WHERE_LESS}"
+            )
+        if of_total:
+            out.append(
+                f"more than a fifth of the total error stays on {len(of_total)} of {n} motions: "
+                f"{'; '.join(of_total)}. {_WHERE_LESS}"
+            )
+        return out
 
     def _shows_ratio(self, outcome: MotionOutcome) -> bool:
         """Whether the ratio of the mechanical error of a motion is known and says something."""
@@ -233,6 +244,18 @@ def _left_text(outcome: MotionOutcome, floor_um: float) -> str:
         promised = _share_text(outcome.promise["e_r_after_um"], outcome.promise["e_before_um"])
         told = f", {promised} expected"
     return f"{outcome.name} {_share_text(left_um, e_um)}{told}"
+
+
+def _left_of_total_text(outcome: MotionOutcome, floor_um: float) -> str:
+    """Share of the total error that stays, measured and by the model; empty where it is little."""
+    before_um, left_um = outcome.total_before.value, outcome.total_after.value
+    if left_um <= max(_MEANT_OF_TOTAL * before_um, floor_um):
+        return ""
+    told = ""
+    if outcome.promise is not None:
+        after, before = (outcome.promise[f"total_{side}_um"] for side in ("after", "before"))
+        told = f", {_share_text(after, before)} expected"
+    return f"{outcome.name} {_share_text(left_um, before_um)}{told}"
 
 
 def _share_text(left_um: float, e_um: float) -> str:

@@ -133,6 +133,24 @@ def test_what_a_law_leaves_beyond_a_tenth_is_said_with_what_the_model_expected()
         assert not any("more than a tenth" in text for text in other.judged())
 
 
+def test_what_a_law_leaves_of_the_total_error_beyond_a_fifth_is_said() -> None:
+    before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
+    little, much = ([run(correction_um=-3.0, e_um=3.2, control_um=c_um)] for c_um in (2.0, 4.0))
+    promise = {"total_before_um": 13.0, "total_after_um": 1.3}
+    motions = (
+        outcome_of("a", before, little),
+        outcome_of("b", before, much, promise=promise),
+    )
+    law = Verification(motions, floor_um=0.1, simulated=True, route="servo")
+    totals = [m.total_after.value / m.total_before.value for m in motions]
+    assert totals[0] < 0.2 < totals[1]
+    (said,) = [text for text in law.judged() if "more than a fifth of the total error" in text]
+    assert f"1 of 2 motions: b {totals[1]:.2f}, 0.10 expected." in said
+    assert "pmac-comp diagnose" in said
+    for other in (replace(law, motions=motions[:1]), replace(law, route="table")):
+        assert not any("more than a fifth" in text for text in other.judged())
+
+
 def test_a_miss_is_said_with_its_motion_and_figures_and_points_to_diagnose() -> None:
     before = [run(correction_um=0.0, e_um=3.0, control_um=10.0)]
     after = [run(correction_um=-3.0, e_um=3.5, control_um=1.0)]
