@@ -22,6 +22,7 @@ from pmac_comp.files.sidecar import Attribute
 from pmac_comp.machine.controller.gather.capture_log import CaptureLog, RecoveredLog, recover
 from pmac_comp.machine.controller.gather.gather_plan import COUNTER_NAME
 from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.capture.samples import capture_in_SI
 
 SUFFIX = ".log"
 
@@ -105,19 +106,12 @@ def capture_of_log(path: Path, bench: Bench) -> tuple[Capture, RecoveredLog]:
     scales = Scales.of(parse_bench(text, name=f"bench text in {path.name}") if text else bench)
     place = _places(raw.pop(COUNTER_NAME, None), raw["commanded"].size)
     spread = _Spread(place)
-    motor_m = scales.motor_m(raw["actual"])
-    following = raw.get("following_error")
-    capture = Capture(
-        time_s=np.arange(spread.n, dtype=np.float64) * scales.period_s,
-        commanded_position_m=spread.of(scales.motor_m(raw["commanded"])),
-        desired_position_m=None
-        if following is None
-        else spread.of(motor_m + scales.motor_m(following)),
-        motor_position_m=spread.of(motor_m),
-        table_position_m=spread.of(scales.table_m(raw["scale"])) if "scale" in raw else None,
-        torque_command_Nm=spread.of(scales.torque_Nm(raw["output"])) if "output" in raw else None,
+    capture = capture_in_SI(
+        raw,
+        scales,
+        spread.of,
+        {**_attributes(found.header), "gaps": len(found.gaps)},
         valid=spread.valid if spread.n > place.size else None,
-        attributes={**_attributes(found.header), "gaps": len(found.gaps)},
     )
     return capture, found
 

@@ -4,10 +4,11 @@ What lives here: the sources of a run, the room that they take on the card, and 
 raw counts to a ``Capture``. What may not: the run itself (``axis``).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from pmac_comp.base.arrays import BoolArray, FloatArray, IntArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.files.sidecar import Attribute
@@ -82,31 +83,53 @@ def capture_of_samples(
     CaptureError
         Encoder and scale disagree, or the samples do not hold the motion.
     """
-    raw = result.raw
-    commanded = scales.motor_m(raw["commanded"])
-    actual = scales.motor_m(raw["actual"])
-    # Feedback plus following error is the net desired position whatever sign convention the
-    # compensation register has (Software Reference Manual p. 382 and p. 516 differ).
-    desired = actual + scales.motor_m(raw["following_error"])
-    table = scales.table_m(raw["scale"]) if "scale" in raw else None
-    torque = scales.torque_Nm(raw["output"])
     first, last = moving_range(
-        commanded, scales.period_s, motion.position_m, skipped, with_rests=with_rests
+        scales.motor_m(result.raw["commanded"]),
+        scales.period_s,
+        motion.position_m,
+        skipped,
+        with_rests=with_rests,
     )
-    part = slice(first, last)
-    if table is not None:
-        require_agreement(SensorWatch(MISMATCH_m).feed(actual[part], table[part]))
-    return Capture(
-        time_s=np.arange(commanded[part].size, dtype=np.float64) * scales.period_s,
-        commanded_position_m=commanded[part],
-        desired_position_m=desired[part],
-        motor_position_m=actual[part],
-        table_position_m=None if table is None else table[part],
-        # The word gathered in a cycle is the output of that cycle.
-        torque_command_Nm=torque[part],
-        attributes={
+    capture = capture_in_SI(
+        result.raw,
+        scales,
+        lambda values: values[first:last],
+        {
             **attributes,
             "start": RELAXED if skipped else APPROACHED,
             "first_servo_cycle": int(result.servo_cycle[first]),
         },
+    )
+    if capture.table_position_m is not None:
+        watch = SensorWatch(MISMATCH_m)
+        require_agreement(watch.feed(capture.motor_position_m, capture.table_position_m))
+    return capture
+
+
+def capture_in_SI(
+    raw: Mapping[str, IntArray],
+    scales: Scales,
+    laid: Callable[[FloatArray], FloatArray],
+    attributes: Mapping[str, Attribute],
+    valid: BoolArray | None = None,
+) -> Capture:
+    """Gathered words as a capture: each signal, shape (n,), is ``laid`` on the capture's samples.
+
+    What was not gathered, or is no longer there, the capture does not have.
+    """
+    commanded, motor_m = laid(scales.motor_m(raw["commanded"])), scales.motor_m(raw["actual"])
+    # Feedback plus following error is the net desired position whatever sign convention the
+    # compensation register has (Software Reference Manual p. 382 and p. 516 differ).
+    following = raw.get("following_error")
+    desired_m = None if following is None else motor_m + scales.motor_m(following)
+    return Capture(
+        time_s=np.arange(commanded.size, dtype=np.float64) * scales.period_s,
+        commanded_position_m=commanded,
+        desired_position_m=None if desired_m is None else laid(desired_m),
+        motor_position_m=laid(motor_m),
+        table_position_m=laid(scales.table_m(raw["scale"])) if "scale" in raw else None,
+        # The word gathered in a cycle is the output of that cycle.
+        torque_command_Nm=laid(scales.torque_Nm(raw["output"])) if "output" in raw else None,
+        valid=valid,
+        attributes=dict(attributes),
     )
