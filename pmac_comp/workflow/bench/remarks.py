@@ -30,7 +30,6 @@ _RESONANCE_Hz = (5.0, 3000.0)
 _GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
 _DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
 _FULL_DAC = 32768.0
-_FACTORY_Ixx31, _FACTORY_Ixx08 = 1280.0, 96.0  # Ixx09 as Ixx08; Software Reference p. 112-124
 _LAG_SHARE = 0.5  # of the peak torque; a law needs the rest for inertia and friction
 _PEAK_OF_SENSITIVITY = 2.5  # 1.3 to 2 is usual (Aastroem and Murray, Feedback Systems, 10.3)
 
@@ -106,11 +105,13 @@ def _feedforward_text(bench: Bench) -> str:
     """The gain of velocity feed-forward that makes up for the damping, for people."""
     if bench.controller.kind != "pmac":
         return "Set Kvff_Nm_s_per_mm to Kd_Nm_s_per_mm"
-    motor, given = bench.encoder.motor_number, bench.controller.ivariables
-    damping = given.get(f"I{motor}31", _FACTORY_Ixx31)
-    # Both loops of a motor with one encoder have the same scale, but need not.
-    scales = given.get(f"I{motor}09", _FACTORY_Ixx08) / given.get(f"I{motor}08", _FACTORY_Ixx08)
-    return f"Set I{motor}32 = {damping * scales:.0f}, which makes up for I{motor}31"
+    motor, controller = bench.encoder.motor_number, bench.controller
+    of_one = controller.model_copy(
+        update={"ivariables": {**controller.ivariables, f"I{motor}32": 1.0}}
+    )
+    per_unit = velocity_gains(bench.model_copy(update={"controller": of_one}))
+    wanted = per_unit.damping_Nm_s_per_m / per_unit.feedforward_Nm_s_per_m
+    return f"Set I{motor}32 = {wanted:.0f}, which makes up for I{motor}31"
 
 
 def loop_remarks(bench: Bench, model: "DriveModel | None" = None) -> list[str]:
