@@ -1,6 +1,6 @@
 """A verification: all motions before and after, the static part, the ringing, and the verdict."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -239,11 +239,8 @@ def _left_text(outcome: MotionOutcome, floor_um: float) -> str:
     e_um, left_um = outcome.e_before.value, outcome.e_r_beyond_um(floor_um)
     if left_um <= max(_MEANT_FRAC * e_um, _MEANT_um, floor_um):
         return ""
-    told = ""
-    if outcome.promise is not None:
-        promised = _share_text(outcome.promise["e_r_after_um"], outcome.promise["e_before_um"])
-        told = f", {promised} expected"
-    return f"{outcome.name} {_share_text(left_um, e_um)}{told}"
+    expected = _expected_text(outcome.promise, "e_before_um", "e_r_after_um")
+    return f"{outcome.name} {_share_text(left_um, e_um)}{expected}"
 
 
 def _left_of_total_text(outcome: MotionOutcome, floor_um: float) -> str:
@@ -251,11 +248,13 @@ def _left_of_total_text(outcome: MotionOutcome, floor_um: float) -> str:
     before_um, left_um = outcome.total_before.value, outcome.total_after.value
     if left_um <= max(_MEANT_OF_TOTAL * before_um, floor_um):
         return ""
-    told = ""
-    if outcome.promise is not None:
-        after, before = (outcome.promise[f"total_{side}_um"] for side in ("after", "before"))
-        told = f", {_share_text(after, before)} expected"
-    return f"{outcome.name} {_share_text(left_um, before_um)}{told}"
+    expected = _expected_text(outcome.promise, "total_before_um", "total_after_um")
+    return f"{outcome.name} {_share_text(left_um, before_um)}{expected}"
+
+
+def _expected_text(promise: Mapping[str, float] | None, before: str, after: str) -> str:
+    """Share of an error that stays by the model, as an aside; nothing without a promise."""
+    return "" if promise is None else f", {_share_text(promise[after], promise[before])} expected"
 
 
 def _share_text(left_um: float, e_um: float) -> str:
