@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
 
+_Place = TypeVar("_Place", float, FloatArray)
 LOAD = "load"  # of a law's provenance, where captures show one
 BY_PLACE = "torque_by_place"  # the same where it rises along the travel
 UNEVEN = "uneven"  # the same where viscous friction differs between the directions
@@ -62,8 +64,8 @@ class ConstantTorque:
         """Whether it is known to change along the runs."""
         return abs(self.slope_Nm_per_m) > _PLACE_SURE * self.slope_two_std_Nm_per_m
 
-    def at(self, place_m: float) -> float:
-        """Torque in N m at a place of the table in m."""
+    def at(self, place_m: _Place) -> _Place:
+        """Torque in N m at places of the table in m."""
         rise = self.slope_Nm_per_m if self.rises else 0.0
         return self.torque_Nm + rise * (place_m - self.middle_m)
 

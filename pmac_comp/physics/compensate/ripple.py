@@ -6,8 +6,9 @@ may not: the model's fit, controllers.
 Cogging pushes whichever way the motor turns. Teeth that grip give a wave that changes its sign with
 the friction: it has the order of the cogging or is the nut's, once per turn. A motor may also have
 a second order of cogging, as of its poles beside that of its slots. The torque constant of a motor
-ripples too: that wave goes with the torque, shows most where a run accelerates, and has an order of
-its own. A law has room for one cogging and one of the others: for the two that explain most.
+ripples too: that wave goes with the torque, a load's among it, shows most where a run accelerates,
+and has an order of its own. A law has room for one cogging and one of the others: for the two that
+explain most.
 
 A model without these effects misses the motor's position by what the loop lets through of them.
 What it would let through of a known torque is simulated, so the amplitudes come out of a linear
@@ -21,11 +22,12 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import fftconvolve
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate import delay
+from pmac_comp.physics.compensate.constant import constant_torque
 from pmac_comp.physics.compensate.evaluation import friction_state
 from pmac_comp.physics.compensate.grip import gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -126,6 +128,8 @@ class _Runs:
         Runs without compensation.
     plain : tuple of LoopSignals
         The loop's signals along them.
+    torques_Nm : tuple of ndarray, shape (n,) each
+        What the motor is asked for: the model's torque and a load beside it.
     rests_m : tuple of ndarray, shape (n, 2) each
         Motor, and table minus motor, that the model does not explain.
     delay_s : float
@@ -136,6 +140,7 @@ class _Runs:
     loop: LoopRunner
     captures: tuple[Capture, ...]
     plain: tuple[LoopSignals, ...]
+    torques_Nm: tuple[FloatArray, ...]
     rests_m: tuple[FloatArray, ...]
     delay_s: float
 
@@ -145,13 +150,23 @@ class _Runs:
     ) -> "_Runs":
         """Captures with what the loop makes of them."""
         plain = tuple(loop(capture.commanded_position_m, None, None) for capture in captures)
+        load = constant_torque(loop, captures)
+        torques_Nm = tuple(
+            one.torque_Nm + (0.0 if load is None else load.at(capture.commanded_position_m))
+            for capture, one in zip(captures, plain, strict=True)
+        )
         rests_m = tuple(_rest_m(law, loop, capture) for capture in captures)
-        return cls(law, loop, tuple(captures), plain, rests_m, delay_s)
+        return cls(law, loop, tuple(captures), plain, torques_Nm, rests_m, delay_s)
+
+    def coggings(self) -> tuple[int, ...]:
+        """Orders of the cogging that the runs show."""
+        motor_m = [rest_m[:, _MOTOR] for rest_m in self.rests_m]
+        return cogging_orders(self.captures, motor_m, self.law.turn_m)
 
     def wave(self, order: int, kind: Kind) -> _Wave:
         """What a wave of an order does in all runs."""
-        both = zip(self.captures, self.plain, strict=True)
-        shapes = [self.shapes(c, order, _goes_with(self.law, c, one, kind)) for c, one in both]
+        both = zip(self.captures, self.torques_Nm, strict=True)
+        shapes = [self.shapes(c, order, _goes_with(self.law, c, own, kind)) for c, own in both]
         return _Wave(order, kind, self.responses(shapes))
 
     def shapes(self, capture: Capture, order: int, size: FloatArray) -> list[FloatArray]:
@@ -226,11 +241,10 @@ def turn_torque(
 
 def _candidates(runs: _Runs) -> list[tuple[_Wave, _Wave]]:
     """Pairs of a cogging, or none, and a second wave, of which a law has room for one."""
-    motor_m = [rest_m[:, _MOTOR] for rest_m in runs.rests_m]
-    orders = cogging_orders(runs.captures, motor_m, runs.law.turn_m)
+    orders = runs.coggings()
     once = runs.wave(1, Kind.GRIPS)
     coggings = [runs.wave(order, Kind.PUSHES) for order in orders]
-    rippling = _rippling(runs)
+    rippling = _rippling(runs, orders)
     ripples = [] if rippling is None else [runs.wave(rippling[0], Kind.RIPPLES)]
     if not coggings:
         nothing = _Wave(0, Kind.PUSHES, np.zeros_like(once.responses))
@@ -284,7 +298,8 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
     """
     pitch_m = 2.0 * math.pi * model.bench.lead_m_per_rad
     law = CompensationLaw(turn_m=pitch_m, torque_limit_Nm=model.bench.drive.torque_limit_Nm)
-    found = _rippling(_Runs.of(law, model_loop(model), captures, delay.drive_delay_s(model)))
+    runs = _Runs.of(law, model_loop(model), captures, delay.drive_delay_s(model))
+    found = _rippling(runs, runs.coggings())
     if found is None:
         return None
     order, (cosine, sine) = found
@@ -364,7 +379,7 @@ def _order_scores(
     return scores
 
 
-def _rippling(runs: _Runs) -> tuple[int, FloatArray] | None:
+def _rippling(runs: _Runs, coggings: Sequence[int]) -> tuple[int, FloatArray] | None:
     """Ripple of the torque that the motor's residual shows: order per turn, cosine and sine part.
 
     None without one. The parts are the share of the torque that the motor lacks.
@@ -381,7 +396,7 @@ def _rippling(runs: _Runs) -> tuple[int, FloatArray] | None:
     no_room = law.gap_half_m > 0.0 and law.bed_share > 0.0
     if no_room or law.torque_limit_Nm == 0.0 or n < _LEAST_RUNS:
         return None
-    normal, moment = _ripple_equations(runs)
+    normal, moment = _ripple_equations(runs, coggings)
     share = _solved(normal.sum(0), moment.sum(0))
     others = _solved(normal.sum(0) - normal, moment.sum(0) - moment)
     variance = (n - 1.0) / n * np.sum((others - others.mean(axis=0)) ** 2, axis=(0, 2))
@@ -391,26 +406,37 @@ def _rippling(runs: _Runs) -> tuple[int, FloatArray] | None:
     return (best + 1, share[best]) if told else None
 
 
-def _ripple_equations(runs: _Runs) -> tuple[FloatArray, FloatArray]:
+def _ripple_equations(runs: _Runs, coggings: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """Normal equations of a ripple of each order in each run: matrix and right side.
 
-    Shapes (runs, orders, 2, 2) and (runs, orders, 2): by cosine and sine.
+    Shapes (runs, orders, 2, 2) and (runs, orders, 2): by cosine and sine. Cogging is fitted beside
+    it, of any size in each run: neighbouring orders of a run of few turns look alike.
     """
     n = len(runs.captures)
     normal, moment = np.empty((n, _HIGHEST_ORDER, 2, 2)), np.empty((n, _HIGHEST_ORDER, 2))
     answer = _pulse_answer(runs.loop, runs.captures[0])
-    together = zip(runs.captures, runs.plain, runs.rests_m, strict=True)
-    for k, (capture, one, rest_m) in enumerate(together):
-        length = next_fast_len(capture.n + answer.size)
-        gains = rfft(answer, length)
-        left = rest_m[:, _MOTOR] - rest_m[:, _MOTOR].mean()
-        torque = _goes_with(runs.law, capture, one, Kind.RIPPLES)
+    together = zip(runs.captures, runs.torques_Nm, runs.rests_m, strict=True)
+    for k, (capture, torque_Nm, rest_m) in enumerate(together):
+        one = np.ones(capture.n)
+        pushed = [row for order in coggings for row in runs.shapes(capture, order, one)]
+        beside, _ = np.linalg.qr(np.vstack([one, *_answered(pushed, answer)]).T)
+        left = _apart(rest_m[:, _MOTOR], beside)
         for i in range(_HIGHEST_ORDER):
-            shapes = np.array(runs.shapes(capture, i + 1, torque))
-            moved = irfft(rfft(shapes, length) * gains, length)[:, : capture.n]
-            moved -= moved.mean(axis=1, keepdims=True)
-            normal[k, i], moment[k, i] = moved @ moved.T, moved @ left
+            shapes = _apart(
+                np.array(_answered(runs.shapes(capture, i + 1, torque_Nm), answer)), beside
+            )
+            normal[k, i], moment[k, i] = shapes @ shapes.T, shapes @ left
     return normal, moment
+
+
+def _answered(torques: Sequence[FloatArray], answer: FloatArray) -> list[FloatArray]:
+    """What torques move by the answer to a pulse of one sample."""
+    return [fftconvolve(torque, answer)[: torque.size] for torque in torques]
+
+
+def _apart(values: FloatArray, beside: FloatArray) -> FloatArray:
+    """Rows, shape (..., n), less what columns at right angles, shape (n, m), have of them."""
+    return values - values @ beside @ beside.T
 
 
 def _solved(normal: FloatArray, moment: FloatArray) -> FloatArray:
@@ -469,12 +495,12 @@ def _table_minus_motor(signals: LoopSignals) -> FloatArray:
 
 
 def _goes_with(
-    law: CompensationLaw, capture: Capture, plain: LoopSignals, kind: Kind
+    law: CompensationLaw, capture: Capture, torque_Nm: FloatArray, kind: Kind
 ) -> FloatArray:
     """What a wave is multiplied by: friction's direction, the torque in N m, or one."""
     if kind is Kind.GRIPS:
         return _state(law, capture)
-    return plain.torque_Nm if kind is Kind.RIPPLES else np.ones(capture.n)
+    return torque_Nm if kind is Kind.RIPPLES else np.ones(capture.n)
 
 
 def _steady_shapes(law: CompensationLaw, capture: Capture) -> list[FloatArray]:

@@ -139,6 +139,24 @@ def test_torque_that_ripples_is_found_by_its_share_and_undone() -> None:
     assert abs(np.corrcoef(wave, plant)[0, 1]) > 0.97
 
 
+def test_the_load_of_an_axis_ripples_too() -> None:
+    weight: dict[str, float | str] = {"force_N": 400.0}
+    got = found({"torque_ripple": RIPPLE, "bias_force": weight}, moves=HARD_MOVES)
+    assert (got.second_kind, got.second_order) == (Kind.RIPPLES, 6)
+    assert got.second_size == pytest.approx(0.5 / 6.37, rel=0.1)
+    assert got.second_phase_rad == pytest.approx(0.4 - 0.5 * math.pi, abs=0.1)
+    assert got.order == 0  # the law's wave multiplies its load too: as cogging it was sent twice
+
+
+def test_a_small_ripple_is_told_beside_cogging_of_its_neighbourhood() -> None:
+    ripple = RIPPLE | {"amplitude_Nm": 0.13, "order_per_rev": 8.0}
+    cogging: dict[str, float | str] = {"amplitude_Nm": 0.05, "order_per_rev": 7.0}
+    got = found({"torque_ripple": ripple, "cogging": cogging}, moves=HARD_MOVES)
+    assert got.order == 7
+    assert (got.second_kind, got.second_order) == (Kind.RIPPLES, 8)
+    assert got.second_size == pytest.approx(0.13 / 6.37, rel=0.15)
+
+
 def test_no_ripple_is_taken_for_one_where_a_law_has_no_room_or_no_torque_ripples() -> None:
     gap = LAW.with_values(coulomb_m=1e-6, gap_half_m=1e-6, gap_width_m=1e-6)
     assert found({"torque_ripple": RIPPLE}, moves=HARD_MOVES, law=gap).second_kind is Kind.RIPPLES
