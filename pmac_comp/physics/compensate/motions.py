@@ -8,16 +8,32 @@ controller runs (``workflow.motion.campaigns``): a law is verified on none of th
 import math
 
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.model.chain import velocity_gains
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 
 HARD_MOVE_m_per_s2 = 5.0  # no move is harder, whatever a bench allows
 MOVE_S_CURVE_s = 0.015  # in which a move reaches its acceleration
 _HARD_SINE_m_per_s2 = 10.0
 _SINE_ROOM = 0.9  # a sinusoid that grows or fades asks for more than in full swing
+_LAG_SHARE = 0.75  # of the peak torque; a law needs the rest for inertia and friction
+
+
+def reached_speed_m_per_s(bench: Bench) -> float:
+    """Highest speed up to which a law's torque makes up for what the loop's damping takes.
+
+    The usable speed of most benches. Without velocity feed-forward a law may reach a tenth of that:
+    fitted on motions beyond, on which its torque clamps, it is wrong on those within reach too.
+    """
+    lacking_Nm_s_per_m = abs(velocity_gains(bench).lacking_Nm_s_per_m)
+    most_Nm = _LAG_SHARE * bench.drive.torque_limit_Nm
+    fastest_m_per_s = bench.usable_speed_m_per_s
+    if lacking_Nm_s_per_m * fastest_m_per_s <= most_Nm:
+        return fastest_m_per_s
+    return most_Nm / lacking_Nm_s_per_m
 
 
 def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
-    """Motions over the usable range of a bench on which the coefficients of a law are refined.
+    """Motions on which the coefficients of a law are refined, over the range that one reaches.
 
     Sinusoids from slow to the acceleration limit and jerk-limited moves, fast and slow, hard and
     soft, at places over the travel. Two of them are long and slow: on those a load holds the nut
@@ -25,7 +41,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     """
     low_m, high_m = bench.travel_m
     middle_m, span_m = 0.5 * (low_m + high_m), high_m - low_m
-    fastest_m_per_s = bench.usable_speed_m_per_s
+    fastest_m_per_s = reached_speed_m_per_s(bench)
     hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
 
     def sine(amplitude_m: float, frequency_Hz: float, place: float, cycles: float) -> Trajectory:
@@ -80,7 +96,7 @@ def resting_moves(bench: Bench, *, n_moves: int, dwell_cycles: int) -> tuple[Tra
     from scipy.stats.qmc import Halton
 
     low_m, high_m = bench.travel_m
-    span_m, fastest_m_per_s = high_m - low_m, bench.usable_speed_m_per_s
+    span_m, fastest_m_per_s = high_m - low_m, reached_speed_m_per_s(bench)
     drawn = Halton(4, scramble=False).random(n_moves)
     return tuple(
         trapezoid(
@@ -97,13 +113,13 @@ def resting_moves(bench: Bench, *, n_moves: int, dwell_cycles: int) -> tuple[Tra
 
 
 def fastest_move(bench: Bench) -> Trajectory:
-    """A long move at the highest speed, in the middle of the travel."""
+    """A long move at the highest speed that a law reaches, in the middle of the travel."""
     low_m, high_m = bench.travel_m
     reach_m = 0.4 * (high_m - low_m)
     return trapezoid(
         period_s=bench.servo_period_s,
         distance_m=reach_m,
-        speed_m_per_s=bench.usable_speed_m_per_s,
+        speed_m_per_s=reached_speed_m_per_s(bench),
         acceleration_m_per_s2=_hardest_move_m_per_s2(bench),
         s_curve_s=MOVE_S_CURVE_s,
         start_m=0.5 * (low_m + high_m - reach_m),

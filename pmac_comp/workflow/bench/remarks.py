@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from pmac_comp.base.units import MM_PER_M, UM_PER_M, US_PER_S
 from pmac_comp.files.bench import Bench, Drive, STEEL_DENSITY_kg_per_m3, STEEL_YOUNG_Pa
 from pmac_comp.machine.controller.contents.law_bank import BLOCK_SIZE
+from pmac_comp.physics.compensate.motions import reached_speed_m_per_s
 from pmac_comp.physics.model.chain import velocity_gains
 from pmac_comp.workflow.bench.view import resonance_Hz, tuned_motors
 
@@ -30,7 +31,6 @@ _RESONANCE_Hz = (5.0, 3000.0)
 _GEOMETRY = 4.0  # stated over what a steel screw of these dimensions has, either way
 _DAC_SHARE = (0.2, 20.0)  # torque of the full output over the peak torque of the drive
 _FULL_DAC = 32768.0
-_LAG_SHARE = 0.5  # of the peak torque; a law needs the rest for inertia and friction
 _PEAK_OF_SENSITIVITY = 2.5  # 1.3 to 2 is usual (Aastroem and Murray, Feedback Systems, 10.3)
 
 
@@ -82,22 +82,22 @@ def _pace(bench: Bench) -> list[str]:
 def lag_remarks(bench: Bench) -> list[str]:
     """Whether the loop's damping holds the motor back by more torque than a law can send.
 
-    A law takes that lag away as long as its torque reaches. Beyond, its fit made up for the clamp
-    with friction of the wrong sign: on a drive without velocity feed-forward (simulated) 0.55 of
-    the total error were left and twice the aim of e_r.
+    A law takes that lag away as long as its torque reaches, and is fitted as far as that.
     """
     gains, speed_m_per_s = velocity_gains(bench), bench.usable_speed_m_per_s
-    limit_Nm = bench.drive.torque_limit_Nm
-    lacking_Nm = gains.lacking_Nm_s_per_m * speed_m_per_s
-    if abs(lacking_Nm) <= _LAG_SHARE * limit_Nm or gains.proportional_Nm_per_m == 0.0:
+    limit_Nm, reached_m_per_s = bench.drive.torque_limit_Nm, reached_speed_m_per_s(bench)
+    if reached_m_per_s >= speed_m_per_s or gains.proportional_Nm_per_m == 0.0:
         return []
+    lacking_Nm = gains.lacking_Nm_s_per_m * speed_m_per_s
     lag_mm = lacking_Nm / gains.proportional_Nm_per_m * MM_PER_M
     way = "behind" if lag_mm > 0.0 else "ahead of"
     return [
         f"velocity feed-forward and damping of the loop differ by {abs(lacking_Nm):.3g} N m at "
         f"{speed_m_per_s * MM_PER_M:.0f} mm/s, the drive has {limit_Nm:g}: the motor runs up to "
-        f"{abs(lag_mm):.2g} mm {way} its command, and no law can send that torque. "
-        f"{_feedforward_text(bench)}, on the card too, before runs are captured"
+        f"{abs(lag_mm):.2g} mm {way} its command, and no law can send that torque. Laws are "
+        f"fitted up to {reached_m_per_s * MM_PER_M:.0f} mm/s, where three quarters of the drive's "
+        f"torque make up for it, and do little beyond. {_feedforward_text(bench)}, on the card "
+        "too, before runs are captured"
     ]
 
 

@@ -13,7 +13,7 @@ from pmac_comp.physics.compensate.design import NutGap, design_law, slower_law, 
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
-from pmac_comp.physics.compensate.motions import design_motions
+from pmac_comp.physics.compensate.motions import design_motions, reached_speed_m_per_s
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
@@ -43,6 +43,25 @@ def test_coefficients_are_those_of_the_closed_forms(law: CompensationLaw) -> Non
     assert law.coulomb_m == pytest.approx(0.93e-6, rel=0.15)
     # Slope of the inertial coefficient along the screw: 1.82 um per m/s2 and m.
     assert law.compliance_slope_per_m == pytest.approx(1.82 / 2.2, rel=0.10)
+
+
+def test_a_loop_without_velocity_feed_forward_gets_a_law_for_the_speeds_that_it_reaches() -> None:
+    """Fitted on motions that clamp its torque, it left half of the error of slow ones."""
+    gains = {**BENCH.controller.ivariables, "I132": 0.0}
+    controller = BENCH.controller.model_copy(update={"ivariables": gains})
+    bench = BENCH.model_copy(update={"controller": controller})
+    reached = reached_speed_m_per_s(bench)
+    assert reached == pytest.approx(0.1, rel=0.05)
+    assert reached_speed_m_per_s(BENCH) == BENCH.usable_speed_m_per_s
+    loop = model_loop(DriveModel.base(bench))
+    law = design_law(bench, loop)
+    assert law.valid_speed_m_per_s == pytest.approx(0.9 * reached, rel=0.1)
+    motion = sinusoid(
+        period_s=bench.servo_period_s, amplitude_m=0.008, frequency_Hz=0.8, cycles=2.0
+    )
+    expected = promise(law, loop, motion, latency_cycles=1)
+    assert expected.total_before_um > 50.0
+    assert expected.total_after_um < 0.1 * expected.total_before_um
 
 
 def test_impulse_takes_from_the_ringing_that_a_hard_move_excites(law: CompensationLaw) -> None:

@@ -85,6 +85,7 @@ def test_the_pace_of_plc_0_is_told_as_the_bench_file_has_it(line, said):
     [
         ("I132 = 2804", "I132 = 0", "71.3 N m at 500 mm/s, the drive has 19.11: the motor runs up"),
         ("I132 = 2804", "I132 = 0", "to 4.8 mm behind its command"),
+        ("I132 = 2804", "I132 = 0", "Laws are fitted up to 100 mm/s"),
         ("I132 = 2804", "I132 = 0", "Set I132 = 2774, which makes up for I131"),
         ("I132 = 2804", "I132 = 5608", "ahead of its command"),
         ("I132 = 2804", "", "Set I132 = 2774"),  # a card without settings has 1280
@@ -92,7 +93,7 @@ def test_the_pace_of_plc_0_is_told_as_the_bench_file_has_it(line, said):
     ],
 )
 def test_a_lag_that_no_law_can_take_away_is_remarked_on(old, new, said):
-    """Its fit made up for the clamp of the torque with friction of the wrong sign, unsaid."""
+    """Nobody said so, and why a law did little."""
     assert old in TEXT
     told = " ".join(lag_remarks(parse_bench(TEXT.replace(old, new, 1))))
     assert (said in told) if said else (told == "")
