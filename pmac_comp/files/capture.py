@@ -40,6 +40,11 @@ _UNITS = {
 }  # fmt: skip
 _REQUIRED = ("time_s", "commanded_position_mm", "motor_position_mm")
 _VALID = "valid"
+# Further columns of which something is made.
+EXTERNAL_FORCE = "external_force_N"
+TORQUE_FEEDFORWARD = "torque_feedforward_Nm"
+TRUE_POSITIONS = ("true_table_position_m", "true_motor_position_m")
+_READ_BESIDE = frozenset({EXTERNAL_FORCE, TORQUE_FEEDFORWARD, *TRUE_POSITIONS})
 PREDICTED = "predicted by a model, not measured"  # what such a capture says under ``source``
 
 
@@ -62,7 +67,8 @@ class Capture:
     valid : ndarray of bool, shape (n,), or None
         False marks dropped or clipped samples; None means that all are valid.
     extra : Mapping of str to ndarray, shape (n,)
-        Further columns, in the unit that their name says.
+        Further columns, in the unit that their name says. Those of which nothing is made may hold
+        NaN, as a thermometer that is read once a second leaves it.
     attributes : Mapping of str to str, float or int
         Servo period, UTC start, bench text, controller identity and the like.
 
@@ -92,7 +98,9 @@ class Capture:
                 hint="Capture again, or check that the file is whole.",
             )
         for name, column in self._all_columns():
-            self._check_column(name, column)
+            self._check_length(name, column)
+            if name not in self.extra or name in _READ_BESIDE:
+                self._check_finite(name, column)
         self._check_grid()
 
     @property
@@ -151,13 +159,15 @@ class Capture:
         columns = [*own, (_VALID, self.valid), *self.extra.items()]
         return [(name, column) for name, column in columns if column is not None]
 
-    def _check_column(self, name: str, column: Any) -> None:
+    def _check_length(self, name: str, column: Any) -> None:
         if column.shape != self.time_s.shape:
             raise CaptureError(
                 f"Column {name} has {column.size} samples, time_s has {self.time_s.size}.",
                 code="PC-CAP-002",
                 hint="All columns of a capture must have one length.",
             )
+
+    def _check_finite(self, name: str, column: Any) -> None:
         bad = np.flatnonzero(~np.isfinite(column) & (self.mask | (name == "time_s")))
         if bad.size:
             raise CaptureError(

@@ -20,6 +20,7 @@ from pmac_comp.files.sidecar import Attribute, read_attributes, write_attributes
 
 MAX_SAMPLES = 200_000_000
 _LONGEST_LINE = 100_000  # of a heading; what the csv module takes ends a little above
+_WORDS = {"": np.nan, "true": 1.0, "false": 0.0}
 _OTHER_SEPARATORS = (";", "\t", " ")  # what spreadsheets of other countries write
 Columns = Mapping[str, FloatArray]
 
@@ -176,7 +177,7 @@ def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
     rows = np.empty((len(body), n_columns))
     for i, row in enumerate(csv.reader(body)):
         try:
-            rows[i] = [float(cell) for cell in row]
+            rows[i] = [_number(cell) for cell in row]
         except ValueError as error:
             raise CaptureError(
                 f"data row {i + 1} is not {n_columns} numbers: {','.join(row)[:80]!r}.",
@@ -184,6 +185,12 @@ def _number_rows(lines: list[str], n_columns: int) -> FloatArray:
                 hint="Each row needs one decimal number (point, no thousands sign) per column.",
             ) from error
     return rows
+
+
+def _number(cell: str) -> float:
+    """Number of a cell: pandas writes what is missing as nothing, and truth in words."""
+    word = cell.strip().lower()
+    return _WORDS[word] if word in _WORDS else float(cell)
 
 
 def write_csv(path: Path, columns: Columns, attributes: Mapping[str, Attribute]) -> None:

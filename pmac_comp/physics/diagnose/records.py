@@ -23,11 +23,10 @@ from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import EXTERNAL_FORCE, TORQUE_FEEDFORWARD, Capture
 from pmac_comp.physics.diagnose.localise import Coordinates, machine_coordinates
 from pmac_comp.physics.identify.derivatives import bridged
 from pmac_comp.physics.identify.plausibility import require_positions
-from pmac_comp.physics.identify.records import EXTERNAL_FORCE, TORQUE_FEEDFORWARD
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
 from pmac_comp.physics.model.resting import first_under_way, forgetting_s, start_of
 from pmac_comp.physics.model.start import RELAXED, Start

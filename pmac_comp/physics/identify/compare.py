@@ -12,7 +12,7 @@ from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import TRUE_POSITIONS, Capture
 from pmac_comp.physics.identify.friction_form import identify_with_friction
 from pmac_comp.physics.identify.records import prepare, simulated_full
 from pmac_comp.physics.identify.result import Identification, StaticMap
@@ -20,7 +20,6 @@ from pmac_comp.physics.identify.rivals import fit_rival, rivals
 from pmac_comp.physics.signals.metrics import rms_um
 
 FULL_NAME = "full model, from the command alone"
-_TRUE = ("true_table_position_m", "true_motor_position_m")
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,8 @@ def _error_m(capture: Capture, static_map: StaticMap | None) -> FloatArray:
             "A capture for judging has no table position.", code="PC-CMP-001", hint="Use others."
         )
     table, motor = capture.table_position_m, capture.motor_position_m
-    if all(name in capture.extra for name in _TRUE):
-        table, motor = capture.extra[_TRUE[0]], capture.extra[_TRUE[1]]
+    if all(name in capture.extra for name in TRUE_POSITIONS):
+        table, motor = capture.extra[TRUE_POSITIONS[0]], capture.extra[TRUE_POSITIONS[1]]
     error = table - motor
     return error if static_map is None else error - static_map.error_m(table)
 
@@ -158,7 +157,7 @@ def _full_prediction_m(capture: Capture, found: Identification, bench: Bench) ->
 
 
 def _judged_on(judge: Sequence[Capture]) -> str:
-    true = all(name in capture.extra for capture in judge for name in _TRUE)
+    true = all(name in capture.extra for capture in judge for name in TRUE_POSITIONS)
     return "unquantised" if true else "measured"
 
 

@@ -23,7 +23,7 @@ from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import CaptureError
 from pmac_comp.base.units import US_PER_S
 from pmac_comp.files.bench import Bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import EXTERNAL_FORCE, TORQUE_FEEDFORWARD, Capture
 from pmac_comp.physics.identify.derivatives import bridged, usable_rows
 from pmac_comp.physics.identify.result import StaticMap
 from pmac_comp.physics.model.drive import DriveModel, Response, simulate
@@ -32,8 +32,6 @@ from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.grid import onto_servo_grid
 
 LeaveOut = Literal["nothing", "rest", "reversals"]
-EXTERNAL_FORCE = "external_force_N"
-TORQUE_FEEDFORWARD = "torque_feedforward_Nm"
 _KNOT_SPACING_m = 0.05
 _MAX_KNOTS = 12
 _HARMONICS = (1.0, 2.0)

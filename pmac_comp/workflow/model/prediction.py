@@ -15,7 +15,14 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import CaptureError, ConfigError
 from pmac_comp.base.units import MS_PER_S, US_PER_S
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import PREDICTED, Capture, read_capture, write_capture
+from pmac_comp.files.capture import (
+    EXTERNAL_FORCE,
+    PREDICTED,
+    TORQUE_FEEDFORWARD,
+    Capture,
+    read_capture,
+    write_capture,
+)
 from pmac_comp.physics.model.start import RELAXED, Start
 from pmac_comp.physics.signals.metrics import rms_um
 from pmac_comp.workflow.bench.same_axis import PERIOD_TOLERANCE
@@ -132,8 +139,6 @@ def _start(bench: Bench, given: _Inputs) -> Start:
 
 def _inputs(command: Path) -> _Inputs:
     """What a command file or a capture gives to a prediction."""
-    from pmac_comp.physics.identify.records import EXTERNAL_FORCE, TORQUE_FEEDFORWARD
-
     if command.suffix.lower() == ".csv" and not _is_capture(command):
         return _Inputs(*read_command(command))
     capture = read_capture(command)

@@ -182,6 +182,24 @@ def test_samples_marked_not_valid_may_hold_nan(tmp_path):
     assert read_capture(tmp_path / "a.csv").mask.tolist() == [True, False, True]
 
 
+def test_columns_that_nothing_is_made_of_may_have_holes(tmp_path):
+    """As pandas writes a thermometer that is read now and then, and truth in words."""
+    path = tmp_path / "a.csv"
+    heading = "time_s,commanded_position_mm,motor_position_mm,valid,"
+    rows = "\n0,0,0,True,21.5\n1,1,,False,\n2,2,2,True,\n"
+    path.write_text(heading + "temperature_C" + rows)
+    capture = read_capture(path)
+    assert capture.mask.tolist() == [True, False, True]
+    np.testing.assert_array_equal(capture.extra["temperature_C"], [21.5, np.nan, np.nan])
+    write_capture(tmp_path / "b.csv", capture)
+    np.testing.assert_array_equal(
+        read_capture(tmp_path / "b.csv").extra["temperature_C"], [21.5, np.nan, np.nan]
+    )
+    path.write_text(heading + "external_force_N" + rows)
+    with pytest.raises(CaptureError, match="external_force_N holds nan at sample 2"):
+        read_capture(path)
+
+
 def test_links_in_hdf5_are_refused(tmp_path):
     write_capture(tmp_path / "run.h5", _capture())
     with h5py.File(tmp_path / "run.h5", "a") as file:

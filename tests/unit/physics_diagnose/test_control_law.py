@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.files.capture import Capture
+from pmac_comp.files.capture import TORQUE_FEEDFORWARD, Capture
 from pmac_comp.physics.diagnose.control_law import told_of_law
 from pmac_comp.physics.diagnose.records import prepare
-from pmac_comp.physics.identify.records import TORQUE_FEEDFORWARD
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals import trajectory as tr
