@@ -33,11 +33,14 @@ class RunLeft:
         Rms of its last channel.
     peak_Nm : float
         Largest torque command, 0 where it was not captured.
+    judges : bool
+        Whether nothing of it was fitted.
     """
 
     name: str
     left_um: float
     peak_Nm: float
+    judges: bool = False
 
 
 def told_by_run(grown: Grown, left: Remainder) -> tuple[str, ...]:
@@ -61,13 +64,15 @@ def _runs(grown: Grown) -> list[RunLeft]:
     workbench = grown.workbench
     residuals = workbench.residuals(grown.final.simulated)
     found = []
-    for record, counted, residual in zip(
-        workbench.records, workbench.counted, residuals, strict=True
+    for record, fitting, counted, residual in zip(
+        workbench.records, workbench.fitting, workbench.counted, residuals, strict=True
     ):
         missed = residual[counted, -1]
         if missed.size:
             peak = 0.0 if record.torque_Nm is None else float(np.abs(record.torque_Nm).max())
-            found.append(RunLeft(record.name, UM_PER_M * float(missed.std()), peak))
+            found.append(
+                RunLeft(record.name, UM_PER_M * float(missed.std()), peak, not fitting.any())
+            )
     return found
 
 
@@ -92,7 +97,20 @@ def sentences(runs: Sequence[RunLeft]) -> tuple[str, ...]:
     most = [r for r in ranked if r.left_um > _ALIKE * ranked[0].left_um][:_MOST_NAMES]
     listed = ", ".join(f"{r.name} ({r.left_um:.3g} um)" for r in most)
     text = f"Runs that show it most: {listed}; least: {ranked[-1].name} ({ranked[-1].left_um:.2g}"
-    return (f"{text} um).", *_parted(sorted(runs, key=lambda r: r.peak_Nm)))
+    return (f"{text} um).", *_new(runs), *_parted(sorted(runs, key=lambda r: r.peak_Nm)))
+
+
+def _new(runs: Sequence[RunLeft]) -> tuple[str, ...]:
+    """That the runs which judge show it and those that were fitted do not: it was not there."""
+    judging, fitted = ([r.left_um for r in runs if r.judges is which] for which in (True, False))
+    if not judging or not fitted or min(judging) < _PARTED * max(fitted):
+        return ()
+    return (
+        f"The runs that were fitted are explained to {max(fitted):.2g} um, all that judge leave at "
+        f"least {min(judging):.2g} um: it came with these. A load, a setting or a temperature "
+        "changed before them, or their motions ask for what no fitted one does; runs without an "
+        "effect name none. Give them all without --validate, and part of each is fitted.",
+    )
 
 
 def _parted(rising: Sequence[RunLeft]) -> tuple[str, ...]:

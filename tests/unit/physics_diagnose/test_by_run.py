@@ -30,6 +30,16 @@ def test_runs_that_differ_otherwise_are_told_without_a_level(runs):
     assert len(sentences(runs)) == 1
 
 
+def test_what_came_with_the_runs_that_judge_is_told():
+    fitted = [RunLeft("a", 0.2, 1.0), RunLeft("b", 0.3, 5.0)]
+    judging = [RunLeft("c", 2.7, 3.0, judges=True), RunLeft("d", 2.9, 5.0, judges=True)]
+    _, new = sentences([*fitted, *judging])
+    assert "fitted are explained to 0.3 um, all that judge leave at least 2.7 um" in new
+    assert "without --validate" in new
+    as_before = RunLeft("e", 0.2, 5.0, judges=True)
+    assert len(sentences([*fitted, *judging, as_before])) == 1
+
+
 def test_nothing_is_told_where_all_runs_show_it_alike():
     assert sentences([RunLeft("a", 1.0, 1.0), RunLeft("b", 1.5, 9.0)]) == ()
     assert sentences([RunLeft("a", 1.0, 1.0)]) == ()
@@ -40,7 +50,9 @@ def test_only_what_has_no_name_is_told_by_run(unexplained):
     missed = [1e-6 * size * np.array([[1.0], [-1.0], [7.0]]) for size in (0.1, 2.0)]
     records = [SimpleNamespace(name=n, torque_Nm=None) for n in ("slow", "fast")]
     counted = [np.array([True, True, False])] * 2
-    bench = SimpleNamespace(records=records, counted=counted, residuals=lambda simulated: missed)
+    bench = SimpleNamespace(
+        records=records, fitting=counted, counted=counted, residuals=lambda simulated: missed
+    )
     grown: Any = SimpleNamespace(workbench=bench, final=SimpleNamespace(simulated=None))
     left: Any = SimpleNamespace(unexplained=unexplained)
     told = told_by_run(grown, left)
