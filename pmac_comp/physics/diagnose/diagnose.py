@@ -18,6 +18,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.diagnose.by_run import told_by_run
 from pmac_comp.physics.diagnose.claims import Claims, claims_of, named_alone, unreached
+from pmac_comp.physics.diagnose.clipping import told_of_clipping
 from pmac_comp.physics.diagnose.clocks import SLOW
 from pmac_comp.physics.diagnose.constancy import inconstant
 from pmac_comp.physics.diagnose.contenders import Rules
@@ -53,6 +54,7 @@ from pmac_comp.physics.identify.rigid import rigid_start
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
+_CLIPS = "torque_saturation"
 _RULED_OUT = 0.05  # largest p-value at which a look-alike counts as ruled out
 # A second form of presliding for prediction; the diagnosis names the phenomenon once.
 _FORMS = frozenset({"presliding_gms"})
@@ -234,6 +236,7 @@ def _assembled(
         findings=released,
         statements=(
             *told_of_law(grown.workbench.records, bench),
+            *(() if _CLIPS in claims.effects else told_of_clipping(grown.workbench.records, bench)),
             *statements_of(
                 Story(
                     verdict,
