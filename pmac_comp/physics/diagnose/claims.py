@@ -7,6 +7,7 @@ that closes the gap only as the imitation of another is part of the model and no
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def claims_of(
     rules: Rules,
     findings: Sequence[Finding] = (),
     *,
-    beyond: Collection[str] = (),
+    beyond: Mapping[str, str] = MappingProxyType({}),
     apart: Collection[str] = (),
 ) -> Claims:
     """Effects that may be claimed by name.
@@ -95,8 +96,8 @@ def claims_of(
         Figures of the decisions.
     findings : sequence of Finding
         Known parameters that the data places outside their tolerance.
-    beyond : collection of str
-        Effects whose corner no run crosses.
+    beyond : Mapping of str to str
+        Effects whose corner no run crosses, and what they are then.
     apart : collection of str
         Effects whose size would have to differ from run to run.
 
@@ -112,7 +113,7 @@ def claims_of(
             continue
         why = _doubt(done, done.accepted, grown.final.model, left, estimates, rules)
         if done.accepted.effect in beyond:
-            why = "no run crosses its corner, so what shows is a spring of another stiffness"
+            why = beyond[done.accepted.effect]
         if done.accepted.effect in _TILT and not why:
             why = _tilted(grown, estimates)
         if done.accepted.effect in apart and not why:
@@ -153,8 +154,8 @@ def named_alone(grown: Grown, claims: Claims) -> Grown | None:
     return replace(grown, final=final, rounds=claims.rounds, open_SI={})
 
 
-def unreached(grown: Grown) -> frozenset[str]:
-    """Effects with a corner in the joint's spring that no run crosses: a spring without a corner.
+def unreached(grown: Grown) -> Mapping[str, str]:
+    """Effects with a corner in the joint's spring that no run crosses, and what they are then.
 
     It lies beyond the force of every run, or, of a joint that gives way beyond it, so near to none
     that the runs stay on its far side.
@@ -162,14 +163,30 @@ def unreached(grown: Grown) -> frozenset[str]:
     model = grown.final.model
     key = next((n for n in model.effects if split_name(n)[0] == "preload_loss"), "")
     if not key:
-        return frozenset()
+        return {}
     vector = model.kernel_vector()
     corner_N = vector[slots.K_NUT] * vector[slots.SOFT_RATIO] * vector[slots.SOFT_HALF]
     forces_N = [np.abs(r.response(model).joint_force_N) for r in grown.workbench.records]
     within = float(np.mean(np.concatenate(forces_N) <= corner_N))
     # A zone around zero force may be narrow in force and wide in deflection: play has none.
     passed = split_name(key)[1] != "beyond" or within > _LEAST_WITHIN
-    return frozenset() if passed and within < 1.0 else frozenset({"preload_loss"})
+    if passed and within < 1.0:
+        return {}
+    softer = vector[slots.SOFT_RATIO] if within == 1.0 else 1.0
+    return {"preload_loss": _another_spring(model, float(softer * vector[slots.K_NUT]))}
+
+
+def _another_spring(model: DriveModel, nut_N_per_m: float) -> str:
+    """A joint without a corner in words: bearing and nut in series, beside the bench file's."""
+    why = "no run crosses its corner, so what shows is a spring of another stiffness"
+    spec = model.spec("chain.axial_stiffness_N_per_m")
+    bearing_N_per_m = float(model.kernel_vector()[slots.K_BEARING])
+    series_N_per_m = 1.0 / (1.0 / bearing_N_per_m + 1.0 / nut_N_per_m) if nut_N_per_m else 0.0
+    return (
+        f"{why}: {spec.to_file(series_N_per_m):.3g} {spec.file_unit or spec.unit} of bearing and "
+        f"nut in series, where the bench file has {spec.file_name or spec.name} = "
+        f"{spec.to_file(spec.nominal):.4g}; if that figure is wrong, correct it first"
+    )
 
 
 def _tilted(grown: Grown, estimates: Sequence[Estimate]) -> str:

@@ -189,7 +189,7 @@ class _Found:
     estimates: tuple[Estimate, ...]
     findings: tuple[Finding, ...]
     alone: bool
-    beyond: frozenset[str]
+    beyond: Mapping[str, str]
     apart: frozenset[str]
 
 
