@@ -103,13 +103,18 @@ def sentences(runs: Sequence[RunLeft]) -> tuple[str, ...]:
 def _new(runs: Sequence[RunLeft]) -> tuple[str, ...]:
     """That the runs which judge show it and those that were fitted do not: it was not there."""
     judging, fitted = ([r.left_um for r in runs if r.judges is which] for which in (True, False))
-    if not judging or not fitted or min(judging) < _PARTED * max(fitted):
+    if not judging or not fitted or min(judging) < max(fitted):
+        return ()
+    # One run with many rests leaves as much as rounding makes of them.
+    all_fitted, all_judging = (float(np.sqrt(np.mean(np.square(v)))) for v in (fitted, judging))
+    if all_judging < _PARTED * all_fitted:
         return ()
     return (
-        f"The runs that were fitted are explained to {max(fitted):.2g} um, all that judge leave at "
-        f"least {min(judging):.2g} um: it came with these. A load, a setting or a temperature "
-        "changed before them, or their motions ask for what no fitted one does; runs without an "
-        "effect name none. Give them all without --validate, and part of each is fitted.",
+        f"The runs that were fitted leave {all_fitted:.2g} um rms, at most {max(fitted):.2g} um; "
+        f"all that judge leave at least {min(judging):.2g} um: it came with these. A load, a "
+        "setting or a temperature changed before them, or their motions ask for what no fitted one "
+        "does; runs without an effect name none. Give them all without --validate, and part of "
+        "each is fitted.",
     )
 
 

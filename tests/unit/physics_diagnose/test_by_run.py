@@ -31,10 +31,10 @@ def test_runs_that_differ_otherwise_are_told_without_a_level(runs):
 
 
 def test_what_came_with_the_runs_that_judge_is_told():
-    fitted = [RunLeft("a", 0.2, 1.0), RunLeft("b", 0.3, 5.0)]
-    judging = [RunLeft("c", 2.7, 3.0, judges=True), RunLeft("d", 2.9, 5.0, judges=True)]
+    fitted = [RunLeft("a", 0.2, 1.0), RunLeft("b", 0.3, 5.0), RunLeft("rests", 1.0, 1.0)]
+    judging = [RunLeft("c", 2.2, 3.0, judges=True), RunLeft("d", 8.3, 5.0, judges=True)]
     _, new = sentences([*fitted, *judging])
-    assert "fitted are explained to 0.3 um, all that judge leave at least 2.7 um" in new
+    assert "fitted leave 0.61 um rms, at most 1 um; all that judge leave at least 2.2 um" in new
     assert "without --validate" in new
     as_before = RunLeft("e", 0.2, 5.0, judges=True)
     assert len(sentences([*fitted, *judging, as_before])) == 1
