@@ -1,5 +1,6 @@
 """Where candidates are tried from."""
 
+import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
@@ -20,3 +21,10 @@ def test_a_torque_limit_is_tried_below_the_largest_torque_asked_for(largest_torq
     assert min(limits) < 0.5 * largest_torque_Nm
     # The value itself is judged: no share of it, and no multiple.
     assert all(d.lower == d.upper == 1.0 for start in starts for d in start.directions)
+
+
+def test_every_bed_that_may_swing_begins_near_a_start():
+    """From 20 Hz no refit finds a hardly damped bed of 14 Hz, and a line in time is named for it."""
+    starts = [s["frequency_Hz"] for s in effect_library()["base_mode"].starts]
+    for frequency_Hz in np.geomspace(7.5, 69.0, 50):
+        assert min(abs(np.log(s / frequency_Hz)) for s in starts) < np.log(7.0 / 6.0)

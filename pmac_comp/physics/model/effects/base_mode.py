@@ -28,9 +28,10 @@ EFFECT = Effect(
     apply=_apply,
     where="bed",
     source="One mass on a spring: second order at f_base; positions are relative to the bed",
-    signature="ringing at 20 to 60 Hz after each acceleration, in torque and table",
+    signature="ringing at 5 to 80 Hz after each acceleration, in torque and table",
     separating_experiment="an accelerometer on bed and bracket",
     look_alikes=("payload", "chain_damping"),
-    starts=({"frequency_Hz": 20.0}, {"frequency_Hz": 35.0}, {"frequency_Hz": 60.0}),
+    # A bed that is hardly damped is found from within a sixth of its frequency.
+    starts=tuple({"frequency_Hz": f} for f in (20.0, 35.0, 60.0, 8.5, 11.5, 15.0, 26.0, 45.0)),
     hides_behind=("chain.table_mass_kg",),
 )
