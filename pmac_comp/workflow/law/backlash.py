@@ -43,7 +43,7 @@ def forward_part(lead: LeadMap) -> LeadMap:
 
 
 def backlash_table(lead: LeadMap, bench: Bench) -> RenderedTable[BacklashTable]:
-    """Backlash table of a map; entries in 1/16 count over the same span as the position table."""
+    """Backlash table of a map; entries in 1/16 count, over the travel."""
 
     def backlash_m(position_m: np.ndarray) -> np.ndarray:
         return -np.asarray(np.interp(position_m, lead.position_m, lead.reversal_m))

@@ -20,6 +20,8 @@ from pmac_comp.workflow.bench.scales import Scales
 
 _MOST_ENTRIES = 4000
 _SPARE_ENTRIES = 8
+_SEAM_KNOTS = 2  # beyond the travel at each end, at least
+_SEAM_FRAC = 0.25  # of the bench's largest slope, for what runs back beyond the travel
 _LEAST_AT_ZERO = 0.02  # of the compliance at the law's origin
 _KNOTS_PER_TURN_FRAC = 0.05
 CAM_RUN_UP_CYCLES = 16  # the time motor reaches its speed before the motion starts, and after it
@@ -189,8 +191,8 @@ def lead_spacing_m(bench: Bench) -> float:
 def lead_table(lead: LeadMap, bench: Bench, *, by_desired: bool = True) -> RenderedTable[CompTable]:
     """COMP table that takes a lead map away: entries are minus the error, in 1/16 count.
 
-    The table spans the travel with one spacing to spare at each end; negative positions use its
-    far end (roll-over), where both ends meet the correction runs back to itself through the
+    The table spans the travel with a spacing or more to spare at each end; negative positions use
+    its far end (roll-over), where both ends meet the correction runs back to itself through the
     positions that are never reached.
 
     Raises
@@ -225,9 +227,11 @@ def entries_over_travel(
     """
     scales = Scales.of(bench)
     low, high = bench.travel_m
-    reach = max(abs(low), abs(high)) + 2.0 * spacing_m
+    reach = max(abs(low), abs(high)) + _SEAM_KNOTS * spacing_m
     # The zero of the motor is knot 0; both signs get the same number of knots.
     half = math.ceil(reach / spacing_m)
+    if 2 * half <= _MOST_ENTRIES:
+        half = min(_MOST_ENTRIES // 2, half + _more_for_the_seam(value_m, reach, spacing_m, bench))
     if 2 * half > _MOST_ENTRIES:
         raise ConfigError(
             f"The travel needs {2 * half} entries of {spacing_m * MM_PER_M:g} mm.",
@@ -239,6 +243,19 @@ def entries_over_travel(
     signed = np.where(knots <= half, knots, knots - 2 * half)
     exact = value_m(signed * spacing_m) / scales.motor_m_per_ct * CT16_PER_CT
     return _seam(exact, half, spacing_ct, bench, scales), 2 * half * spacing_ct
+
+
+def _more_for_the_seam(
+    value_m: Callable[[FloatArray], FloatArray], reach_m: float, spacing_m: float, bench: Bench
+) -> int:
+    """Knots more at each end, so that what runs back there is far below the largest slope.
+
+    How steep it is says nothing of the screw: in few knots a long lead error would pass the limit.
+    """
+    ends_m = value_m(np.array([-reach_m, reach_m]))
+    gentle = _SEAM_FRAC * bench.safety.max_slope_um_per_mm * MM_PER_M / UM_PER_M
+    knots = math.ceil(0.5 * float(np.ptp(ends_m)) / gentle / spacing_m)
+    return max(0, knots - _SEAM_KNOTS)
 
 
 def _seam(

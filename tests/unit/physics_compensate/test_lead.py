@@ -6,8 +6,11 @@ import pytest
 from pmac_comp.base.errors import NotIdentifiable
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.machine.controller.contents.safety import check_table
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.lead import _smooth, lead_map
+from pmac_comp.physics.compensate.lead import LeadMap, _smooth, lead_map
+from pmac_comp.workflow.bench.scales import Scales
+from pmac_comp.workflow.law.backlash import backlash_table
 from pmac_comp.workflow.law.rendering import lead_spacing_m, lead_table
 from pmac_comp.workflow.motion.campaigns import lead_motions
 
@@ -55,6 +58,25 @@ def test_what_cogging_makes_of_a_run_is_not_taken_for_lead() -> None:
     clean = lead_map([other], None, per_turn_m=[shaken]).error_m - want
     assert np.std(left) > 0.08e-6
     assert np.std(clean) < 0.04e-6
+
+
+@pytest.mark.parametrize("pitch_mm", [5.0, 10.0])
+def test_what_runs_back_beyond_the_travel_is_not_steeper_than_a_screw_may_be(
+    pitch_mm: float,
+) -> None:
+    """A long error is no local one: what its table does where nothing goes is not told of it."""
+    bench = BENCH.model_copy(
+        update={"screw": BENCH.screw.model_copy(update={"pitch_mm": pitch_mm})}
+    )
+    n = round(0.3 / lead_spacing_m(bench))
+    x = lead_spacing_m(bench) * np.arange(-n, n + 1)
+    lead = LeadMap(x, 190e-6 * x, 180e-6 * x, 0.0)
+    limits = Scales.of(bench).limits(bench)
+    for table in (lead_table(lead, bench).table, backlash_table(lead, bench).table):
+        assert check_table(table, limits) == []
+    at = np.linspace(-0.3, 0.3, 1201)
+    corrected = lead_table(lead, bench).table.correction_ct(at / bench.motor_resolution_m)
+    assert corrected * bench.motor_resolution_m == pytest.approx(-190e-6 * at, abs=0.1e-6)
 
 
 def test_table_takes_the_map_away_within_its_rounding() -> None:
