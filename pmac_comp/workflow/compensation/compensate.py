@@ -24,7 +24,7 @@ from pmac_comp.workflow.compensation.foreseen import (
     too_large,
 )
 from pmac_comp.workflow.compensation.promises import Promiser, worse_known_remarks, worse_remarks
-from pmac_comp.workflow.compensation.tables import sum_remarks
+from pmac_comp.workflow.compensation.tables import refused_remarks
 from pmac_comp.workflow.compensation.text import describe, limits_report, table_remarks
 from pmac_comp.workflow.law.beyond_model import made_with, shown_remarks
 from pmac_comp.workflow.law.dynamic_law import (
@@ -101,7 +101,7 @@ def compensate_files(
     if cuts and limit is Limit.REFUSE:
         raise too_large(route, aim, "; ".join(cuts))
     # What cannot be rendered or drawn is refused before it is written.
-    sums = sum_remarks(compensation, loaded)
+    refused = refused_remarks(compensation, loaded)
     summary = describe(loaded, compensation) | _promised_of_motion(loaded, compensation, drive)
     write_compensation(out, compensation)
     offers: tuple[CheaperLaw, ...] = ()
@@ -117,7 +117,7 @@ def compensate_files(
         "remarks": [
             *predicted_remarks([*slow_runs, *runs]),
             *cuts,
-            *sums,
+            *refused,
             *table_remarks(loaded, compensation),
             *law_remarks(drive, route, has_captures=bool(captures), has_slow=bool(slow)),
             *constant_remarks(loaded, law),

@@ -2,7 +2,7 @@
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.machine.controller.contents.comp_table import Table
-from pmac_comp.machine.controller.contents.safety import check_sums
+from pmac_comp.machine.controller.contents.safety import check_sums, check_table
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.compensation.cam import render_cam
 from pmac_comp.workflow.compensation.file import Compensation
@@ -21,8 +21,9 @@ def tables_of(compensation: Compensation, bench: Bench) -> tuple[Table, ...]:
     return tuple(found)
 
 
-def sum_remarks(compensation: Compensation, bench: Bench) -> list[str]:
-    """That the tables of a compensation add up beyond the limit, which `upload` will refuse."""
-    own = tables_of(compensation, bench)
-    refusals = check_sums(own, own, Scales.of(bench).limits(bench))
+def refused_remarks(compensation: Compensation, bench: Bench) -> list[str]:
+    """What `upload` will refuse of the tables of a compensation, each and all together."""
+    own, limits = tables_of(compensation, bench), Scales.of(bench).limits(bench)
+    refusals = [r for table in own for r in check_table(table, limits)]
+    refusals += check_sums(own, own, limits)
     return [f"`upload` will refuse this: {r.message} {r.hint}" for r in refusals]

@@ -43,7 +43,7 @@ from pmac_comp.workflow.compensation.cam import (
 )
 from pmac_comp.workflow.compensation.computing import compute_compensation
 from pmac_comp.workflow.compensation.file import Compensation
-from pmac_comp.workflow.compensation.tables import sum_remarks
+from pmac_comp.workflow.compensation.tables import refused_remarks
 from pmac_comp.workflow.controller import sign_test, upload_flow
 from pmac_comp.workflow.controller.deploy import deploy, switch
 from pmac_comp.workflow.controller.upload_plan import preview
@@ -149,12 +149,23 @@ def test_correction_runs_with_the_motion_every_time(axis: Axis, tmp_path: Path) 
 def test_a_sum_of_tables_beyond_the_limit_is_told_before_the_upload() -> None:
     x = np.arange(-0.3, 0.3005, 1e-3)
     lead = LeadMap(x, 55e-6 * np.sin(np.pi * x / 0.3), np.zeros(x.size), 0.0)
-    assert sum_remarks(cam_of(BUMP), BENCH) == []
-    assert sum_remarks(cam_of(0.3 * BUMP, lead), BENCH) == []
-    (told,) = sum_remarks(cam_of(BUMP, lead), BENCH)
+    assert refused_remarks(cam_of(BUMP), BENCH) == []
+    assert refused_remarks(cam_of(0.3 * BUMP, lead), BENCH) == []
+    (told,) = refused_remarks(cam_of(BUMP, lead), BENCH)
     assert "`upload` will refuse this" in told
     assert "the limit is 60" in told
     assert "max_correction_um" in told
+
+
+def test_a_cam_that_changes_too_fast_is_told_with_what_asks_for_less() -> None:
+    steep = 20e-6 * np.clip(40.0 * np.sin(6.0 * np.pi * np.arange(N) / N), -1.0, 1.0)
+    strict = BENCH.model_copy(
+        update={"safety": BENCH.safety.model_copy(update={"max_slope_um_per_mm": 5.0})}
+    )
+    (told,) = refused_remarks(cam_of(steep), strict)
+    assert "`upload` will refuse this" in told
+    assert "um per mm; the limit is 5" in told
+    assert "--route program" in told
 
 
 def test_interrupted_cam_fades_and_starts_anew(axis: Axis, tmp_path: Path) -> None:

@@ -55,6 +55,14 @@ class Limits:
         return f"{value_ct * self.um_per_ct:.3g} um"
 
 
+_OF_SCREW = "Smooth the table, or raise max_slope_um_per_mm if the screw really is so."
+_OF_CAM = (
+    "Its source is another motor. If that counts time (--route cam), a slower motion or --aim "
+    "mechanical asks for less, --route program has no such limit, and max_slope_um_per_mm times "
+    "max_speed_mm_per_s is how fast a cam may change the correction."
+)
+
+
 def raise_all(refusals: Sequence[SafetyRefusal], what: str) -> None:
     """Raise one refusal that holds all of them; nothing if there are none."""
     if not refusals:
@@ -99,11 +107,15 @@ def check_table(table: Table, limits: Limits) -> list[SafetyRefusal]:
                 f"correction changes by {slopes[steep] * UM_PER_MM:.3g} um per mm; the limit is "
                 f"{limits.max_slope * UM_PER_MM:.3g}.",
                 code="PC-SAF-002",
-                hint="Smooth the table, or raise max_slope_um_per_mm if the screw really is so.",
+                hint=_OF_CAM if _is_cam(table) else _OF_SCREW,
                 context={"entry": steep, "slope": float(slopes[steep])},
             )
         )
     return refusals
+
+
+def _is_cam(table: Table) -> bool:
+    return isinstance(table, CompTable) and table.source != table.target
 
 
 def _check_end(table: Table) -> list[SafetyRefusal]:
