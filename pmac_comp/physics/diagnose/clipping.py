@@ -99,7 +99,8 @@ def clipped(records: Sequence[Record], bench: Bench) -> Clipped | None:
 
 def _best(runs: Sequence["_Run"], levels_Nm: FloatArray) -> float:
     """The level that leaves the least."""
-    return min(levels_Nm.tolist(), key=lambda level: _left(runs, level)[0])
+    left = [_left(runs, level)[0] for level in levels_Nm]
+    return float(levels_Nm[int(np.argmin(left))])
 
 
 @dataclass(frozen=True)

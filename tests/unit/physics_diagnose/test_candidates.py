@@ -24,7 +24,7 @@ def test_a_torque_limit_is_tried_below_the_largest_torque_asked_for(largest_torq
 
 
 def test_every_bed_that_may_swing_begins_near_a_start():
-    """From 20 Hz no refit finds a hardly damped bed of 14 Hz, and a line in time is named for it."""
+    """From 20 Hz no refit finds a hardly damped bed of 14 Hz: a line in time was named for it."""
     starts = [s["frequency_Hz"] for s in effect_library()["base_mode"].starts]
     for frequency_Hz in np.geomspace(7.5, 69.0, 50):
         assert min(abs(np.log(s / frequency_Hz)) for s in starts) < np.log(7.0 / 6.0)
