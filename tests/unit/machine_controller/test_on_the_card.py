@@ -13,6 +13,7 @@ from pmac_comp.machine.controller.contents import programs
 from pmac_comp.machine.controller.contents.comp_table import BacklashTable, CompTable, TorqueTable
 from pmac_comp.machine.controller.contents.law_bank import LawParameters
 from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
+from pmac_comp.machine.controller.contents.settings import Settings
 from pmac_comp.machine.controller.gather import gather
 from pmac_comp.machine.controller.gather.gather_plan import GatherMode, GatherPlan, bench_sources
 from pmac_comp.machine.controller.law import law_arming, law_install, law_state, law_upload
@@ -181,6 +182,23 @@ def test_restore_brings_a_law_back_whole(tmp_path: Path) -> None:
     block = bench.context.block
     bank = law_state.read_law_head(bench.link, block).bank
     assert law_state.read_bank(bench.link, block, bank) == law
+
+
+def test_a_law_that_was_uploaded_again_is_the_new_one(tmp_path: Path) -> None:
+    bench = make_plc_bench(tmp_path)
+    for _ in range(2):
+        law_upload.upload_law(bench.link, bench.context, LawParameters(T0=200.0, T_LIMIT=500.0))
+        told = recovery.recover(bench.link, bench.context)
+        assert told.verdict is ControllerState.NEW
+        assert "the new law is in use" in told.notes[0]
+
+
+def test_settings_that_were_put_on_again_are_the_new_ones(tmp_path: Path) -> None:
+    bench = CardBench(tmp_path)
+    meant = Settings({"P10": "5"})
+    for _ in range(2):
+        settings_upload.change_settings(bench.link, bench.context, meant, route="settings")
+        assert recovery.recover(bench.link, bench.context).verdict is ControllerState.NEW
 
 
 def test_restore_refuses_an_enabled_motor(tmp_path: Path) -> None:

@@ -298,6 +298,9 @@ def _judge(link: Link, context: Context, part: Part) -> tuple[ControllerState, s
         return state, _law_reason(state, head), old.crc, part.crc_of_law
     before, new = read_settings_backup(_backup(context, part)), part.new_settings
     state, reason = settings_state(link, before, new)
+    done = part.closing == DONE and state is ControllerState.OLD
+    if done and not differences(new, read_settings(link, new)):
+        state, reason = ControllerState.NEW, _AS_MEANT
     return state, reason, before.crc, new.crc
 
 
@@ -327,7 +330,7 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
     # Settings that parts behind them have changed stand as meant all the same.
     stands = not missing(link, context, part)
     if part.kind is not ChangeKind.LAW or (stands and not part.crc_of_law):
-        as_meant = (ControllerState.NEW, "stands as meant")
+        as_meant = (ControllerState.NEW, _AS_MEANT)
         return as_meant if stands else _judge(link, context, part)[:2]
     state, old, head = _law_in_use(link, context, part)
     if state is ControllerState.OLD and not same_value(head.clamp_ct, old.clamp_ct):
@@ -338,13 +341,20 @@ def _state_of(link: Link, context: Context, part: Part) -> tuple[ControllerState
 def _law_in_use(
     link: Link, context: Context, part: Part
 ) -> tuple[ControllerState, LawBackup, LawHead]:
-    """State of a law by the bank in use, what was kept of the old one, and the head as it is."""
+    """State of a law by the bank in use, what was kept of the old one, and the head as it is.
+
+    Where the old law is the new one too, a change that was done has put it there.
+    """
     old = read_law_backup(_backup(context, part))
     head = read_law_head(link, context.block)
     law = read_bank(link, context.block, head.bank)
-    return decide_law(0 if law is None else law.digest, old.crc, part.crc_of_law), old, head
+    state = decide_law(0 if law is None else law.digest, old.crc, part.crc_of_law)
+    if part.closing == DONE and old.crc == part.crc_of_law and state is ControllerState.OLD:
+        state = ControllerState.NEW
+    return state, old, head
 
 
+_AS_MEANT = "stands as meant"
 _LAW_REASONS = {
     ControllerState.OLD: "the old law is in use",
     ControllerState.NEW: "the new law is in use",
