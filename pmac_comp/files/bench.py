@@ -228,7 +228,9 @@ class Travel(_Table):
 class Safety(_Table):
     """Limits that no correction or motion may pass."""
 
-    max_correction_um: Positive = Field(default=60.0, description="of tables and law together")
+    max_correction_um: Positive = Field(
+        default=60.0, description="of the tables together, and of a law or program beside them"
+    )
     max_slope_um_per_mm: Positive = Field(default=50.0, description="of a table along the travel")
     max_enable_step_um: Positive = Field(
         default=5.0, description="of the command when compensation is switched"
