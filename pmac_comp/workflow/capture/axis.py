@@ -68,6 +68,7 @@ _SOURCE = "gathered at the servo rate"
 _SIMULATED_SOURCE = "simulated controller and drive, gathered at the servo rate"
 HALT_s = 2.0  # for an axis that was stopped to stand
 _LOOK_s = 0.05  # between questions for the positions while the card gathers for itself
+_TRIPPED = "PC-AXI-002"
 _ERR_MOVE_NOT_COMPLETED = 11  # Software Reference Manual p. 391
 
 
@@ -146,6 +147,8 @@ class Axis:
             with suppress(PmacCompError):
                 self.link.flush()
                 self._end_jog(blind=isinstance(error, PmacCompError) and is_blind(error))
+            if isinstance(error, PmacCompError):
+                self.tell_trips(error)
             raise
 
     def _place_refusals(self, place_ct: float) -> list[SafetyRefusal]:
@@ -235,7 +238,23 @@ class Axis:
             if is_blind(error):
                 with suppress(PmacCompError):
                     self.kill()
+            self.tell_trips(error)
             raise
+
+    def tell_trips(self, error: PmacCompError) -> None:
+        """Add to an error that the card had stopped the motor by itself: nothing holds it then.
+
+        Asked once the axis was told to stop: a question before that would let it run on.
+        """
+        if error.code == _TRIPPED:
+            return
+        with suppress(PmacCompError):
+            status = motors.read_motor(self.link, self.motor).status
+            if status.trips and status.is_killed:
+                error.add_note(
+                    f"Motor #{self.motor} had been killed by the card itself: "
+                    f"{', '.join(status.trips)}. Nothing holds it."
+                )
 
     def halt(self) -> None:
         """Abort the motion program, decelerate in closed loop and end gathering, as far as told.
@@ -245,11 +264,12 @@ class Axis:
         """
         with suppress(PmacCompError):
             self.link.flush()
-        stops = ["&1A", "ENDGATHER"]
+        stops = ["&1A", f"#{self.motor}J/", "ENDGATHER"]
         with suppress(PmacCompError):
-            # J/ would close the loop of a killed motor again.
-            if not motors.read_motor(self.link, self.motor).status.is_killed:
-                stops.insert(1, f"#{self.motor}J/")
+            # A with I36 = 0, and J/, would close the loop of a killed motor again: one that ran
+            # away would run on. Its program ended with it.
+            if motors.read_motor(self.link, self.motor).status.is_killed:
+                stops = ["ENDGATHER"]
         for text in stops:
             with suppress(PmacCompError):
                 self.link.command(text)
@@ -425,7 +445,7 @@ class Axis:
             raise MotorNotSafe(
                 f"Motor #{self.motor} stopped during the run: "
                 f"{', '.join(status.trips) or 'it was killed'}.",
-                code="PC-AXI-002",
+                code=_TRIPPED,
                 hint="Look at `pmac-comp status`; the motor is left killed.",
             )
 

@@ -71,10 +71,10 @@ def require_agreement(fault: SensorFault) -> None:
     """
     if fault is SensorFault.NONE:
         return
-    state = "killed" if fault.name in LOOP_BLIND else "stopped in closed loop"
+    done = "killed" if fault.name in LOOP_BLIND else "told to stop in closed loop"
     raise MotorNotSafe(
         f"{fault.value[0].upper()}{fault.value[1:]}: they parted by more than "
-        f"{MISMATCH_m * MM_PER_M:g} mm. The axis was {state}.",
+        f"{MISMATCH_m * MM_PER_M:g} mm. The axis was {done}.",
         code="PC-AXI-003",
         hint="Look at coupling, scale head and cables, and at the resolutions in the bench "
         "file, before anything moves again. Did the axis hum before? A loop that is unstable "

@@ -38,6 +38,8 @@ class FailingDrive:
 
     def step(self, torque_command_Nm: float) -> tuple[float, float]:
         angle, table = self.drive.step(torque_command_Nm)
+        if self.fault == "REVERSED":
+            return -angle, table
         if self.held is None:
             self.held = (angle, table) if table > FAIL_AT_m else None
             return angle, table
@@ -70,6 +72,20 @@ def test_f25_a_failing_sensor_stops_the_axis(fault: str) -> None:
     # A loop whose encoder may lie is not held; with a dead scale it decelerates and holds.
     assert status.is_killed is (fault != "SCALE_DEAD")
     assert status.is_killed or status.is_commanded_still
+
+
+def test_f25_an_axis_that_ran_away_is_not_said_to_be_held() -> None:
+    motion = parse_motion("sine:amplitude_mm=25,frequency_Hz=0.8,cycles=3", BENCH)
+    with embedded(Card(BENCH, plant=FailingDrive(BENCH, "REVERSED"))) as link:
+        axis = Axis(link, BENCH)
+        link.command("I111=800")  # trips after 50 counts, before encoder and scale part
+        axis.enable()
+        with pytest.raises(MotorNotSafe) as failure:
+            axis.run(motion)
+        assert motors.read_motor(link, axis.motor).status.is_killed
+    said = " ".join([failure.value.message, *getattr(failure.value, "__notes__", ())])
+    assert "following error" in said
+    assert "Nothing holds it" in said
 
 
 def test_f25_without_dual_ported_ram_positions_are_asked_for() -> None:
