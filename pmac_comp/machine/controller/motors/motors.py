@@ -386,11 +386,6 @@ def kill(link: Link, motor: int) -> None:
     link.command(f"#{motor}K")
 
 
-def stop(link: Link, motor: int) -> None:
-    """Decelerate a jogging motor to rest."""
-    link.command(f"#{motor}J/")
-
-
 def jog_to(link: Link, motor: int, position_ct: float) -> None:
     """Start a jog to a position in counts."""
     link.command(f"#{motor}J={nine_digits(position_ct)}")
