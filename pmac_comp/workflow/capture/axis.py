@@ -267,9 +267,10 @@ class Axis:
         stops = ["&1A", f"#{self.motor}J/", "ENDGATHER"]
         with suppress(PmacCompError):
             # A with I36 = 0, and J/, would close the loop of a killed motor again: one that ran
-            # away would run on. Its program ended with it.
+            # away would run on. Where its program has not ended with it, K comes with the A.
             if motors.read_motor(self.link, self.motor).status.is_killed:
-                stops = ["ENDGATHER"]
+                still = program_status(self.link).running
+                stops = [*([f"&1A#{self.motor}K"] if still else []), "ENDGATHER"]
         for text in stops:
             with suppress(PmacCompError):
                 self.link.command(text)
