@@ -105,10 +105,14 @@ def _best(runs: Sequence["_Run"], levels_Nm: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class _Run:
-    """Command when it acts, shape (n,), and what the motor did in ``rows`` of it, in motion."""
+    """Command when it acts, shape (n,), and what the motor did in ``rows`` of it, in motion.
+
+    ``whole_Nm`` is the command in ``rows``, filtered by ``sections`` as the motion is.
+    """
 
     command_Nm: FloatArray
-    period_s: float
+    sections: FloatArray
+    whole_Nm: FloatArray
     acceleration: FloatArray
     friction: FloatArray
     counted: BoolArray
@@ -116,10 +120,8 @@ class _Run:
 
     def torque(self, level_Nm: float) -> FloatArray:
         """Torque of a drive that clips in ``rows``, filtered as the motion is."""
-        corner_Hz = min(_CUTOFF_Hz, 0.2 / self.period_s)
-        sections = butter(FILTER_ORDER, corner_Hz, fs=1.0 / self.period_s, output="sos")
         given = np.clip(self.command_Nm, -level_Nm, level_Nm)
-        return np.asarray(sosfiltfilt(sections, given)[self.rows])
+        return np.asarray(sosfiltfilt(self.sections, given)[self.rows])
 
 
 def _run(record: Record, bench: Bench) -> _Run | None:
@@ -135,9 +137,13 @@ def _run(record: Record, bench: Bench) -> _Run | None:
     apart = max(1, int(1.0 / (_PER_PERIOD * _CUTOFF_Hz * record.period_s)))
     rows = np.flatnonzero(counted & (np.arange(counted.size) % apart == 0))
     v = motion.velocity_m_per_s[rows]
+    command_Nm = np.interp(time_s - lag_s, time_s, record.torque_Nm)
+    corner_Hz = min(_CUTOFF_Hz, 0.2 / record.period_s)
+    sections = butter(FILTER_ORDER, corner_Hz, fs=1.0 / record.period_s, output="sos")
     return _Run(
-        np.interp(time_s - lag_s, time_s, record.torque_Nm),
-        record.period_s,
+        command_Nm,
+        sections,
+        sosfiltfilt(sections, command_Nm)[rows],
         motion.acceleration_m_per_s2[rows],
         np.column_stack([v, np.sign(v), np.ones_like(v)]),
         counted,
@@ -150,7 +156,7 @@ def _left(runs: Sequence[_Run], level_Nm: float) -> tuple[float, float]:
     columns, wanted = [], []
     for run in runs:
         torque = run.torque(level_Nm)
-        beyond = run.torque(np.inf) - torque
+        beyond = run.whole_Nm - torque
         columns.append(np.column_stack([torque, beyond, run.friction]))
         wanted.append(run.acceleration)
     x, y = np.concatenate(columns), np.concatenate(wanted)

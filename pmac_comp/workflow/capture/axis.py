@@ -148,7 +148,7 @@ class Axis:
                 self.link.flush()
                 self._end_jog(blind=isinstance(error, PmacCompError) and is_blind(error))
             if isinstance(error, PmacCompError):
-                self.tell_trips(error)
+                self._tell_trips(error)
             raise
 
     def _place_refusals(self, place_ct: float) -> list[SafetyRefusal]:
@@ -238,10 +238,10 @@ class Axis:
             if is_blind(error):
                 with suppress(PmacCompError):
                     self.kill()
-            self.tell_trips(error)
+            self._tell_trips(error)
             raise
 
-    def tell_trips(self, error: PmacCompError) -> None:
+    def _tell_trips(self, error: PmacCompError) -> None:
         """Add to an error that the card had stopped the motor by itself: nothing holds it then.
 
         Asked once the axis was told to stop: a question before that would let it run on.
