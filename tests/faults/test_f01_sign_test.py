@@ -18,7 +18,7 @@ from pmac_comp.workflow.capture.simulated import embedded
 from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.controller.deploy import deploy
 from tests.unit.workflow.conftest import BENCH
-from tests.unit.workflow.test_deploy import LAW
+from tests.unit.workflow.controller.test_deploy import LAW
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]

@@ -34,7 +34,7 @@ from tests.faults.change_bench import standing
 from tests.faults.upload_bench import Left, new_table, old_table
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 from tests.unit.workflow.conftest import BENCH
-from tests.unit.workflow.test_deploy import LAW, LEAD
+from tests.unit.workflow.controller.test_deploy import LAW, LEAD
 
 pytestmark = pytest.mark.faults
 Count = Callable[[int], None]

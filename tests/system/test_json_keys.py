@@ -12,7 +12,7 @@ from pmac_comp.cli.app import main
 from pmac_comp.files.capture import write_capture
 from pmac_comp.physics.compensate.exact import Learning
 from pmac_comp.workflow.verification.learning import Refinement
-from tests.unit.workflow.test_static_and_ringing import rings, staircase_run
+from tests.unit.workflow.accuracy.test_static_and_ringing import rings, staircase_run
 from tools.bench_wire import served_card
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]

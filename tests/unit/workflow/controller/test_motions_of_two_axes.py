@@ -20,8 +20,8 @@ from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.controller.difference import difference_on
 from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from pmac_comp.workflow.controller.upload_plan import preview
-from tests.unit.workflow.test_cam import BUMP, cam_of
-from tests.unit.workflow.test_removal import put_on
+from tests.unit.workflow.compensation.test_cam import BUMP, cam_of
+from tests.unit.workflow.controller.test_removal import put_on
 
 URL = "tcp://127.0.0.1:1"
 OTHER_CAM = ("#8DEFINE COMP 4,#8D,#3,64000", "0", "16", "16", "0", "I51=1")

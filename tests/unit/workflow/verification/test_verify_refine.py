@@ -17,7 +17,7 @@ from pmac_comp.workflow.compensation.file import Compensation, read_compensation
 from pmac_comp.workflow.verification import kept_runs, verify
 from pmac_comp.workflow.verification.learning import Refinement
 from pmac_comp.workflow.verification.result import Verification
-from tests.unit.workflow.test_verify import run
+from tests.unit.workflow.verification.test_verify import run
 
 
 class Desk:

@@ -16,7 +16,7 @@ from pmac_comp.workflow.capture.simulated import default_servo, embedded, make_c
 from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.controller.deploy import deploy
 from tests.unit.workflow.conftest import BENCH
-from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
+from tests.unit.workflow.controller.test_deploy import LAW, LEAD, MOTION
 
 MOVED = BENCH.text.replace("p_block = [7000, 7199]", "p_block = [2000, 2199]")
 

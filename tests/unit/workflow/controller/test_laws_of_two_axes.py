@@ -16,7 +16,7 @@ from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.unit.workflow.conftest import BENCH
-from tests.unit.workflow.test_deploy import LAW
+from tests.unit.workflow.controller.test_deploy import LAW
 
 
 def bench_of_another() -> Bench:

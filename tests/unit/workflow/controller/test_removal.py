@@ -28,7 +28,7 @@ from pmac_comp.workflow.controller import commissioning, inspect, removal, safek
 from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.controller.removal import remove_from, standing_on
 from tests.unit.workflow.conftest import BENCH
-from tests.unit.workflow.test_deploy import LAW, LEAD, MOTION
+from tests.unit.workflow.controller.test_deploy import LAW, LEAD, MOTION
 
 
 def test_tables_and_law_go_and_come_back_without_a_jolt(axis: Axis, tmp_path: Path) -> None:
