@@ -43,6 +43,7 @@ from pmac_comp.machine.controller.law.law_state import (
     degree_refusals,
     read_law_head,
 )
+from pmac_comp.machine.controller.motors.motors import read_motor
 from pmac_comp.machine.controller.motors.open_servos import is_in_open_servo, scratch_refusals
 from pmac_comp.machine.controller.settings.guard_install import block_elsewhere, is_foreign
 from pmac_comp.machine.controller.tables.upload_checks import motion_refusals
@@ -111,7 +112,7 @@ def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
     """All that forbids the route ``servo`` and can be read; nothing is changed.
 
     A servo that never ran for this motor gives no signature before its head is set up: whether it
-    runs then is proved by ``require_open_servo``.
+    runs then is proved by ``require_open_servo``, in closed loop only.
     """
     with untouched():
         mode, head = int(read_one(link, f"I{motor}59")), read_law_head(link, context.block)
@@ -120,9 +121,22 @@ def servo_refusals(link: Link, context: Context, motor: int) -> list[SafetyRefus
         armed = not goal.is_empty and _is_armed(link, context, head, plc_0(link))
         found += _armed(head, found) if armed else []
         silent = head.motor == motor and head.form is LawForm.NONE
-        if not mode & 1 or silent:
+        if mode & 1 and not read_motor(link, motor).status.is_closed_loop:
+            found.append(_asleep(motor))
+        elif not mode & 1 or silent:
             found.append(no_servo(context, motor, mode))
         return found
+
+
+def _asleep(motor: int) -> SafetyRefusal:
+    """Refusal to load a law for an open servo that rests: nothing would show that it is there."""
+    return MotorNotSafe(
+        f"The loop of motor #{motor} is open: its open servo (I{motor}59 = 1) runs in closed loop "
+        "only, and nothing shows before that it is the one expected.",
+        code="PC-LAW-057",
+        hint=f"Enable the motor (`pmac-comp terminal URL -c '#{motor}J/'`) and upload again; or "
+        "use --route law, which can be loaded with the motor killed.",
+    )
 
 
 def beside_open_servo(link: Link, context: Context, old: Settings) -> list[SafetyRefusal]:

@@ -14,8 +14,10 @@ from pmac_comp.machine.controller.contents.table_set import TableSet, read_table
 from pmac_comp.machine.controller.law.law_checks import no_servo
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import default_servo, embedded
 from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.controller.deploy import Deployment, deploy, switch
 from pmac_comp.workflow.controller.upload_flow import next_steps
@@ -56,6 +58,27 @@ def test_a_missing_open_servo_is_told_before_tables_are_touched(axis: Axis, tmp_
     # The switch alone, without an algorithm behind it, proves nothing either.
     axis.link.write_buffer(["I159=1", "P7007=1"])
     assert refused(axis, tmp_path, servo) == {"PC-LAW-024"}
+
+
+@pytest.mark.parametrize("ran", [False, True], ids=["never closed", "ran before"])
+def test_an_open_servo_that_rests_is_told_before_tables_are_touched(
+    tmp_path: Path, *, ran: bool
+) -> None:
+    """Killed, no open servo proves that it runs: the upload began and was taken back."""
+    source = default_servo().read_text(encoding="utf-8")
+    with embedded(Card(BENCH, servo_source=source)) as link:
+        axis = Axis(link, BENCH, "test", simulated=True)
+        link.command("I159=1")
+        servo = Compensation("servo", LAW, LEAD)
+        if ran:
+            axis.enable()
+            deploy(axis, servo, context_of(axis, tmp_path))
+            link.command("#1K")
+        signature = read_many(link, ["P7000"])
+        assert refused(
+            axis, tmp_path, replace(servo, lead=replace(LEAD, error_m=1.1 * LEAD.error_m))
+        ) == {"PC-LAW-057"}
+        assert read_many(link, ["P7000"]) == signature
 
 
 def test_all_that_forbids_a_law_is_told_at_once(axis: Axis, tmp_path: Path) -> None:
