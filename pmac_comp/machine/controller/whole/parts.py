@@ -586,6 +586,14 @@ def take_back(link: Link, context: Context, part: Part, *, was_reset: bool = Fal
         with _locked(link, context, part):
             _require_rest(link, context, part)
             restore_law(link, context, read_law_backup(backup))
-        return "the old law is back"
+        return _law_that_came_back(link, context, read_law_backup(backup))
     settled = settle(link, context, part, resume=False, was_reset=was_reset)
     return "; ".join(settled.notes)
+
+
+def _law_that_came_back(link: Link, context: Context, old: LawBackup) -> str:
+    """A law is its bank: the program that evaluates it may be gone, as after a reset."""
+    runs = running_form(link, context, read_law_head(link, context.block)) is not LawForm.NONE
+    if old.law is None or runs:
+        return "the old law is back"
+    return "the values of the old law are back, but nothing evaluates them: upload it again"

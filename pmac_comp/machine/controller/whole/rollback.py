@@ -43,6 +43,7 @@ from pmac_comp.machine.controller.whole.waiting import (
     end_change,
     number_since_ours,
     one_at_a_time,
+    reset_since,
     take_over,
     tell_what_stands,
     waiting_refusals,
@@ -73,7 +74,7 @@ def _rolled_back(link: Link, context: Context, group: Journal) -> Sequence[str]:
         # One that was cut has taken its own tables away already.
         for part in () if group.is_open else standing_parts(context, group):
             refuse_foreign(link, context, part)
-        notes = take_group_back(link, context, group)
+        notes = take_group_back(link, context, group, was_reset=reset_since(context, group, found))
         end_change(link, context)
     except KeyboardInterrupt as stop:
         left, certain = _left_by_rollback(group)

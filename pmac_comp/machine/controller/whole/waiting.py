@@ -16,7 +16,9 @@ from pmac_comp.machine.controller.change.journals import (
     ROLLED_BACK,
     ChangeKind,
     damage_refusals,
+    journal_names,
     journals,
+    number_in,
     number_of,
     own_numbers,
     torn_refusals,
@@ -146,6 +148,13 @@ def _since_ours(last: int, context: Context) -> int:
 def was_reset(number: int, group: Journal) -> bool:
     """Whether a reset took away the number that the parts of an upload had left."""
     return abs(number) != group.group
+
+
+def reset_since(context: Context, group: Journal, number: int) -> bool:
+    """Whether a reset took away the numbers of an upload of this folder and of all behind it."""
+    names = journal_names(context)
+    since = names[names.index(group.path.name) :]
+    return abs(number) not in {group.group, *map(number_in, since)}
 
 
 def changed_elsewhere(number: int) -> ForeignChange:

@@ -7,8 +7,11 @@ from typing import Any
 import pytest
 
 from pmac_comp.base.errors import ChangeInterrupted, ControllerState
+from pmac_comp.files.bench import load_bench
 from pmac_comp.files.resources import firmware_path
 from pmac_comp.machine.controller.contents.table_set import read_tables
+from pmac_comp.machine.controller.whole.rollback import rollback_last
+from pmac_comp.machine.controller.whole.taking_back import RESET_NOTE
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
@@ -16,8 +19,11 @@ from pmac_comp.workflow.capture.context import context_of
 from pmac_comp.workflow.capture.simulated import embedded
 from pmac_comp.workflow.compensation.file import Compensation, write_compensation
 from pmac_comp.workflow.controller import safekeeping, upload_flow
+from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.controller.upload_plan import preview
-from tests.compensations import lead_map
+from tests.compensations import friction_law, lead_map
+
+BENCH = load_bench("paper")
 
 
 def after_reset(axis: Axis, card: Card) -> int:
@@ -48,6 +54,30 @@ def test_rollback_reaches_the_flash_on_demand_only(
     told = upload_flow.rollback_upload("sim://", "paper", store / "third", persist=True)
     assert (told["verdict"], told["saved"]) == ("OLD", True)
     assert after_reset(axis, card) == 0
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["one upload", "loaded, then armed"])
+@pytest.mark.parametrize("reset", [False, True], ids=["no reset", "reset"])
+def test_a_rollback_after_a_reset_says_what_did_not_come_back(
+    card: Card, tmp_path: Path, *, again: bool, reset: bool
+) -> None:
+    """PLC 0 and guard came with the first upload: tables acted alone, called what stood before."""
+    change = Compensation("law", friction_law(), lead_map(20.0))
+    with embedded(card) as link:
+        axis = Axis(link, BENCH, "test", simulated=True)
+        if again:
+            deploy(axis, change, context_of(axis, tmp_path))
+        axis.enable()
+        deploy(axis, change, context_of(axis, tmp_path))
+        axis.kill()
+    if reset:
+        card.reset()
+    with embedded(card) as link:
+        axis = Axis(link, BENCH, "test", simulated=True)
+        notes = rollback_last(link, context_of(axis, tmp_path)).notes
+        assert len(read_tables(link)) == int(again)
+    assert (RESET_NOTE in notes) is reset
+    assert any("nothing evaluates them" in note for note in notes) is (reset and again)
 
 
 @pytest.mark.parametrize("ended", [True, False])
