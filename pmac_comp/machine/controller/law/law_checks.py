@@ -49,6 +49,7 @@ from pmac_comp.machine.controller.settings.guard_install import block_elsewhere,
 from pmac_comp.machine.controller.tables.upload_checks import motion_refusals
 
 _ARMED: Final = "PC-LAW-021"
+_MASTER_WORD: Final = "PC-LAW-023"
 _OTHER_LAW: Final = frozenset({"PC-LAW-049", "PC-LAW-054"})  # of another axis, in block or PLC 0
 
 
@@ -90,7 +91,8 @@ def install_refusals(
         *_of_another_axis(link, context.block, head, motor, stands=holds_law(context.block, found)),
     ]
     if any(refusal.code in _OTHER_LAW for refusal in refusals):
-        return refusals  # whose motor follows, as it should
+        # Whose motor follows, as it should; what stands in the master word is sent by that law.
+        return [refusal for refusal in refusals if refusal.code != _MASTER_WORD]
     return refusals + _followed_by_others(link, motor)
 
 
@@ -212,7 +214,7 @@ def _block_refusals(
         found.append(
             MotorNotSafe(
                 f"The master word is {word}, not zero: following it would make the motor jump.",
-                code="PC-LAW-023",
+                code=_MASTER_WORD,
                 hint=f"Clear it with the motor killed: WX${MASTER_WORD_ADDRESS:X},0.",
             )
         )

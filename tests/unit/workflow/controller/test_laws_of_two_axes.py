@@ -118,3 +118,16 @@ def test_a_law_is_refused_while_another_motor_follows_its_word(
     assert stopped.value.code == "PC-LAW-056"
     remove_from(other, context_of(other, tmp_path / "other"), standing_on(other))
     put_law(axis, tmp_path / "first")
+
+
+def test_the_master_word_of_an_armed_law_is_no_reason_to_clear_it(
+    axis: Axis, other: Axis, card: Card, tmp_path: Path
+) -> None:
+    """The refusal of a second law advised to write zero under the first, whose motor follows."""
+    put_law(axis, tmp_path / "first")
+    axis.move_to(3000.0)
+    axis.link.clock.sleep_s(0.5)
+    assert card.memory.x[0x10F8] != 0
+    with pytest.raises(SafetyRefusal) as told:
+        put_law(other, tmp_path / "other")
+    assert told.value.code == "PC-LAW-054"
