@@ -6,7 +6,8 @@ What the disk holds after a power failure of the host is enough to settle the ch
 import errno
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ from pmac_comp.machine.controller.change import journals
 from pmac_comp.machine.controller.change.journal import Journal
 from pmac_comp.machine.controller.tables import upload
 from pmac_comp.machine.controller.whole import grouping, persist, waiting
+from pmac_comp.machine.controller.whole.taking_back import RESET_NOTE
 from pmac_comp.machine.transport.tap import Fault, FaultKind, Way
 from tests.faults.change_bench import ChangeBench, Scenario
 from tests.faults.test_f01_f29_every_kind import SCENARIOS
@@ -39,6 +41,7 @@ class FullDisk:
         self.left = 1 << 30
         self.for_good = True
         self.count = 0
+        self.room = 0
         self._fsync = os.fsync
         monkeypatch.setattr(os, "fsync", self.fsync)
 
@@ -46,8 +49,16 @@ class FullDisk:
         self.count += 1
         self.left -= 1
         if self.left == -1 or (self.left < 0 and self.for_good):
+            self.left, self.room = (self.room, 0) if self.room else (self.left, 0)
             raise OSError(errno.ENOSPC, "No space left on device")
         self._fsync(fd)
+
+    @contextmanager
+    def room_again(self, syncs: int) -> Iterator[None]:
+        """Room for so many syncs after the first that fails; for all of them at the end."""
+        self.room = syncs
+        yield
+        self.left, self.room = 1 << 30, 0
 
 
 @pytest.mark.parametrize("for_good", [True, False])
@@ -107,6 +118,33 @@ def test_f38_full_disk_at_every_sync_of_an_upload_of_tables(
         assert rig.recover(resume=bool(n % 2)) in {ControllerState.OLD, ControllerState.NEW}
         count_runs(1)
     assert confirmed == total
+
+
+def test_f38_what_a_full_disk_leaves_of_an_upload_is_seen_and_is_no_reset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count_runs: Count
+) -> None:
+    """Some room is left for taking back: its own number stood for that which a reset had taken."""
+    (scenario,) = (s for s in SCENARIOS if s.name == "law route")
+    rig = ChangeBench(tmp_path, scenario)
+    disk = FullDisk(monkeypatch)
+    assert rig.run() is None
+    total, seen = disk.count, 0
+    for n in range(total // 3, total, 2):
+        for room in (1, 3):
+            rig.restart()
+            disk.left = n
+            with disk.room_again(room):
+                error = rig.attempt()
+            assert isinstance(error, PmacCompError), n
+            said = "".join(getattr(error, "__notes__", []))
+            if "could not be taken back" in said:
+                seen += 1
+                assert "left open: `pmac-comp recover` takes it back. Stands: " in said
+            rig.fresh()
+            done = rig.recover(resume=False)
+            assert RESET_NOTE not in done.notes, (n, room)
+            count_runs(1)
+    assert seen
 
 
 @pytest.mark.parametrize("how", ["refused", "silent"])

@@ -194,7 +194,7 @@ def _is_reset(axis: Axis, context: Context) -> bool | None:
     """
     last = parts.uploads(context)[-1]
     try:
-        return waiting.was_reset(read_change(axis.link, context), last)
+        return waiting.reset_since(context, last, read_change(axis.link, context))
     except PmacCompError:
         return None
 

@@ -24,13 +24,13 @@ from pmac_comp.machine.controller.change.lease import (
 from pmac_comp.machine.controller.change.transaction import RESET_AMID
 from pmac_comp.machine.controller.change.verdict import link_is_lost, mark_left, untouched
 from pmac_comp.machine.controller.settings.temporary import take_off
-from pmac_comp.machine.controller.whole.parts import first_missing, parts_in
+from pmac_comp.machine.controller.whole.parts import first_missing, parts_in, what_stands
 from pmac_comp.machine.controller.whole.taking_back import take_group_back
 from pmac_comp.machine.controller.whole.waiting import (
     end_change,
     one_at_a_time,
+    reset_since,
     waiting_refusals,
-    was_reset,
 )
 
 
@@ -118,11 +118,15 @@ def _require_whole(link: Link, context: Context, group: int) -> None:
 def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
     try:
         begun = bool(parts_in(context, group.group))
-        reset = error.code == RESET_AMID or (begun and was_reset(read_change(link, context), group))
+        reset = error.code == RESET_AMID or (
+            begun and reset_since(context, group, read_change(link, context))
+        )
         notes = take_group_back(link, context, group, was_reset=reset)
     except PmacCompError as second:
         error.add_note(f"The parts before could not be taken back: {second.message}")
         mark_left(error, ControllerState.DISABLED, confirmed=False)
+        if not link_is_lost(second):
+            _tell_what_acts(link, context, group, error)
         return
     mark_left(error, ControllerState.OLD, confirmed=not reset)
     for note in notes:
@@ -132,3 +136,13 @@ def _take_back_after(link: Link, context: Context, group: Journal, error: PmacCo
             end_change(link, context)
     except PmacCompError as second:
         error.add_note(f"The end of the upload could not be noted: {second.message}")
+
+
+def _tell_what_acts(link: Link, context: Context, group: Journal, error: PmacCompError) -> None:
+    """Note what is seen of an upload that could not be taken back, as on a full disk."""
+    try:
+        _, words = what_stands(link, context, parts_in(context, group.group))
+    except PmacCompError as second:
+        error.add_note(f"What stands could not be read: {second.message}")
+        return
+    error.add_note(f"The upload is left open: `pmac-comp recover` takes it back. Stands: {words}.")

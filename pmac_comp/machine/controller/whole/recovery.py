@@ -50,13 +50,13 @@ from pmac_comp.machine.controller.whole.waiting import (
     end_change,
     number_since_ours,
     one_at_a_time,
+    reset_since,
     take_over,
     tell_what_stands,
     torn_groups,
     waiting,
     waiting_parts,
     waiting_refusals,
-    was_reset,
 )
 
 
@@ -122,7 +122,7 @@ def _recover(link: Link, context: Context, *, resume: bool) -> UploadResult:
     notes = list(take_off(link, context, whatever_stands=not since))
     for group in reversed(torn):
         begun = bool(parts_in(context, group.group))
-        reset = group is torn[-1] and begun and was_reset(found, group)
+        reset = group is torn[-1] and begun and reset_since(context, group, found)
         notes += take_group_back(link, context, group, was_reset=reset)
     if not torn or unsettled(context):
         result = _recover_changes(link, context, resume=resume, since=since)

@@ -145,11 +145,6 @@ def _since_ours(last: int, context: Context) -> int:
     return 0 if number in own_numbers(context) | seen else number
 
 
-def was_reset(number: int, group: Journal) -> bool:
-    """Whether a reset took away the number that the parts of an upload had left."""
-    return abs(number) != group.group
-
-
 def reset_since(context: Context, group: Journal, number: int) -> bool:
     """Whether a reset took away the numbers of an upload of this folder and of all behind it."""
     names = journal_names(context)
