@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pmac_comp.base.errors import PmacCompError
+from pmac_comp.base.errors import CaptureError, PmacCompError
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
@@ -235,8 +235,11 @@ def verify_axis(
         Called with a step and a fraction.
     """
     runs = runs_of(axis, context, compensation, motions)
+    for motion in runs.motions:  # all of them before the first one moves the axis
+        axis.require_room(motion)
     static = positioning_motion(axis.bench) if static_runs and runs.is_free else None
     rings = ringing_motion(axis.bench) if runs.is_free else None
+    (static, rings), left_out = _with_room(axis, (static, rings))
     wanted = [(motion, repeats) for motion in runs.motions]
     wanted += [(rings, repeats)] if rings is not None else []
     wanted += [(static, static_runs)] if static is not None else []
@@ -267,8 +270,25 @@ def verify_axis(
         simulated=axis.simulated or truth is not None,
         ringing=None if rings is None else ringing_outcome(axis.bench, rest.pop(0)),
         static=None if static is None else static_outcome(rest.pop(0)),
-        remarks=runs.remarks,
+        remarks=(*runs.remarks, *left_out),
     )
+
+
+def _with_room(
+    axis: Axis, own: Sequence[Motion | None]
+) -> tuple[list[Motion | None], tuple[str, ...]]:
+    """Motions of the verification's own that the controller can gather, and what is left out."""
+    kept: list[Motion | None] = []
+    remarks: list[str] = []
+    for motion in own:
+        try:
+            if motion is not None:
+                axis.require_room(motion)
+            kept.append(motion)
+        except CaptureError as error:
+            kept.append(None)
+            remarks.append(f"not measured: {error.message}")
+    return kept, tuple(remarks)
 
 
 def alternating(

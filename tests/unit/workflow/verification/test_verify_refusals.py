@@ -4,15 +4,20 @@ from pathlib import Path
 
 import pytest
 
-from pmac_comp.base.errors import ConfigError, PmacCompError, VerifyMismatch
+from pmac_comp.base.errors import CaptureError, ConfigError, PmacCompError, VerifyMismatch
+from pmac_comp.machine.controller.motors import motors
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.simulator.card.card import Card
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.capture.context import context_of
+from pmac_comp.workflow.capture.simulated import embedded
 from pmac_comp.workflow.compensation.file import Compensation, write_compensation
+from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.motion.motions import parse_motion
 from pmac_comp.workflow.verification import verify
 from pmac_comp.workflow.verification.runs import require_on_card
 from tests.compensations import lead_map
+from tests.unit.workflow.conftest import BENCH
 
 
 @pytest.fixture
@@ -57,3 +62,33 @@ def test_a_cam_that_the_card_lacks_is_called_one(axis: Axis, tmp_path: Path) -> 
     lacks = r"does not hold its COMP table and its cam \(the COMP table of motor #8\):"
     with pytest.raises(VerifyMismatch, match=lacks):
         require_on_card(axis, context_of(axis, tmp_path), cam)
+
+
+SHORT = "trapezoid:distance_mm=10,speed_mm_per_s=100,acceleration_m_per_s2=4"
+LONG = "sine:amplitude_mm=5,frequency_Hz=1,cycles=5"
+
+
+def test_in_the_cards_own_memory_what_is_asked_for_is_run_and_the_rest_left_out(
+    tmp_path: Path,
+) -> None:
+    """On a serial line every verification ended amid its runs, at a move of its own."""
+    controller = BENCH.controller.model_copy(update={"dpram": "none"})
+    bench = BENCH.model_copy(update={"controller": controller})
+    table = Compensation("table", CompensationLaw(), lead_map())
+    with embedded(Card(bench)) as link:
+        axis = Axis(link, bench, "test", simulated=True)
+        axis.enable()
+        context = context_of(axis, tmp_path)
+        deploy(axis, table, context)
+        stood_ct = motors.read_motor(link, axis.motor).position_ct
+        motions = [parse_motion(text, bench) for text in (SHORT, LONG)]
+        with pytest.raises(CaptureError, match=r"sine.* lasts"):
+            verify.verify_axis(axis, context, table, motions)
+        assert abs(motors.read_motor(link, axis.motor).position_ct - stood_ct) < 20.0
+        found = verify.verify_axis(axis, context, table, motions[:1], static_runs=2)
+    assert len(found.motions) == 1
+    assert found.ringing is None
+    assert found.static is None
+    left_out = [text for text in found.remarks if text.startswith("not measured: ")]
+    assert len(left_out) == 2
+    assert all("long words needed" in text for text in left_out)
