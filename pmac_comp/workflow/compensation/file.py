@@ -191,7 +191,7 @@ def read_compensation(path: Path) -> Compensation:
     try:
         found = _from_mapping(data)
         return replace(found, edited=data.get("digest", found.digest) != found.digest)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _bad(path, f"{type(error).__name__}: {error}") from error
     except ConfigError:
         raise
@@ -233,6 +233,8 @@ def check_bench(path: Path, bench: str) -> None:
 
 def _from_mapping(data: dict[str, Any]) -> Compensation:
     """Compensation from the JSON of a file; ValueError, KeyError or TypeError where it is none."""
+    if not isinstance(data["law"].get("provenance", {}), dict):
+        raise TypeError("the provenance of the law is no object")
     known = {f.name for f in fields(CompensationLaw)}
     unknown = set(data["law"]) - known
     if unknown:

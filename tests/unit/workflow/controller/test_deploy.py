@@ -176,6 +176,22 @@ def test_a_file_that_was_changed_by_hand_is_told(tmp_path: Path) -> None:
         assert not edited_remarks(read_compensation(path))
 
 
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [("law", {"provenance": []}), ("law", {"provenance": None}), ("lead", {"noise_m": 10**400})],
+)
+def test_values_of_another_kind_make_no_compensation(
+    tmp_path: Path, part: str, value: dict[str, object]
+) -> None:
+    """An origin that is no object ended the upload as a bug of the program."""
+    path = tmp_path / "c.json"
+    write_compensation(path, Compensation("law", LAW, LEAD))
+    written = json.loads(path.read_text())
+    path.write_text(json.dumps({**written, part: {**written[part], **value}}))
+    with pytest.raises(ConfigError, match="is not a compensation file"):
+        read_compensation(path)
+
+
 @pytest.mark.parametrize("nested", ["[" * 100_000, '{"a":' * 100_000])
 def test_a_file_that_is_nested_without_end_is_none(tmp_path: Path, nested: str) -> None:
     path = tmp_path / "c.json"
