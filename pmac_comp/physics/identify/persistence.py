@@ -87,7 +87,8 @@ def model_from_file(
     Raises
     ------
     ModelError
-        An effect or parameter is not known; user effects are handed in as ``library``.
+        An effect or parameter is not known, or in another unit; user effects are handed in as
+        ``library``.
     """
     known_effects = {**effect_library(), **(library or {})}
     missing = [name for name in stored.effects if split_name(name)[0] not in known_effects]
@@ -109,11 +110,27 @@ def model_from_file(
             hint="Use the bench file the model was identified with"
             + (" and the same --effects file." if library is None else "."),
         )
+    _require_units(stored, known)
     values = {
         known[key].name: known[key].from_file(entry.value)
         for key, entry in stored.parameters.items()
     }
     return empty.with_parameters(values)
+
+
+def _require_units(stored: ModelFile, known: Mapping[str, ParameterSpec]) -> None:
+    """Values are taken in the unit of their name; one that states another was changed by hand."""
+    wrong = [
+        f"{key} in {entry.unit} ({known[key].file_unit} is meant)"
+        for key, entry in stored.parameters.items()
+        if entry.unit != known[key].file_unit
+    ]
+    if wrong:
+        raise ModelError(
+            f"The model file states {', '.join(wrong)}.",
+            code="PC-IDN-050",
+            hint="Give these values in the unit that is meant, or identify again.",
+        )
 
 
 def _estimated(spec: ParameterSpec, found: ParameterEstimate, key: str) -> ModelParameter:
