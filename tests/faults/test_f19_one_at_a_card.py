@@ -96,7 +96,7 @@ def test_f19_another_host_is_refused_throughout_a_measurement(
 
     def change_it() -> None:
         nonlocal refused
-        with pytest.raises(LeaseHeld, match="Another host"):
+        with pytest.raises(LeaseHeld, match="Another command, on this host or another"):
             upload_tables(axis.link, there, [of_another])
         refused += 1
 

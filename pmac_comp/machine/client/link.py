@@ -197,7 +197,9 @@ class BaseLink:
             kind = ReplyTimeout if isinstance(error, ReplyTimeout) else LinkLost
             raise kind(
                 f"{self.transport.name}: the conversation could not be brought to a known point",
-                hint="The connection was closed. Run the command again to open a new one.",
+                hint="The connection was closed. Does another client ask here at the same time "
+                "(another command, a panel)? Their answers mix. Run the command again to open a "
+                "new one.",
             ) from error
         self.unsettled = False
 

@@ -177,8 +177,8 @@ def refuse_foreign_lease(lease: Lease, owner: int, now: int) -> LeaseHeld | None
         return None
     left_s = (lease.expires - now) / CLOCK_PER_s
     return LeaseHeld(
-        f"Another host (owner {lease.owner}) holds the lease on this controller "
-        f"for {left_s:.0f} s more.",
+        f"Another command, on this host or another (owner {lease.owner}), holds the lease on this "
+        f"controller for {left_s:.0f} s more.",
         code="PC-TXN-002",
         hint="Wait until it has ended; if it was killed, `pmac-comp recover` where it was started.",
         context={"owner": lease.owner, "expires_in_s": left_s},
