@@ -177,7 +177,9 @@ def _law_text(axis: Axis, context: Context, form: LawForm, head: law_state.LawHe
 
 
 def _own_law_text(link: Link, block: LawBlock, form: LawForm, head: law_state.LawHead) -> str:
-    if form is LawForm.NONE and head.form is not LawForm.NONE and head.correction_ct:
+    stopped = form is LawForm.NONE and head.form is not LawForm.NONE and head.correction_ct
+    # After $$$*** the variables stand, and nothing follows them any more.
+    if stopped and head.motor in law_goal.followers(link):
         return (
             "its program was stopped; its last correction stands: `pmac-comp remove` takes it off"
         )

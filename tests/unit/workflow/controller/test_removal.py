@@ -229,6 +229,9 @@ def test_what_a_stopped_plc_0_left_standing_goes(axis: Axis, tmp_path: Path) -> 
     head = law_state.read_law_head(axis.link, context.block)
     form = law_goal.running_form(axis.link, context, head)
     assert "its last correction stands" in inspect._law_text(axis, context, form, head)
+    axis.link.command("I106=0")
+    assert inspect._law_text(axis, context, form, head) == "none runs"  # as after $$$***
+    axis.link.command("I106=3")
     remove_from(axis, context, standing_on(axis))
     assert axis.link.query("I106I129RX$10F8") == ["0", "0", "0"]
     assert standing_on(axis).is_empty
