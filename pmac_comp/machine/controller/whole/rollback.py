@@ -14,6 +14,7 @@ from pmac_comp.machine.controller.card.link import Link
 from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.machine.controller.change.journal import Journal
 from pmac_comp.machine.controller.change.journals import (
+    DONE,
     KEPT,
     ROLLED_BACK,
     damage_refusals,
@@ -132,8 +133,11 @@ def _left_by_rollback(group: Journal) -> tuple[ControllerState, bool]:
 
 
 def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
-    """The last upload and its parts that still stand, the last one first; ConfigError if none."""
-    groups = uploads(context)
+    """The last upload and its parts that still stand, the last one first; ConfigError if none.
+
+    One that failed and was taken back then never stood: what stands is of the upload before it.
+    """
+    groups = [group for group in uploads(context) if not _never_stood(group)]
     if groups and any(groups[-1].last(step) is not None for step in (ROLLED_BACK, KEPT)):
         raise ConfigError(
             "The last upload was taken back already; what stands now was there before it.",
@@ -150,6 +154,11 @@ def upload_to_take_back(context: Context) -> tuple[Journal, tuple[Part, ...]]:
         )
     require_own_block(context, groups[-1:])
     return groups[-1], standing_parts(context, groups[-1])
+
+
+def _never_stood(group: Journal) -> bool:
+    """Whether an upload was taken back before it was whole."""
+    return group.last(DONE) is None and group.last_step == ROLLED_BACK
 
 
 def refuse_rollback(link: Link, context: Context, others: Sequence[SafetyRefusal] = ()) -> None:
