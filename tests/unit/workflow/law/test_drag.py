@@ -17,6 +17,8 @@ from pmac_comp.workflow.compensation.file import Compensation
 from pmac_comp.workflow.law.dynamic_law import drag_remarks
 from pmac_comp.workflow.law.law_cost import ASKED, MOST_FRAC, fitting_cycles, share_frac
 
+pytestmark = pytest.mark.slow  # half a minute; what it is made of is tested in test_trim
+
 PAPER = load_bench("paper_x4")
 # Where the plain law fits into each servo cycle, and not with what drags beside it.
 SLOWER = PAPER.controller.model_copy(update={"cpu_clock_MHz": 70.0})
