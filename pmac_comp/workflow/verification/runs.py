@@ -4,10 +4,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from pmac_comp.base.errors import ControllerState, ForeignChange, VerifyMismatch
+from pmac_comp.base.errors import (
+    ControllerState,
+    ForeignChange,
+    PmacCompError,
+    VerifyMismatch,
+)
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.change.context import Context
 from pmac_comp.machine.controller.change.lease import parse_number
+from pmac_comp.machine.controller.change.verdict import link_is_lost
 from pmac_comp.machine.controller.contents import programs
 from pmac_comp.machine.controller.contents.law_bank import Index
 from pmac_comp.machine.controller.contents.table_set import (
@@ -220,14 +226,16 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
 
     After an error the axis is only stopped (``Axis.run`` did that): nobody knows what a further
     command would meet. Who stops it by Ctrl-C does not want it to move to where tables may be
-    switched, but finds a motor killed that was. Both then say what acted before.
+    switched, but finds a motor killed that was. Both then say what acted before, unless it is seen
+    to act still, as after a refusal before the first run.
     """
     killed = motors.read_motor(axis.link, axis.motor).status.is_killed
     armed, tables = acting(axis, context)
     try:
         yield
     except BaseException as error:
-        error.add_note(_acted_before(armed=armed, tables=tables))
+        if not _seen_to_act(axis, context, (armed, tables), error):
+            error.add_note(_acted_before(armed=armed, tables=tables))
         if killed and isinstance(error, KeyboardInterrupt):
             axis.kill_once_it_stands()
         raise
@@ -236,6 +244,18 @@ def left_as_found(axis: Axis, context: Context, compensation: Compensation) -> I
         switch_tables(axis, on=tables)
     if killed:
         axis.kill()
+
+
+def _seen_to_act(
+    axis: Axis, context: Context, found: tuple[bool, bool], error: BaseException
+) -> bool:
+    """Whether law and tables act after an error as they were found; nobody looks after Ctrl-C."""
+    if not isinstance(error, PmacCompError) or link_is_lost(error):
+        return False
+    try:
+        return acting(axis, context) == found
+    except PmacCompError:
+        return False
 
 
 def _acted_before(*, armed: bool, tables: bool) -> str:

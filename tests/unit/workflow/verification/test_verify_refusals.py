@@ -15,7 +15,7 @@ from pmac_comp.workflow.compensation.file import Compensation, write_compensatio
 from pmac_comp.workflow.controller.deploy import deploy
 from pmac_comp.workflow.motion.motions import parse_motion
 from pmac_comp.workflow.verification import verify
-from pmac_comp.workflow.verification.runs import require_on_card
+from pmac_comp.workflow.verification.runs import left_as_found, require_on_card
 from tests.compensations import lead_map
 from tests.unit.workflow.conftest import BENCH
 
@@ -82,8 +82,13 @@ def test_in_the_cards_own_memory_what_is_asked_for_is_run_and_the_rest_left_out(
         deploy(axis, table, context)
         stood_ct = motors.read_motor(link, axis.motor).position_ct
         motions = [parse_motion(text, bench) for text in (SHORT, LONG)]
-        with pytest.raises(CaptureError, match=r"sine.* lasts"):
+        with (
+            pytest.raises(CaptureError, match=r"sine.* lasts") as refused,
+            left_as_found(axis, context, table),
+        ):
             verify.verify_axis(axis, context, table, motions)
+        # The tables act as before: nothing is to be brought back.
+        assert not getattr(refused.value, "__notes__", [])
         assert abs(motors.read_motor(link, axis.motor).position_ct - stood_ct) < 20.0
         found = verify.verify_axis(axis, context, table, motions[:1], static_runs=2)
     assert len(found.motions) == 1
