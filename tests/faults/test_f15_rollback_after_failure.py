@@ -11,7 +11,7 @@ from pmac_comp.machine.transport.tap import Way
 from tests.faults.change_bench import Standing, cut, difference, standing
 from tests.faults.test_f01_f29_every_kind import cam_route, thinned, whole_route, with_table
 from tests.faults.test_f15_f22_controller import LineFault
-from tests.faults.upload_bench import SavedState, put_back, saved
+from tests.faults.upload_bench import Left
 from tests.unit.machine_controller.card_bench import CardBench, make_plc_bench
 
 pytestmark = pytest.mark.faults
@@ -23,21 +23,15 @@ class Upload:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
-        self.folder = folder
         self.bench = make_plc_bench(folder)
         with_table(self.bench.link, self.bench.context)
         self.before: Standing = standing(self.bench)
         whole_route(self.bench.link, self.bench.context)
         self.upload: Standing = standing(self.bench)
-        self.files = {path: path.read_bytes() for path in folder.iterdir()}
-        self.saved: SavedState = saved(self.bench)
+        self.left = Left(self.bench)
 
     def again(self) -> CardBench:
-        put_back(self.bench, self.saved)
-        for path in self.folder.iterdir():
-            path.unlink()
-        for path, text in self.files.items():
-            path.write_bytes(text)
+        self.left.put_back()
         return self.connected()
 
     def connected(self) -> CardBench:

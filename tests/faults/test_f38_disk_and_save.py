@@ -49,7 +49,8 @@ class FullDisk:
         self.count += 1
         self.left -= 1
         if self.left == -1 or (self.left < 0 and self.for_good):
-            self.left, self.room = (self.room, 0) if self.room else (self.left, 0)
+            if self.room:
+                self.left, self.room = self.room, 0
             raise OSError(errno.ENOSPC, "No space left on device")
         self._fsync(fd)
 

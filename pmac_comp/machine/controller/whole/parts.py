@@ -585,8 +585,9 @@ def take_back(link: Link, context: Context, part: Part, *, was_reset: bool = Fal
     if part.kind is ChangeKind.LAW:
         with _locked(link, context, part):
             _require_rest(link, context, part)
-            restore_law(link, context, read_law_backup(backup))
-        return _law_that_came_back(link, context, read_law_backup(backup))
+            old = read_law_backup(backup)
+            restore_law(link, context, old)
+        return _law_that_came_back(link, context, old)
     settled = settle(link, context, part, resume=False, was_reset=was_reset)
     return "; ".join(settled.notes)
 
