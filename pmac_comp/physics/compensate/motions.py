@@ -15,6 +15,10 @@ HARD_MOVE_m_per_s2 = 5.0  # no move is harder, whatever a bench allows
 MOVE_S_CURVE_s = 0.015  # in which a move reaches its acceleration
 _HARD_SINE_m_per_s2 = 10.0
 _SINE_ROOM = 0.9  # a sinusoid that grows or fades asks for more than in full swing
+# Of a move, as long as those of people: where the nut comes to stand in its gap lasts as long.
+_DWELL_s = 0.2
+_JUDGING_MOVES, _JUDGING_SINES = 16, 8
+_SLOWEST_Hz, _FASTEST_Hz = 0.7, 5.0  # of a sinusoid that judges
 _LAG_SHARE = 0.75  # of the peak torque; a law needs the rest for inertia and friction
 
 
@@ -66,7 +70,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
             acceleration_m_per_s2=_hardest_move_m_per_s2(bench) * hard,
             s_curve_s=MOVE_S_CURVE_s,
             start_m=middle_m + place * span_m,
-            dwell_s=0.1,
+            dwell_s=_DWELL_s,
         )
 
     return (
@@ -116,6 +120,42 @@ def resting_moves(bench: Bench, *, n_moves: int, dwell_cycles: int) -> tuple[Tra
         )
         for distance, fast, hard, place in drawn
     )
+
+
+def judging_motions(bench: Bench) -> tuple[Trajectory, ...]:
+    """Motions on which one of several fitted laws is chosen: none of them is fitted on these.
+
+    Moves and sinusoids spread evenly over what is usual.
+    """
+    from scipy.stats.qmc import Halton
+
+    low_m, high_m = bench.travel_m
+    fastest_m_per_s = reached_speed_m_per_s(bench)
+    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
+    sines = []
+    # The first point of the sequence is its corner.
+    for fast, wide, place in Halton(3, scramble=False).random(_JUDGING_SINES + 1)[1:]:
+        frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast
+        omega = 2.0 * math.pi * frequency_Hz
+        most_m = (
+            0.05,
+            0.1 * (high_m - low_m),
+            _SINE_ROOM * fastest_m_per_s / omega,
+            _SINE_ROOM * hardest_m_per_s2 / omega**2,
+        )
+        amplitude_m = (0.7 + 0.3 * wide) * min(most_m)
+        sines.append(
+            sinusoid(
+                period_s=bench.servo_period_s,
+                amplitude_m=amplitude_m,
+                frequency_Hz=frequency_Hz,
+                cycles=3.0,
+                centre_m=low_m + 1.2 * amplitude_m + place * (high_m - low_m - 2.4 * amplitude_m),
+                dwell_s=0.05,
+            )
+        )
+    dwell_cycles = round(_DWELL_s / bench.servo_period_s)
+    return (*resting_moves(bench, n_moves=_JUDGING_MOVES, dwell_cycles=dwell_cycles), *sines)
 
 
 def fastest_move(bench: Bench) -> Trajectory:

@@ -1,5 +1,6 @@
 """The law from a model: start by closed forms, refinement through the loop, the promise."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,13 +8,17 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.files.bench import load_bench
+from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.design import NutGap, design_law, slower_law, start_law
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
-from pmac_comp.physics.compensate.motions import design_motions, reached_speed_m_per_s
+from pmac_comp.physics.compensate.motions import (
+    design_motions,
+    judging_motions,
+    reached_speed_m_per_s,
+)
 from pmac_comp.physics.compensate.promise import promise
 from pmac_comp.physics.model import slots
 from pmac_comp.physics.model.drive import DriveModel
@@ -28,8 +33,11 @@ def law() -> CompensationLaw:
     return design_law(BENCH, model_loop(DriveModel.base(BENCH)))
 
 
-def test_design_motions_stay_within_travel_and_limits() -> None:
-    for motion in design_motions(BENCH):
+@pytest.mark.parametrize("motions", [design_motions, judging_motions])
+def test_motions_stay_within_travel_and_limits(
+    motions: Callable[[Bench], tuple[Trajectory, ...]],
+) -> None:
+    for motion in motions(BENCH):
         assert motion.position_m.min() >= BENCH.travel.min_mm / 1e3
         assert motion.position_m.max() <= BENCH.travel.max_mm / 1e3
         assert np.max(np.abs(motion.velocity_m_per_s)) <= 0.5
@@ -163,6 +171,16 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     motion = a_sine(0.012, 1.9, 3.0)
     new, old = (promise(law, model_loop(model), motion) for law in (with_gap, without))
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
+
+
+@pytest.mark.slow
+def test_the_law_of_a_gap_holds_on_moves_that_it_was_not_fitted_on() -> None:
+    model = DriveModel.base(BENCH).with_effect("backlash", {"gap_m": 5e-6})
+    gap = NutGap(2.5e-6, 0.0, 0.0, model_loop(DriveModel.base(BENCH)))
+    law = design_law(BENCH, model_loop(model), gap=gap, latency_cycles=0)
+    for move in a_move(0.122, 0.275, 5.0), a_move(0.034, 0.19, 3.8), a_move(0.072, 0.308, 4.9):
+        got = promise(law, model_loop(model), move, latency_cycles=0)
+        assert got.e_r_after_um < 0.1 * got.e_before_um
 
 
 def test_a_gap_is_taken_up_whole_where_friction_winds_up_little() -> None:
