@@ -31,7 +31,11 @@ from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
-from pmac_comp.physics.compensate.motions import design_motions, judging_motions
+from pmac_comp.physics.compensate.motions import (
+    DWELL_WITH_GAP_s,
+    design_motions,
+    judging_motions,
+)
 from pmac_comp.physics.signals.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -230,7 +234,7 @@ def design_law(
     ModelError
         The model gives no finite response.
     """
-    chosen = tuple(motions or design_motions(bench))
+    chosen = tuple(motions or _fitted_on(bench, with_gap=gap is not None))
     start = start_law(
         bench,
         loop if gap is None else gap.stiff,
@@ -354,9 +358,13 @@ def slower_law(
         every_cycles=every_cycles,
         lookahead_s=law.lookahead_s + later_s,
     )
-    chosen = tuple(motions or design_motions(bench))
+    chosen = tuple(motions or _fitted_on(bench, with_gap=law.gap_half_m > 0.0))
     slower = _refined(start, loop, chosen, latency_cycles, None, most_steps=_FEW_STEPS)
     return replace(slower, gap_width_m=law.gap_width_m)
+
+
+def _fitted_on(bench: Bench, *, with_gap: bool) -> tuple[Trajectory, ...]:
+    return design_motions(bench, dwell_s=DWELL_WITH_GAP_s) if with_gap else design_motions(bench)
 
 
 def _held_s(bench: Bench, every_cycles: int) -> float:

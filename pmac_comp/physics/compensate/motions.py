@@ -15,8 +15,10 @@ HARD_MOVE_m_per_s2 = 5.0  # no move is harder, whatever a bench allows
 MOVE_S_CURVE_s = 0.015  # in which a move reaches its acceleration
 _HARD_SINE_m_per_s2 = 10.0
 _SINE_ROOM = 0.9  # a sinusoid that grows or fades asks for more than in full swing
-# Of a move, as long as those of people: where the nut comes to stand in its gap lasts as long.
-_DWELL_s = 0.2
+_DWELL_s = 0.1
+# Of a move of a drive whose nut has play, as long as those of people: where the nut comes to stand
+# in its gap lasts as long. Of others the fit would hide what fades at a rest in its friction.
+DWELL_WITH_GAP_s = 0.2
 _JUDGING_MOVES, _JUDGING_SINES = 16, 8
 _SLOWEST_Hz, _FASTEST_Hz = 0.7, 5.0  # of a sinusoid that judges
 _LAG_SHARE = 0.75  # of the peak torque; a law needs the rest for inertia and friction
@@ -36,7 +38,7 @@ def reached_speed_m_per_s(bench: Bench) -> float:
     return most_Nm / lacking_Nm_s_per_m
 
 
-def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
+def design_motions(bench: Bench, *, dwell_s: float = _DWELL_s) -> tuple[Trajectory, ...]:
     """Motions on which the coefficients of a law are refined, over the range that one reaches.
 
     Sinusoids from slow to the acceleration limit and jerk-limited moves, fast and slow, hard and
@@ -44,6 +46,13 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
     near the force at which it changes its flank. The moves differ in how long they accelerate and
     cruise, down to none: what one crossing of a gap leaves swings on into the next, and on too few
     moves the fit makes that come out by their times, half above its aim on others.
+
+    Parameters
+    ----------
+    bench : Bench
+        Travel, limits, period.
+    dwell_s : float
+        Rest before, between and after the moves.
     """
     low_m, high_m = bench.travel_m
     middle_m, span_m = 0.5 * (low_m + high_m), high_m - low_m
@@ -70,7 +79,7 @@ def design_motions(bench: Bench) -> tuple[Trajectory, ...]:
             acceleration_m_per_s2=_hardest_move_m_per_s2(bench) * hard,
             s_curve_s=MOVE_S_CURVE_s,
             start_m=middle_m + place * span_m,
-            dwell_s=_DWELL_s,
+            dwell_s=dwell_s,
         )
 
     return (
@@ -154,7 +163,7 @@ def judging_motions(bench: Bench) -> tuple[Trajectory, ...]:
                 dwell_s=0.05,
             )
         )
-    dwell_cycles = round(_DWELL_s / bench.servo_period_s)
+    dwell_cycles = round(DWELL_WITH_GAP_s / bench.servo_period_s)
     return (*resting_moves(bench, n_moves=_JUDGING_MOVES, dwell_cycles=dwell_cycles), *sines)
 
 
