@@ -57,14 +57,11 @@ def design_motions(bench: Bench, *, dwell_s: float = _DWELL_s) -> tuple[Trajecto
     low_m, high_m = bench.travel_m
     middle_m, span_m = 0.5 * (low_m + high_m), high_m - low_m
     fastest_m_per_s = reached_speed_m_per_s(bench)
-    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
 
     def sine(amplitude_m: float, frequency_Hz: float, place: float, cycles: float) -> Trajectory:
-        omega = 2.0 * math.pi * frequency_Hz
-        most_m = _SINE_ROOM * fastest_m_per_s / omega, _SINE_ROOM * hardest_m_per_s2 / omega**2
         return sinusoid(
             period_s=bench.servo_period_s,
-            amplitude_m=min(amplitude_m, 0.2 * span_m, *most_m),
+            amplitude_m=min(amplitude_m, 0.2 * span_m, _largest_sine_m(bench, frequency_Hz)),
             frequency_Hz=frequency_Hz,
             cycles=cycles,
             centre_m=middle_m + place * span_m,
@@ -139,20 +136,12 @@ def judging_motions(bench: Bench) -> tuple[Trajectory, ...]:
     from scipy.stats.qmc import Halton
 
     low_m, high_m = bench.travel_m
-    fastest_m_per_s = reached_speed_m_per_s(bench)
-    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
     sines = []
     # The first point of the sequence is its corner.
     for fast, wide, place in Halton(3, scramble=False).random(_JUDGING_SINES + 1)[1:]:
         frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast
-        omega = 2.0 * math.pi * frequency_Hz
-        most_m = (
-            0.05,
-            0.1 * (high_m - low_m),
-            _SINE_ROOM * fastest_m_per_s / omega,
-            _SINE_ROOM * hardest_m_per_s2 / omega**2,
-        )
-        amplitude_m = (0.7 + 0.3 * wide) * min(most_m)
+        most_m = min(0.05, 0.1 * (high_m - low_m), _largest_sine_m(bench, frequency_Hz))
+        amplitude_m = (0.7 + 0.3 * wide) * most_m
         sines.append(
             sinusoid(
                 period_s=bench.servo_period_s,
@@ -179,6 +168,16 @@ def fastest_move(bench: Bench) -> Trajectory:
         s_curve_s=MOVE_S_CURVE_s,
         start_m=0.5 * (low_m + high_m - reach_m),
         dwell_s=0.05,
+    )
+
+
+def _largest_sine_m(bench: Bench, frequency_Hz: float) -> float:
+    """Largest amplitude of a sinusoid whose speed and acceleration a law reaches."""
+    omega = 2.0 * math.pi * frequency_Hz
+    hardest_m_per_s2 = min(bench.safety.max_acceleration_m_per_s2, _HARD_SINE_m_per_s2)
+    return min(
+        _SINE_ROOM * reached_speed_m_per_s(bench) / omega,
+        _SINE_ROOM * hardest_m_per_s2 / omega**2,
     )
 
 
