@@ -72,6 +72,33 @@ def test_stribeck_friction_behind_play_is_found() -> None:
 
 
 @pytest.mark.slow
+def test_friction_that_grips_behind_play_is_found_beside_torque_of_the_turn() -> None:
+    friction: PlantEffects = {
+        "presliding": {"distance_um": 10.0, "place": "guide"},
+        "stribeck": {"excess_N": 15.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005},
+        "friction_per_rev": {"amplitude_Nm": 0.03, "order_per_rev": 1.0},
+        "cogging": {"amplitude_Nm": 0.04, "order_per_rev": 20.0},
+    }
+    found = shown({**friction, "backlash": {"gap_um": 4.0}}).model.parameters
+    assert found["backlash.gap_m"] == pytest.approx(4e-6, abs=0.15e-6)
+    assert found["presliding.distance_m"] == pytest.approx(10e-6, rel=0.25)
+    assert found["stribeck.excess_N"] == pytest.approx(15.0, rel=0.35)
+
+
+@pytest.mark.slow
+def test_a_fit_that_made_up_for_play_is_begun_anew() -> None:
+    """Found as friction it took the table for 71 kg of 123 and the screw for a fifteenth."""
+    friction: PlantEffects = {
+        "stribeck": {"excess_N": 15.0, "excess_Nm": 0.0, "speed_m_per_s": 0.005},
+        "post_reversal_dip": {"fraction": 0.25, "length_mm": 1.5},
+    }
+    found = shown({**friction, "backlash": {"gap_um": 4.0}}).model.parameters
+    assert found["backlash.gap_m"] == pytest.approx(4e-6, abs=0.15e-6)
+    assert found["chain.table_mass_kg"] == pytest.approx(124.0, rel=0.05)
+    assert found["stribeck.excess_N"] == pytest.approx(15.0, rel=0.2)
+
+
+@pytest.mark.slow
 def test_a_bed_that_swings_behind_play_is_found() -> None:
     swings = {"frequency_Hz": 25.0, "mass_ratio": 0.12}
     found = shown({"base_mode": swings, "backlash": {"gap_um": 2.0}})

@@ -41,7 +41,7 @@ _WORDS = {
 }
 _CARRIES = ("chain.table_mass_kg", "chain.axial_stiffness_N_per_m")
 _TURNING = ("nut_", "motor_", "rotary")
-_STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for any sensor here
+STICK_ZONE_m = 1e-6  # below it a reversal is as sharp as Coulomb friction for any sensor here
 _NO_ZONE_m = 0.0
 _SIGNIFICANT = 3.0  # standard deviations
 _SUSPECT = 1.9  # misfit after reversals over elsewhere; Coulomb friction alone gives 1.5 to 1.8
@@ -66,12 +66,12 @@ class _Form:
     @property
     def is_coulomb(self) -> bool:
         """Whether nothing of it is left."""
-        return max(self.guide_m, self.rotary_m) <= _STICK_ZONE_m and not self.has_stribeck
+        return max(self.guide_m, self.rotary_m) <= STICK_ZONE_m and not self.has_stribeck
 
     @property
     def is_whole(self) -> bool:
         """Whether every part of it is there."""
-        return min(self.guide_m, self.rotary_m) > _STICK_ZONE_m and self.has_stribeck
+        return min(self.guide_m, self.rotary_m) > STICK_ZONE_m and self.has_stribeck
 
     @property
     def with_memory(self) -> "_Form":
@@ -274,8 +274,8 @@ def _chosen(
     figures["held_out_lugre_um"] = rms_um(errors)
     # Memory of the guide's friction can only show where there is presliding at the guide. Coarse
     # counts can hide what it leaves around reversals: only the held-out samples tell.
-    if form.guide_m > _STICK_ZONE_m:
-        other = trial.fitted_at_guide(_start(found.model or base, form.with_memory, _STICK_ZONE_m))
+    if form.guide_m > STICK_ZONE_m:
+        other = trial.fitted_at_guide(_start(found.model or base, form.with_memory, STICK_ZONE_m))
         if other is not None:
             left = trial.errors(other)
             figures["held_out_gms_um"] = rms_um(left)
@@ -330,7 +330,7 @@ def _reduced(
     if form.is_whole:
         return found, form
     # Left out from the start: what came out as nothing can hold the rest in a corner.
-    return trial.fitted(_start(found.model, form, _STICK_ZONE_m)) or found, form
+    return trial.fitted(_start(found.model, form, STICK_ZONE_m)) or found, form
 
 
 def _whole(found: Identification) -> tuple[Identification, _Form]:

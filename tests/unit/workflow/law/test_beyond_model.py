@@ -31,11 +31,24 @@ def test_promise_is_made_by_the_whole_drive_as_it_was_fitted_beside_the_gap() ->
     assert made_with(WHOLE, LAW).parameters == model.parameters
 
 
+def test_friction_that_stood_for_the_gap_is_not_in_the_model_that_promises() -> None:
+    whole = {**NOTE["whole_model"], "without": ["presliding@all"]}
+    law = CompensationLaw(provenance={**NOTE, "whole_model": whole})
+    model = made_with(MODEL.with_effect("presliding@all"), law)
+    assert model.effects == WHOLE.effects
+    assert made_with(MODEL, law).effects == WHOLE.effects  # a model file that never named it
+    *_, given_up = shown_remarks(law)
+    assert "presliding@all" in given_up
+    assert "left out" in given_up
+
+
 def test_person_reads_of_the_gap_and_of_the_friction_that_it_hid() -> None:
     gap, friction = shown_remarks(LAW)
     assert "2.10 um" in gap
     assert "stribeck" in friction
     assert "diagnose" in friction
+    sharp = {"effects": ["presliding@all"], "values": {"presliding.distance_m": 2e-8}}
+    assert len(shown_remarks(CompensationLaw(provenance={**NOTE, "whole_model": sharp}))) == 1
     alone = CompensationLaw(provenance=clearance_note(GAP))
     assert len(shown_remarks(alone)) == 1
     assert shown_remarks(CompensationLaw()) == []
