@@ -29,6 +29,7 @@ from pmac_comp.workflow.compensation.text import describe, limits_report, table_
 from pmac_comp.workflow.law.beyond_model import made_with, shown_remarks
 from pmac_comp.workflow.law.dynamic_law import (
     constant_remarks,
+    creep_remarks,
     drag_remarks,
     law_remarks,
     without_fed_forward,
@@ -123,6 +124,7 @@ def compensate_files(
             *constant_remarks(loaded, law),
             *wobble_remarks(law),
             *drag_remarks(law),
+            *creep_remarks(law),
             *shown_remarks(law),
             *(flank_remarks(law) if route != "table" else ()),
             *lag_remarks(loaded),

@@ -16,6 +16,7 @@ from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.machine.controller.card.processor_load import ProcessorLoad
+from pmac_comp.physics.compensate.creep import with_creep
 from pmac_comp.physics.compensate.exact import Aim, exact_correction, faded
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -149,6 +150,7 @@ def compute_compensation(
         lead = mapped(law)
     loop = model_loop(without_fed_forward(model))
     law = with_unwinding(law, loop, bench, LATENCY_CYCLES[route], load_torque_Nm(model))
+    law = with_creep(law, captures, lead)
     more = _against_wobble(bench, model, route, law, wave)
     law = more if route != "law" or cycles_of(more) <= law.every_cycles else law
     if captures:

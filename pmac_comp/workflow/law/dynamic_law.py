@@ -24,6 +24,7 @@ from pmac_comp.physics.compensate.constant import (
     with_constant_torque,
     with_load,
 )
+from pmac_comp.physics.compensate.creep import CREEP, Creep
 from pmac_comp.physics.compensate.delay import drive_delay_s
 from pmac_comp.physics.compensate.design import NutGap, Stribeck, SwungBed, design_law
 from pmac_comp.physics.compensate.grip import (
@@ -374,6 +375,20 @@ def constant_remarks(bench: Bench, law: CompensationLaw) -> list[str]:
         "law sends it; "
         "should the load change, capture and compute again",
         *by_place,
+    ]
+
+
+def creep_remarks(law: CompensationLaw) -> list[str]:
+    """That the drive does not stay where it rests, for people."""
+    noted = law.provenance.get(CREEP)
+    if noted is None:
+        return []
+    found = Creep(**noted)
+    speed, two_std = (MM_PER_M * v for v in (found.speed_m_per_s, found.two_std_m_per_s))
+    return [
+        f"at rest the runs creep, by {speed:.2g} +- {two_std:.1g} mm/s where friction's torque "
+        "pushes: friction does not hold this drive, and the model knows none that does not. The "
+        "law lets go of its friction torque as a rest begins"
     ]
 
 
