@@ -36,7 +36,8 @@ _UNEVEN = "viscous_uneven_s"
 # Of a law's provenance: share of the rest that the captures' corrections and a drag explain.
 TRIM_EXPLAINED, DRAG = "trim_explained", "drag_explained"
 _SAME_FORCE = {"torque_viscous_Nm_s_per_m": "viscous_s", "torque_coulomb_Nm": "coulomb_m"}
-_TERMS = ("inertia_s2", "viscous_s", "coulomb_m", "compliance_slope_per_m")
+_SLOPE = "compliance_slope_per_m"
+_TERMS = ("inertia_s2", "viscous_s", "coulomb_m", _SLOPE)
 
 
 def trimmed_law(
@@ -149,11 +150,19 @@ def _own_breakaway_m(law: CompensationLaw) -> float:
 def _less(
     law: CompensationLaw, changes: Iterable[float], trim: Mapping[str, float]
 ) -> dict[str, float]:
-    """Terms of a law without its trim, less those of an error: it is what the law takes away."""
+    """Terms of a law without its trim, less those of an error: it is what the law takes away.
+
+    The change along the travel is fitted to the elastic error of the law as it was and goes with
+    that of the law as it comes: (I - c0) (1 + s x) - I c3 x = (I - c0) (1 + (s - c3 I/(I - c0)) x).
+    """
     values = {
         name: getattr(law, name) - trim.get(name, 0.0) - float(change)
         for name, change in zip(_names(law), changes, strict=True)
     }
+    own, left = law.inertia_s2, values["inertia_s2"]
+    if min(own, left) > 0.0:
+        slope = law.compliance_slope_per_m - trim.get(_SLOPE, 0.0)
+        values[_SLOPE] = slope + (values[_SLOPE] - slope) * own / left
     if law.gap_half_m > 0.0:
         values["coulomb_m"] = max(values["coulomb_m"], LEAST_COULOMB_m)
     return values

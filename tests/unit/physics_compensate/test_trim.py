@@ -47,6 +47,25 @@ def test_missing_compliance_is_taken_over_by_the_law() -> None:
     assert explained > 0.9
 
 
+def test_stiffness_that_does_not_change_along_the_travel_is_taken_over_beside_another() -> None:
+    steep = replace(LAW, compliance_slope_per_m=0.8)
+    captures = []
+    for motion in MOTIONS:
+        run = capture_of(MODEL, motion)
+        motor = run.motor_position_m
+        v = np.gradient(motor, BENCH.servo_period_s)
+        a = np.gradient(v, BENCH.servo_period_s)
+        s = friction_state(v, steep.breakaway_m, BENCH.servo_period_s)
+        own = steep.inertia_s2 * a + steep.viscous_s * v + steep.coulomb_m * s
+        # A third less at the middle, and the same everywhere.
+        change = own * (1.0 + steep.compliance_slope_per_m * motor) - 2.0 / 3.0 * own
+        assert run.table_position_m is not None
+        captures.append(replace(run, table_position_m=run.table_position_m + change))
+    law, _ = trimmed_law(steep, model_loop(MODEL), captures)
+    assert law.inertia_s2 == pytest.approx(2.0 / 3.0 * LAW.inertia_s2, rel=0.01)
+    assert law.compliance_slope_per_m == pytest.approx(0.0, abs=0.03)
+
+
 def test_friction_that_grips_late_at_the_table_is_taken_over() -> None:
     distance_m, level_m = 16e-6, LAW.coulomb_m
     sharp = replace(LAW, breakaway_m=1.2e-6)
