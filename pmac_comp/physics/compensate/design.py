@@ -117,6 +117,7 @@ _LOWEST = {
     "torque_stribeck_Nm": 0.0,
     "stribeck_speed_m_per_s": 1e-3,
 }
+_LEAST_LOAD_FRAC = 0.02  # of the friction torque
 # Gone in ten servo cycles; a pass that takes away more than there is would swing.
 _FASTEST_FADE_per_s = 400.0
 
@@ -251,7 +252,9 @@ def design_law(
         jerk_limit_m_per_s3=_JERK_ROOM * max(_largest_jerk(motion) for motion in chosen),
     )
     if with_torque:
-        start = replace(start, torque_constant_Nm=load_Nm)
+        # Less is nothing beside friction: the fit would make of it what suits its motions.
+        counts = abs(load_Nm) > _LEAST_LOAD_FRAC * start.torque_coulomb_Nm
+        start = replace(start, torque_constant_Nm=load_Nm if counts else 0.0)
     if gap is not None:
         start = _taking_up(gap, start)
     if bed is not None:

@@ -24,8 +24,10 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
+from pmac_comp.physics.compensate.constant import constant_torque
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.ripple import RIPPLE
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.model.effect import split_name
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
 _FRICTION = ("stribeck", "presliding", "presliding_gms")
 _WHOLE = "whole_model"  # of a law: all that the last fit has
 _LEAST_KEPT, _MOST_KEPT = 0.5, 2.0  # of the gap that slow and fast runs gave
+_LEAST_LOAD_FRAC = 0.05  # of the guide's friction, of a load that counts beside it
 _LESS_FRAC = 0.9  # of what a gap beside the identified drive leaves, to begin from the stated one
 
 
@@ -195,19 +198,34 @@ def _as_stated(bench: Bench, model: "DriveModel") -> "DriveModel":
 
 def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress | None) -> Shown:
     """With the gap, the drive fitted anew beside it, and what it hid."""
-    from pmac_comp.physics.identify.refit import fitted_anew
+    from pmac_comp.physics.identify.refit import fitted_anew, fitted_in_valleys
 
     loose = with_clearance(shown.model, gap.values)
     if progress is not None:
         progress("fitting the drive beside the gap", 0.0)
     anew = fitted_anew(shown.captures, bench, loose)
     if anew is not None:
+        loaded = _loaded(anew.model, shown.captures)
+        anew = fitted_in_valleys(shown.captures, bench, loaded, anew.left_um) or anew
         moved = _moved(gap, anew.model, anew.left_um)
         if _LEAST_KEPT * gap.gap_m < moved.gap_m < _MOST_KEPT * gap.gap_m:
             loose, gap = anew.model, moved
     found = _timed_and_still(bench, replace(shown, model=loose), progress)
     gap = _moved(gap, found.model, gap.with_um)
     return replace(found, noted={**found.noted, **clearance_note(gap)})
+
+
+def _loaded(model: "DriveModel", captures: Sequence[Capture]) -> "DriveModel":
+    """The model with the load that the torque shows, where it moves when the nut crosses."""
+    if "bias_force" in model.effects:
+        return model
+    found = constant_torque(model_loop(without_fed_forward(model)), captures)
+    if found is None or abs(found.torque_Nm) <= found.two_std_Nm:
+        return model
+    force_N = found.torque_Nm / model.bench.lead_m_per_rad
+    if abs(force_N) < _LEAST_LOAD_FRAC * model.parameters["coulomb.guide_N"]:
+        return model
+    return model.with_effect("bias_force", {"force_N": force_N})
 
 
 def _moved(gap: Clearance, model: "DriveModel", with_um: float) -> Clearance:
