@@ -4,7 +4,7 @@ The way from a model and captures to what is sent, and the modules of each part 
 
     the drive      loop motions delay
     the law        law evaluation design resting
-    by captures    starts grip ripple constant trim clearance
+    by captures    starts grip creep ripple constant trim clearance
     by place       lead wobble
     one motion     exact
     promised       promise unmodelled
