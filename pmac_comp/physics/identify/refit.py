@@ -35,7 +35,9 @@ _PARTS = {
 _GAP, _GUIDE, _MOTOR = "backlash.gap_m", "coulomb.guide_N", "coulomb.motor_Nm"
 _STIFFNESS = "chain.axial_stiffness_N_per_m"
 _GUIDE_FACTORS = (1.0, 0.85, 0.92, 1.08)
-_NO_OTHER_um = 0.1  # where a fit is right, 0.04 to 0.06 um are left with 40 000 counts
+# Where a fit is right, 0.04 to 0.05 um are left with 40 000 counts: there no form of friction can
+# show, and below the second no other valley.
+_NOTHING_LEFT_um, _NO_OTHER_um = 0.055, 0.1
 _FORMS = (
     ("stribeck",),
     ("presliding",),
@@ -104,7 +106,7 @@ def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) ->
         return None
     best, errors = plain.model, trial.errors(plain)
     without = errors
-    for form in _FORMS:
+    for form in _FORMS if rms_um(errors) > _NOTHING_LEFT_um else ():
         if any(_family(part) in map(_family, model.effects) for part in form):
             continue
         other = trial.half(_with_form(plain.model, form), None)
