@@ -156,6 +156,19 @@ def measured_clearance(
     return found if is_told and found.gap_m * UM_PER_M >= _LEAST_GAP_um else None
 
 
+def known_load_N(model: "DriveModel", captures: Sequence[Capture]) -> float:
+    """Constant load as a force at the table that torque surely shows beyond the model; 0 for none.
+
+    A load that the model has is not looked for again.
+    """
+    if "bias_force" in model.effects:
+        return 0.0
+    found = constant_torque(model_loop(model), captures)
+    if found is None or abs(found.torque_Nm) <= found.two_std_Nm:
+        return 0.0
+    return found.torque_Nm / model.bench.lead_m_per_rad
+
+
 def settled(capture: Capture) -> BoolArray:
     """Samples of a run after which it is known on which flank the nut is, shape (n,)."""
     steps = np.abs(np.diff(capture.commanded_position_m))
@@ -181,16 +194,10 @@ def _gap_fit(model: "DriveModel", runs: Sequence["_Run"], wound: "_Fit", load: _
 
 
 def _load_N(model: "DriveModel", captures: Sequence[Capture]) -> float:
-    """Constant load as a force at the table that torque shows beyond the model; 0 for none."""
-    if "bias_force" in model.effects:
-        return 0.0
-    found = constant_torque(model_loop(model), captures)
-    if found is None:
-        return 0.0
-    force_N = found.torque_Nm / model.bench.lead_m_per_rad
+    """Constant load that moves the flank far, as a force at the table; 0 for none."""
+    force_N = known_load_N(model, captures)
     least_N = _LEAST_LOAD_FRAC * (abs(force_N) + model.parameters[_GUIDE])
-    is_known = abs(found.torque_Nm) > found.two_std_Nm and abs(force_N) > least_N
-    return force_N if is_known else 0.0
+    return force_N if abs(force_N) > least_N else 0.0
 
 
 def _can_hide(model: "DriveModel") -> bool:

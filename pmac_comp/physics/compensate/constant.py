@@ -31,7 +31,7 @@ UNEVEN = "uneven"  # the same where viscous friction differs between the directi
 _CLEAR_m = 0.2e-3  # of way after a turn: friction has set in, whatever distance it slides
 _LEAST_STRETCHES = 4  # of one direction each: fewer do not tell how far they scatter
 _LEAST_ALONE = 0.2  # of a constant that direction, speed, acceleration and place do not imitate
-_LEAST_FRAC = 0.02  # of the friction torque: less is not worth a change
+LEAST_LOAD_FRAC = 0.02  # of the friction torque: less is not worth a change
 _PLACE_FRAC = 0.05  # of the friction torque: what a load by place has at the runs' ends
 _PLACE_SURE = 1.5  # times two standard deviations
 _UNEVEN_FRAC = 0.05  # of the friction torque: what goes with the speed has at the runs' highest
@@ -93,7 +93,7 @@ def with_constant_torque(
     if found is None:
         return law
     law = _with_uneven(_with_load_by_place(law, found), found)
-    least_Nm = _LEAST_FRAC * law.torque_coulomb_Nm
+    least_Nm = LEAST_LOAD_FRAC * law.torque_coulomb_Nm
     if abs(found.torque_Nm) <= max(found.two_std_Nm, least_Nm):
         return law
     law = with_load(law, constant_Nm=found.torque_Nm)

@@ -10,8 +10,8 @@ goes on sending friction's torque at rest pushes such a drive out of its place: 
 0.2 s where friction turns over within 0.2 mm/s, 0.46 of the total error without compensation.
 
 Torque and speed of the motor over rests tell the two apart. On simulated cards a drive that creeps
-over 0.2 mm/s came out with 0.189 +- 0.003 mm/s, and six that hold (presliding over 10 and 30 um,
-play, a load) with 0.000 to 0.003.
+over 0.2 mm/s came out with 0.205 +- 0.005 mm/s, and seven that hold (presliding over 10 and 30 um,
+play, a load) as such.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.compensate.design import FASTEST_FADE_per_s
 from pmac_comp.physics.compensate.evaluation import REST_CYCLES, friction_state
 from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 
 CREEP = "creep"  # of a law's provenance
-_AT_ONCE_per_s = 400.0  # gone in ten servo cycles, as fast as a law of every second cycle fades
 _BIN_s = 0.02  # over which positions are averaged: a count that flickers is no speed
 _LEAST_BINS = 8
 _LEAST_m_per_s = 0.01e-3  # pushed with all of friction; less moves nothing far while a rest lasts
@@ -70,9 +70,9 @@ def with_creep(
     found = creep_at_rest(law, captures, lead)
     if found is None:
         return law
-    law = law.with_values(rest_fade_per_s=max(law.rest_fade_per_s, _AT_ONCE_per_s))
+    law = law.with_values(rest_fade_per_s=max(law.rest_fade_per_s, FASTEST_FADE_per_s))
     if found.held_share < _HELD_SHARE:
-        law = law.with_values(rest_unwind_per_s=max(law.rest_unwind_per_s, _AT_ONCE_per_s))
+        law = law.with_values(rest_unwind_per_s=max(law.rest_unwind_per_s, FASTEST_FADE_per_s))
     return law.noting({CREEP: asdict(found)})
 
 

@@ -27,6 +27,7 @@ from pmac_comp.base.progress import Progress
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
+from pmac_comp.physics.compensate.constant import LEAST_LOAD_FRAC
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw
@@ -117,9 +118,8 @@ _LOWEST = {
     "torque_stribeck_Nm": 0.0,
     "stribeck_speed_m_per_s": 1e-3,
 }
-_LEAST_LOAD_FRAC = 0.02  # of the friction torque
 # Gone in ten servo cycles; a pass that takes away more than there is would swing.
-_FASTEST_FADE_per_s = 400.0
+FASTEST_FADE_per_s = 400.0
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def design_law(
     )
     if with_torque:
         # Less is nothing beside friction: the fit would make of it what suits its motions.
-        counts = abs(load_Nm) > _LEAST_LOAD_FRAC * start.torque_coulomb_Nm
+        counts = abs(load_Nm) > LEAST_LOAD_FRAC * start.torque_coulomb_Nm
         start = replace(start, torque_constant_Nm=load_Nm if counts else 0.0)
     if gap is not None:
         start = _taking_up(gap, start)
@@ -516,7 +516,7 @@ def _with_values(law: CompensationLaw, names: Sequence[str], values: FloatArray)
     """The law with fitted coefficients."""
     given = dict(zip(names, values.tolist(), strict=True))
     # A limit here and none of the fit: near one that is not even reached it ends elsewhere.
-    fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), _FASTEST_FADE_per_s)
+    fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), FASTEST_FADE_per_s)
     return law.with_values(**given | {"rest_fade_per_s": fade})
 
 

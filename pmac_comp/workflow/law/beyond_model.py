@@ -23,11 +23,9 @@ from typing import TYPE_CHECKING, Any
 from pmac_comp.base.progress import Progress
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.clearance import Clearance, with_clearance
-from pmac_comp.physics.compensate.constant import constant_torque
+from pmac_comp.physics.compensate.clearance import Clearance, known_load_N, with_clearance
 from pmac_comp.physics.compensate.grip import gripping_model
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.compensate.loop import model_loop
 from pmac_comp.physics.compensate.ripple import RIPPLE
 from pmac_comp.physics.compensate.starts import with_starts
 from pmac_comp.physics.model.effect import split_name
@@ -183,12 +181,13 @@ def _nearer(bench: Bench, shown: Shown, gap: Clearance) -> tuple[Shown, Clearanc
     """Where the gap explains more: beside the drive as identified or as the bench states it."""
     stated = replace(shown, model=_as_stated(bench, shown.model))
     other = found_clearance(bench, stated.model, shown.slow, shown.captures)
-    is_nearer = other is not None and other.with_um < _LESS_FRAC * gap.with_um
-    return (stated, other) if other is not None and is_nearer else (shown, gap)
+    if other is None or other.with_um >= _LESS_FRAC * gap.with_um:
+        return shown, gap
+    return stated, other
 
 
 def _as_stated(bench: Bench, model: "DriveModel") -> "DriveModel":
-    """The chain of the bench file, with the friction of the model but for what it beside that."""
+    """The chain of the bench file, with the model's friction but for forms beside Coulomb's."""
     for name in model.effects:
         model = model if split_name(name)[0] not in _FRICTION else model.without_effect(name)
     base = type(model).base(bench).parameters
@@ -217,13 +216,8 @@ def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress |
 
 def _loaded(model: "DriveModel", captures: Sequence[Capture]) -> "DriveModel":
     """The model with the load that the torque shows, where it moves when the nut crosses."""
-    if "bias_force" in model.effects:
-        return model
-    found = constant_torque(model_loop(without_fed_forward(model)), captures)
-    if found is None or abs(found.torque_Nm) <= found.two_std_Nm:
-        return model
-    force_N = found.torque_Nm / model.bench.lead_m_per_rad
-    if abs(force_N) < _LEAST_LOAD_FRAC * model.parameters["coulomb.guide_N"]:
+    force_N = known_load_N(without_fed_forward(model), captures)
+    if force_N == 0.0 or abs(force_N) < _LEAST_LOAD_FRAC * model.parameters["coulomb.guide_N"]:
         return model
     return model.with_effect("bias_force", {"force_N": force_N})
 
