@@ -23,12 +23,11 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.design import FASTEST_FADE_per_s
 from pmac_comp.physics.compensate.evaluation import REST_CYCLES, friction_state
-from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
+from pmac_comp.physics.signals.rests import moving_of, rests_of, slow_motion_at_rest
 
 CREEP = "creep"  # of a law's provenance
-_BIN_s = 0.02  # over which positions are averaged: a count that flickers is no speed
 _LEAST_BINS = 8
 _LEAST_m_per_s = 0.01e-3  # pushed with all of friction; less moves nothing far while a rest lasts
 _SURE = 5.0  # standard deviations
@@ -106,26 +105,9 @@ def creep_at_rest(
 
 def _pushed(law: CompensationLaw, capture: Capture) -> FloatArray:
     """Push in shares of the friction torque and speed in m/s at rests of a run, shape (2, n)."""
-    period, r = capture.sample_period_s, capture.commanded_position_m
-    size = max(round(_BIN_s / period), 1)
-    found = [np.zeros((2, 0))]
-    if capture.torque_command_Nm is None:
-        return found[0]
-    load_Nm = law.torque_constant_Nm + law.torque_place_Nm_per_m * (r - law.origin_m)
-    torque = capture.torque_command_Nm - load_Nm
-    for rest in rests_of(r, period):
-        begins = rest.start + (size if rest.start > 0 else 0)  # the loop's lag is no creep
-        n = (rest.stop - begins) // size
-        if n < 2:
-            continue
-        bins = slice(begins, begins + n * size)
-        place_m, mean_Nm = (
-            values[bins].reshape(n, size).mean(axis=1)
-            for values in (capture.motor_position_m, torque)
-        )
-        push = 0.5 * (mean_Nm[1:] + mean_Nm[:-1]) / law.torque_coulomb_Nm
-        found.append(np.stack([push, np.diff(place_m) / (size * period)]))
-    return np.concatenate(found, axis=1)
+    torque_Nm, speed_m_per_s, place_m = slow_motion_at_rest(capture)
+    load_Nm = law.torque_constant_Nm + law.torque_place_Nm_per_m * (place_m - law.origin_m)
+    return np.stack([(torque_Nm - load_Nm) / law.torque_coulomb_Nm, speed_m_per_s])
 
 
 def _held_share(law: CompensationLaw, captures: Sequence[Capture], lead: LeadMap | None) -> float:

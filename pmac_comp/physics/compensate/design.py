@@ -107,6 +107,8 @@ _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
 _STRIBECK_SCALES = {"stribeck_m": 0.5e-6, "stribeck_speed_m_per_s": 5e-3}
 _STRIBECK_TORQUE_SCALES = {"torque_stribeck_Nm": 0.05}
+_SMOOTH_SCALES, _SLOWEST_SMOOTH = {"stribeck_speed_m_per_s": 1e-3}, 5e-5
+_SMOOTH_FRAC = 0.8  # of v_c: where the law's curve is nearest to the hyperbolic tangent
 _BED_TORQUE_SCALES = {"torque_bed_Nm_s2_per_m": 0.02}
 _LOWEST = {
     "breakaway_m": 0.5e-6,
@@ -183,6 +185,19 @@ class Stribeck:
     speed_m_per_s: float
 
 
+@dataclass(frozen=True)
+class SmoothFriction:
+    """Friction F tanh(v / v_c).
+
+    Parameters
+    ----------
+    speed_m_per_s : float
+        v_c at the table.
+    """
+
+    speed_m_per_s: float
+
+
 def design_law(
     bench: Bench,
     loop: LoopRunner,
@@ -193,7 +208,7 @@ def design_law(
     every_cycles: int = 1,
     gap: NutGap | None = None,
     bed: SwungBed | None = None,
-    stribeck: Stribeck | None = None,
+    stribeck: Stribeck | SmoothFriction | None = None,
     load_Nm: float = 0.0,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
@@ -219,8 +234,8 @@ def design_law(
         Clearance of the nut.
     bed : SwungBed, optional
         Bed that swings.
-    stribeck : Stribeck, optional
-        Friction that is higher near standstill.
+    stribeck : Stribeck or SmoothFriction, optional
+        Friction that is another near standstill.
     load_Nm : float
         Torque that holds the constant load of the model: a law with torque sends it.
     motions : sequence of Trajectory, optional
@@ -259,7 +274,9 @@ def design_law(
         start = _taking_up(gap, start)
     if bed is not None:
         start = _swinging(bed, start)
-    if stribeck is not None:
+    if isinstance(stribeck, SmoothFriction):
+        start = start.as_smooth(_SMOOTH_FRAC * stribeck.speed_m_per_s)
+    elif stribeck is not None:
         start = _gripping_slow(stribeck, start)
     law = _refined(start, loop, chosen, latency_cycles, progress)
     if gap is None or gap.edge_m_per_s2 > 0.0:
@@ -507,7 +524,10 @@ def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
         lowest["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
     if start.bed_share > 0.0 and has_torque:
         sizes |= _BED_TORQUE_SCALES
-    if start.has_stribeck:
+    if start.is_smooth:
+        sizes |= _SMOOTH_SCALES
+        lowest["stribeck_speed_m_per_s"] = _SLOWEST_SMOOTH
+    elif start.has_stribeck:
         sizes |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})
     return sizes, lowest
 

@@ -20,9 +20,10 @@ from functools import partial
 
 import numpy as np
 
-from pmac_comp.base.arrays import BoolArray, FloatArray, finite_array, stretches
+from pmac_comp.base.arrays import FloatArray, finite_array
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.signals.metrics import rms_um
+from pmac_comp.physics.signals.rests import rests_of
 
 LEARNING_CUTOFF_Hz = 20.0
 MEASURED_CUTOFF_Hz = 40.0  # with velocity and acceleration feedforward the loop lags little there
@@ -35,8 +36,6 @@ _RETREAT = 0.6  # cutoff after a pass that was taken back
 _MOST_RETREATS = 2
 _PAD_s = 0.2
 _EDGE_FRAC = 0.02  # of a motion at both ends, over which its offset fades
-_LEAST_REST_s = 0.02  # a shorter stop is a reversal
-_REST_STEP_m = 1e-10  # commands nearer than this are one place
 _NOISE_MARGIN = 1.5  # times the scatter of repeats: nothing is left to learn below
 
 
@@ -214,21 +213,6 @@ def _fresh_runs(
         if not keeps_interrupted:
             raise
     return errors
-
-
-def rests_of(position_m: FloatArray, period_s: float) -> tuple[slice, ...]:
-    """Stretches of a command, shape (n,) in m, over which it stands for 20 ms or longer."""
-    still = np.abs(np.diff(position_m, prepend=position_m[0])) < _REST_STEP_m
-    least = _LEAST_REST_s / period_s
-    return tuple(rest for rest in stretches(still) if rest.stop - rest.start > least)
-
-
-def moving_of(n: int, rests: Sequence[slice]) -> BoolArray:
-    """Samples outside rests, shape (n,)."""
-    moving = np.ones(n, dtype=np.bool_)
-    for rest in rests:
-        moving[rest] = False
-    return moving
 
 
 def _step(

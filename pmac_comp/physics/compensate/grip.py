@@ -54,7 +54,7 @@ def gripping_law(
     CompensationLaw, float
         The law itself and 0 where nothing is gained; the change is kept as ``trim``.
     """
-    if not captures or law.torque_coulomb_Nm <= 0.0:
+    if not captures or law.torque_coulomb_Nm <= 0.0 or law.is_smooth:
         return law, 0.0
     longer = [b for b in DISTANCES_m if b > law.torque_breakaway_m]
     left_m = {b: _left_m(law, loop, captures, b) for b in (law.torque_breakaway_m, *longer)}
@@ -88,7 +88,12 @@ def gripping_model(model: "DriveModel", law: CompensationLaw) -> "DriveModel":
 
 
 def slides(model: "DriveModel", distance_m: float) -> bool:
-    """Whether the friction of a model grips over about such a distance, not over much less."""
+    """Whether the friction of a model grips over about such a distance, not over much less.
+
+    Friction that turns over with speed grips at no distance of its own.
+    """
+    if "smooth_coulomb" in model.effects:
+        return True
     own_m = [
         value
         for name in _sliding(model)

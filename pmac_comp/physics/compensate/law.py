@@ -62,6 +62,9 @@ An impulse of torque one pass after it takes a part of that away: j1 and j2 are 
 passes ago, TI is fitted in the loop. In simulation it takes 0.4 off e_r of moves on the paper's
 bench, and as much where the current loop is late.
 
+Friction may also set in with speed, as grease and seals shear: with SS = -S0 and TS = -TC, 1 - w
+stands for tanh(p' / v_c), at most 0.16 off where VS is 0.8 v_c. Such friction holds nothing.
+
 Over the first 100 cycles of a rest ``t`` fades, to 0.37 where nothing else is known. All of it is
 just what breaks the motor loose: with what the integrator holds beside it, and where counts of the
 encoder keep the drive ringing, a motor whose bearings slide into their friction creeps on by
@@ -147,8 +150,6 @@ _POSITIVE = (
 _NOT_NEGATIVE = (
     "rest_fade_per_s",
     "rest_unwind_per_s",
-    "stribeck_m",
-    "torque_stribeck_Nm",
     "bed_share",
     "bed_damping_per_s",
     "bed_stiffness_per_s2",
@@ -221,6 +222,7 @@ class CompensationLaw:
         TH, n, PH: cogging.
     stribeck_m, torque_stribeck_Nm, stribeck_speed_m_per_s : float
         SS, TS and VS: friction at rest beyond that in motion, and the speed that takes it away.
+        Negative, they are S0 and TC with the other sign: friction that sets in with speed.
     bed_share, bed_damping_per_s, bed_stiffness_per_s2 : float
         M, D and O of a bed that swings; without a share there is none.
     torque_bed_Nm_s2_per_m : float
@@ -370,6 +372,8 @@ class CompensationLaw:
     def _check_signs(self) -> None:
         small = [name for name in _POSITIVE if getattr(self, name) <= 0.0]
         small += [name for name in _NOT_NEGATIVE if getattr(self, name) < 0.0]
+        most = {"stribeck_m": self.coulomb_m, "torque_stribeck_Nm": self.torque_coulomb_Nm}
+        small += [n for n, own in most.items() if getattr(self, n) < min(-own, 0.0)]
         if small or self.amplitude_limit_m < 0.0 or self.torque_limit_Nm < 0.0:
             raise ModelError(
                 f"{', '.join(small) or 'a limit'} of the compensation law is not positive.",
@@ -382,8 +386,14 @@ class CompensationLaw:
         return asdict(self)
 
     def with_values(self, **values: float) -> "CompensationLaw":
-        """Copy with some coefficients replaced."""
+        """Copy with some coefficients replaced; smooth friction stays without any at rest."""
+        if self.is_smooth:
+            values = {**values, **_smooth({**self.as_mapping(), **values})}
         return replace(self, **values)  # type: ignore[arg-type]
+
+    def as_smooth(self, speed_m_per_s: float) -> "CompensationLaw":
+        """The same law with friction that sets in with speed, over about ``speed_m_per_s``."""
+        return replace(self, stribeck_speed_m_per_s=speed_m_per_s, **_smooth(self.as_mapping()))
 
     def noting(self, said: Mapping[str, Any]) -> "CompensationLaw":
         """The same law with more in its provenance."""
@@ -409,7 +419,7 @@ class CompensationLaw:
         fast = swung * abs(self.inertia_s2) * self.valid_acceleration_m_per_s2
         viscous_s = abs(self.viscous_s) + abs(self.viscous_uneven_s)
         fast += viscous_s * self.valid_speed_m_per_s
-        still = abs(self.coulomb_m) + self.stribeck_m + self.drag_m
+        still = abs(self.coulomb_m) + max(self.stribeck_m, 0.0) + self.drag_m
         return fast + still + self.gap_half_m
 
     @property
@@ -419,8 +429,13 @@ class CompensationLaw:
 
     @property
     def has_stribeck(self) -> bool:
-        """Whether friction is higher near standstill."""
-        return max(self.stribeck_m, self.torque_stribeck_Nm) > 0.0
+        """Whether friction near standstill is another than in motion."""
+        return self.stribeck_m != 0.0 or self.torque_stribeck_Nm != 0.0
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether friction sets in with speed, and there is none at rest."""
+        return min(self.stribeck_m, self.torque_stribeck_Nm) < 0.0
 
     @property
     def is_second_cogging(self) -> bool:
@@ -440,6 +455,14 @@ class CompensationLaw:
         """The same command offset with no torque feed-forward."""
         zero = dict.fromkeys(_WITHOUT_TORQUE, 0.0)
         return replace(self, **zero, torque_limit_Nm=0.0)  # type: ignore[arg-type]
+
+
+def _smooth(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Stribeck terms that leave nothing of a law's friction at rest."""
+    return {
+        "stribeck_m": -max(values["coulomb_m"], 0.0),
+        "torque_stribeck_Nm": -max(values["torque_coulomb_Nm"], 0.0),
+    }
 
 
 def coefficient_names() -> tuple[str, ...]:

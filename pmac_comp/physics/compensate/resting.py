@@ -17,10 +17,10 @@ import numpy as np
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.evaluation import REST_CYCLES, evaluate_law
-from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.motions import resting_moves
+from pmac_comp.physics.signals.rests import moving_of, rests_of
 from pmac_comp.physics.signals.trajectory import Trajectory
 
 _N_MOVES = 24

@@ -275,7 +275,8 @@ def _terms(
     along = 1.0 + law.compliance_slope_per_m * x
     friction_m, _ = friction_levels(law, v)
     elastic = law.inertia_s2 * a + law.viscous_s * v + friction_m * s
-    columns = [along * a, along * v, along * s, x * elastic]
+    slow = friction_m / law.coulomb_m if law.is_smooth and law.coulomb_m > 0.0 else 1.0
+    columns = [along * a, along * v, along * s * slow, x * elastic]
     if _UNEVEN in _names(law):
         columns.append(along * np.abs(v))
     terms = np.column_stack(columns)[run.use]

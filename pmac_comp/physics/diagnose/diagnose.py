@@ -56,8 +56,9 @@ from pmac_comp.physics.model.effect import Effect, effect_library, split_name
 
 _CLIPS = "torque_saturation"
 _RULED_OUT = 0.05  # largest p-value at which a look-alike counts as ruled out
-# A second form of presliding for prediction; the diagnosis names the phenomenon once.
-_FORMS = frozenset({"presliding_gms"})
+# Forms of friction for prediction: a second one of presliding, whose phenomenon is named once, and
+# one that a drive shows by creeping at rest, which `identify` looks for.
+_FORMS = frozenset({"presliding_gms", "smooth_coulomb"})
 
 
 def diagnose(

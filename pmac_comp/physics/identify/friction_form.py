@@ -27,6 +27,7 @@ from pmac_comp.physics.identify.linear_start import SKEW_TIME, lag_by_speed_s
 from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.scale_age import SKEW
+from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -36,6 +37,7 @@ _WORDS = {
     "presliding@rotary": "presliding at nut and motor (presliding@rotary)",
     "presliding@all": "presliding at guide, nut and motor (presliding@all)",
     "presliding_gms": "presliding at the guide with memory of earlier reversals (presliding_gms)",
+    SMOOTH: "friction that turns over with speed and holds nothing at rest (smooth_coulomb)",
     "stribeck": "Stribeck friction at the guide (stribeck)",
     "stribeck@nut": "Stribeck friction at nut and motor (stribeck@nut)",
 }
@@ -148,6 +150,13 @@ class _FrictionTrial(Trial):
         except ModelError:
             return None
 
+    def smooth(self) -> Identification | None:
+        """Smooth friction fitted to one half; None where the drive holds at rest."""
+        base = DriveModel.base(self.bench)
+        start = None if base.is_rigid else smooth_start(self.captures, base)
+        outline = None if start is None else self._outline(start)
+        return None if outline is None else self.half(outline.model, None)
+
     def plain(self, outline: Identification | None) -> Identification:
         """The base model fitted in full, from where its outline ended."""
         start = None if outline is None else outline.model
@@ -194,13 +203,15 @@ def identify_with_friction(
 ) -> Identification:
     """``identify``, with the form of friction chosen by what the captures show.
 
-    The base model is fitted first, to within the noise. Presliding at guide, nut and motor with
-    Stribeck friction is fitted to alternate stretches of the captures and judged, like the base
-    model, by table minus motor and torque on the other stretches; then the same with memory at the
-    guide. Where nothing comes of it, and the base model leaves clearly more around reversals than
-    elsewhere, or than the sensors' steps make, Coulomb friction that sets in over some tenths of a
-    micrometre is tried in the same way. What is clearly better, without the parts that came out as
-    nothing, is fitted to everything. Otherwise the fit of the base model goes on to its end.
+    The base model is fitted first, to within the noise. A drive that creeps at rest (``smooth``)
+    gets friction that turns over with speed, if that is clearly better. For others presliding at
+    guide, nut and motor with Stribeck friction is fitted to alternate stretches of the captures and
+    judged, like the base model, by table minus motor and torque on the other stretches; then the
+    same with memory at the guide. Where nothing comes of it, and the base model leaves clearly more
+    around reversals than elsewhere, or than the sensors' steps make, Coulomb friction that sets in
+    over some tenths of a micrometre is tried in the same way. What is clearly better, without the
+    parts that came out as nothing, is fitted to everything. Otherwise the fit of the base model
+    goes on to its end.
 
     Parameters
     ----------
@@ -219,15 +230,13 @@ def identify_with_friction(
         As ``identify`` raises them for the base model.
     """
     trial = _FrictionTrial(captures, bench, progress, executor)
-    base = trial.outlined()
-    if base is None:
-        return trial.plain(base)
-    errors = trial.errors(base)
-    figures = {"held_out_coulomb_um": rms_um(errors)}
-    suspected = trial.suspects(base)
-    best = _chosen(trial, base.model, errors, figures, suspected=suspected)
-    if best is None and suspected:
-        best = _set_in(trial, base.model, errors, figures)
+    base, smooth = trial.outlined(), trial.smooth()
+    figures = {}
+    if base is not None:
+        figures["held_out_coulomb_um"] = rms_um(trial.errors(base))
+    best = _if_better(trial, base, smooth, figures)
+    if best is None and base is not None:
+        best = _holding(trial, base, figures)
     final = None
     if best is not None:
         final = _without_nothing(trial, trial.settled(best.model), best)
@@ -236,9 +245,40 @@ def identify_with_friction(
         statements = (*_late_in_words(base), *base.statements)
         return replace(base, statements=statements, figures={**base.figures, **figures})
     final = widened_where_apart(final, best)
-    said = _in_words(final, figures["held_out_coulomb_um"], rms_um(trial.errors(best)))
+    said = _in_words(final, figures.get("held_out_coulomb_um"), rms_um(trial.errors(best)))
     statements = (said, *_late_in_words(final), *final.statements)
     return replace(final, statements=statements, figures={**final.figures, **figures})
+
+
+def _if_better(
+    trial: _FrictionTrial,
+    base: Identification | None,
+    smooth: Identification | None,
+    figures: dict[str, float],
+) -> Identification | None:
+    """Smooth friction, where it predicts what was held out clearly better than Coulomb's.
+
+    Or where that has no fit at all: of friction that turns over within 5 mm/s the guide's Coulomb
+    friction is not identifiable.
+    """
+    if smooth is None:
+        return None
+    errors = trial.errors(smooth)
+    figures["held_out_smooth_um"] = rms_um(errors)
+    if base is None or is_better(errors, trial.errors(base), _CLEARLY):
+        return smooth
+    return None
+
+
+def _holding(
+    trial: _FrictionTrial, base: Identification, figures: dict[str, float]
+) -> Identification | None:
+    """Best form of friction that holds at rest, where the captures ask for more than Coulomb's."""
+    errors, suspected = trial.errors(base), trial.suspects(base)
+    best = _chosen(trial, base.model, errors, figures, suspected=suspected)
+    if best is None and suspected:
+        best = _set_in(trial, base.model, errors, figures)
+    return best
 
 
 def _chosen(
@@ -418,7 +458,7 @@ def _form_of(found: Identification) -> _Form:
     )
 
 
-def _in_words(found: Identification, before_um: float, after_um: float) -> str:
+def _in_words(found: Identification, before_um: float | None, after_um: float) -> str:
     model = found.model
     words = ", ".join(_WORDS[name] for name in model.effects if name in _WORDS)
     what = f"Friction beside Coulomb and viscous: {words}."
@@ -428,9 +468,10 @@ def _in_words(found: Identification, before_um: float, after_um: float) -> str:
             f"Coulomb friction sets in over {over} um (guide; nut and motor), which is less than "
             "the motor's encoder resolves: every drive has that, it is no finding."
         )
+    alone = "have no fit" if before_um is None else f"{before_um:.2f} um"
     return (
         f"{what} On stretches of the captures that were not fitted this leaves {after_um:.2f} um "
-        f"rms of table minus motor, Coulomb and viscous friction alone {before_um:.2f} um. "
+        f"rms of table minus motor, Coulomb and viscous friction alone {alone}. "
         "--friction coulomb keeps to the base model."
     )
 

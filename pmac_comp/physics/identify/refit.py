@@ -20,6 +20,7 @@ import numpy as np
 
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.smooth import SMOOTH
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -178,5 +179,9 @@ def _with_form(model: DriveModel, form: Sequence[str]) -> DriveModel:
 
 
 def _family(effect: str) -> str:
-    """What of the same kind a model has once: presliding, with memory or not, at any place."""
-    return split_name(effect)[0].partition("_")[0]
+    """What of the same kind a model has once: presliding, with memory or not, at any place.
+
+    Friction that turns over with speed has no presliding.
+    """
+    bare = split_name(effect)[0]
+    return "presliding" if bare == SMOOTH else bare.partition("_")[0]

@@ -253,6 +253,28 @@ def _coulomb(change: float, speed: float, level: float, push: float) -> tuple[fl
 
 
 @_part
+def _smooth(change: float, speed: float, level: float, push: float, width: float) -> float:
+    """Mean force over a substep of friction that goes through zero with speed.
+
+    ``level tanh(v / width)`` at the substep's mean speed v, which the force moves itself; the other
+    arguments are those of ``_coulomb``. With u = v / width, u + a tanh(u) = b is solved by Newton's
+    method from below, from where it rises to the root.
+    """
+    b = (speed + 0.5 * change) / width
+    sign = 1.0 if b >= 0.0 else -1.0
+    b *= sign
+    a = 0.5 * push * level / width
+    u = max(b / (1.0 + a), b - a)
+    for _ in range(20):
+        bent = math.tanh(u)
+        step = (b - u - a * bent) / (1.0 + a * (1.0 - bent * bent))
+        u += step
+        if abs(step) < 1e-9 + 1e-7 * u:
+            break
+    return sign * level * math.tanh(u)
+
+
+@_part
 def _three_coulomb(
     speeds: FloatArray,
     d0: float,
@@ -920,6 +942,7 @@ def _rub(
     ``slip`` become the forces at the end of the substep; ``work`` is room for (4, 3) numbers.
     """
     n_gms = int(par[s.GMS_N])
+    widths = (par[s.SMOOTH_ROTARY], par[s.SMOOTH_ROTARY], par[s.SMOOTH_GUIDE])
     z, zf, moves, speeds = axis.z, axis.zf, chain.moves, chain.speeds
     force, mean, slip, slip_end = friction.force, friction.mean, friction.slip, friction.slip_end
     start, moved = friction.work[0], friction.work[1]
@@ -946,6 +969,9 @@ def _rub(
             elif i == 2 and n_gms > 0:
                 rub = _faded(par[s.GUIDE + s.BRISTLE], start[i], level) * has.rate_h
                 new = _slip_elements(slip, slip_end, par, free, level, moves[i, i], rub)
+            elif widths[i] > 0.0:
+                new = _smooth(gained[i] + push * old, start[i], level, push, widths[i])
+                end_force[i] = new
             elif par[site + s.BREAK] <= 0.0:
                 new, end_force[i] = _coulomb(gained[i] + push * old, start[i], level, push)
             else:
@@ -1005,7 +1031,9 @@ def _is_asymmetric(par: FloatArray) -> bool:
 @_part
 def _is_sharp(par: FloatArray, site: int) -> bool:
     """Whether friction of a site sets in at once: ideal Coulomb."""
-    return bool(par[site + s.BREAK] <= 0.0 and (site != s.GUIDE or par[s.GMS_N] < 0.5))
+    width = par[s.SMOOTH_GUIDE if site == s.GUIDE else s.SMOOTH_ROTARY]
+    at_once = par[site + s.BREAK] <= 0.0 and width <= 0.0
+    return bool(at_once and (site != s.GUIDE or par[s.GMS_N] < 0.5))
 
 
 @_part

@@ -54,6 +54,8 @@ WARMUP_TIME = 57
 GMS_N = 58
 GMS = 60  # weight and break distance of up to 8 elements: 60..75
 ASYMMETRY_ROTARY = 76
+SMOOTH_GUIDE = 77  # m/s over which friction turns over; 0 means at once
+SMOOTH_ROTARY = 78  # rad/s, of nut and motor
 
 # Other torques and forces
 COGGING = 80  # amplitude, order, phase

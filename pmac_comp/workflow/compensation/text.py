@@ -117,7 +117,9 @@ def _describe_elastic(law: CompensationLaw) -> dict[str, float]:
 def _describe_friction(law: CompensationLaw) -> dict[str, float]:
     """Friction of a law beside Coulomb's and viscous: near standstill, and over millimetres."""
     out: dict[str, float] = {}
-    if law.has_stribeck:
+    if law.is_smooth:
+        out["friction sets in over the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M
+    elif law.has_stribeck:
         out["friction at rest beyond that um (each side)"] = law.stribeck_m * UM_PER_M
         out["friction torque at rest beyond that Nm"] = law.torque_stribeck_Nm
         out["fades with the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M

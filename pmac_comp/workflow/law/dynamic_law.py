@@ -26,7 +26,13 @@ from pmac_comp.physics.compensate.constant import (
 )
 from pmac_comp.physics.compensate.creep import CREEP, Creep
 from pmac_comp.physics.compensate.delay import drive_delay_s
-from pmac_comp.physics.compensate.design import NutGap, Stribeck, SwungBed, design_law
+from pmac_comp.physics.compensate.design import (
+    NutGap,
+    SmoothFriction,
+    Stribeck,
+    SwungBed,
+    design_law,
+)
 from pmac_comp.physics.compensate.grip import (
     GRIP,
     gripping_law,
@@ -248,8 +254,19 @@ def swung_bed(model: "DriveModel") -> SwungBed | None:
     )
 
 
-def stribeck_friction(model: "DriveModel") -> Stribeck | None:
-    """Friction of a model that is higher near standstill; None without it."""
+def _turns_over_m_per_s(model: "DriveModel") -> float:
+    """Speed over which smooth friction of a model turns over, by its torque at guide and screw."""
+    own = model.values_of("smooth_coulomb")
+    guide_Nm = model.parameters["coulomb.guide_N"] * model.bench.lead_m_per_rad
+    share = guide_Nm / max(_friction_Nm(model), 1e-30)
+    rotary_m_per_s = own.get("rotary_m_per_s", own["speed_m_per_s"])
+    return share * own["speed_m_per_s"] + (1.0 - share) * rotary_m_per_s
+
+
+def stribeck_friction(model: "DriveModel") -> Stribeck | SmoothFriction | None:
+    """Friction of a model that is another near standstill; None without it."""
+    if "smooth_coulomb" in model.effects:
+        return SmoothFriction(_turns_over_m_per_s(model))
     if "stribeck.speed_m_per_s" not in model.parameters:
         return None
     own = model.values_of("stribeck")

@@ -19,9 +19,9 @@ from pmac_comp.physics.compensate.exact import (
     Learning,
     MEASURED_CUTOFF_Hz,
     learn,
-    rests_of,
 )
 from pmac_comp.physics.signals.metrics import centred_rms_um
+from pmac_comp.physics.signals.rests import rests_of
 from pmac_comp.workflow.accuracy.late_scale import read_together, scale_age_s
 from pmac_comp.workflow.capture.axis import Axis
 from pmac_comp.workflow.compensation.file import EXACT, Compensation

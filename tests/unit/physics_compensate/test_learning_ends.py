@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.physics.compensate.exact import Learning, learn, moving_of, rests_of
+from pmac_comp.physics.compensate.exact import Learning, learn
+from pmac_comp.physics.signals.rests import moving_of, rests_of
 from pmac_comp.physics.signals.trajectory import dwell, sinusoid
 
 N, PERIOD_s = 4000, 442e-6

@@ -7,12 +7,12 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.design import design_law
 from pmac_comp.physics.compensate.evaluation import evaluate_law
-from pmac_comp.physics.compensate.exact import moving_of, rests_of
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
 from pmac_comp.physics.compensate.motions import design_motions, resting_moves
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.rests import moving_of, rests_of
 from pmac_comp.physics.signals.trajectory import Trajectory
 from pmac_comp.workflow.law.dynamic_law import nut_gap
 from pmac_comp.workflow.motion.campaigns import verification_motions

@@ -45,7 +45,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
         between -y - B0 (1 + s) and -y + B0 (1 - s)     B0 = S0 + SX
       or, where BS < 0, what drags at the table and turns over within -BS counts:
     b = (BD d - BS b) / (|d| - BS)                      follows distance as the friction states
-    z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction
+    z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction,
+                                                          or lacks where friction sets in with it
     e = A0 a + V0 v + VU |v| + (S0 + SX w) s + b         VU, TU: only with a GH of zero
     f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
     g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
@@ -201,8 +202,8 @@ class BankIndex(IntEnum):
     BD = 31  # 1/pass, damping of the bed; with a BS below zero counts, the size of what drags
     BO = 32  # 1/pass^2, stiffness of the bed
     BT = 33  # DAC units per count, torque of the table's mass or of what drags
-    SX = 34  # counts, friction at rest beyond S0
-    TX = 35  # DAC units, friction torque at rest beyond TC
+    SX = 34  # counts, friction at rest beyond S0; -S0 where friction sets in with speed
+    TX = 35  # DAC units, friction torque at rest beyond TC; -TC there
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
     TP = 37  # DAC units per count, load that changes along the travel
     UF = 38  # 1/SC, share of the table's friction state that fades in a cycle of rest
@@ -338,8 +339,11 @@ class LawParameters:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
         for item, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, item.name, float(nine_digits(float(value))))
-        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BD", "BO", "SX", "TX", "SS")
+        sizes = ("S_INV", "T_INV", "T_LIMIT", "JL", "GH", "GW", "BD", "BO", "SS")
         negative = [n for n in sizes if getattr(self, n) < 0.0]
+        # Friction that sets in with speed has none at rest, but never less.
+        below = {"SX": self.S0, "TX": self.TC}
+        negative += [n for n, own in below.items() if getattr(self, n) < min(-own, 0.0)]
         if negative:
             raise ConfigError(f"{', '.join(negative)} must not be negative.", code="PC-LAW-004")
         still = {"BS"} if self.drags else set()

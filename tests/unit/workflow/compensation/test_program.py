@@ -17,10 +17,11 @@ from pmac_comp.machine.controller.contents import programs
 from pmac_comp.machine.controller.contents.programs import Program, ProgramKind
 from pmac_comp.machine.controller.contents.safety import check_sums
 from pmac_comp.machine.controller.motors import motors
-from pmac_comp.physics.compensate.exact import Aim, rests_of
+from pmac_comp.physics.compensate.exact import Aim
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.rests import rests_of
 from pmac_comp.workflow.accuracy.outcome import Spread
 from pmac_comp.workflow.bench.scales import Scales
 from pmac_comp.workflow.capture.axis import Axis

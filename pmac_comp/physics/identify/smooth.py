@@ -1,0 +1,61 @@
+"""Friction that turns over with speed, seen at rests of the captures.
+
+What lives here: whether a drive creeps while its command rests, and the model from which a fit of
+such friction begins. What may not: the fits and the choice between forms (``friction_form``).
+Imports ``signals`` and the model.
+
+Friction F tanh(v / v_c) holds nothing: torque T that is left at rest moves the drive, with
+v = v_c T / F while it is small. Coulomb friction, presliding, play and loads hold: of what their
+motor still moves at rest a line through torque explains at most a third, of smooth friction's
+0.95 and more (v_c from 0.2 to 5 mm/s).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmac_comp.files.capture import Capture
+from pmac_comp.physics.model.drive import DriveModel
+from pmac_comp.physics.signals.rests import slow_motion_at_rest
+
+SMOOTH = "smooth_coulomb"
+_LEAST_BINS = 12
+_SURE = 5.0  # standard deviations
+_LEAST_EXPLAINED = 0.6  # of the speeds' scatter
+_LEAST_m_per_s, _MOST_m_per_s = 0.03e-3, 20e-3  # less is as good as Coulomb friction here
+
+
+def smooth_start(captures: Sequence[Capture], base: DriveModel) -> DriveModel | None:
+    """The base model with smooth friction, from where its fit begins; None where the drive holds.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Runs with torque and rests.
+    base : DriveModel
+        Its friction levels give the speed that the slope at rest stands for.
+    """
+    parts = [slow_motion_at_rest(capture) for capture in captures]
+    torque_Nm, speed_m_per_s, place_m = np.concatenate(parts, axis=1)
+    if speed_m_per_s.size < _LEAST_BINS:
+        return None
+    # A load, and one that changes along the travel, is no push.
+    columns = np.column_stack([torque_Nm, np.ones(place_m.size), place_m])
+    (slope, *_), _, rank, _ = np.linalg.lstsq(columns, speed_m_per_s, rcond=None)
+    if rank < columns.shape[1]:
+        return None
+    by_load, *_ = np.linalg.lstsq(columns[:, 1:], torque_Nm, rcond=None)
+    pushed_Nm = torque_Nm - columns[:, 1:] @ by_load
+    by_load, *_ = np.linalg.lstsq(columns[:, 1:], speed_m_per_s, rcond=None)
+    speed = speed_m_per_s - columns[:, 1:] @ by_load
+    left = speed - slope * pushed_Nm
+    std = np.sqrt(left @ left / (left.size - columns.shape[1]) / (pushed_Nm @ pushed_Nm))
+    if slope < _SURE * std or left @ left > (1.0 - _LEAST_EXPLAINED) * (speed @ speed):
+        return None
+    own, lead = base.parameters, base.bench.lead_m_per_rad
+    level_Nm = own["coulomb.nut_Nm"] + own["coulomb.motor_Nm"] + lead * own["coulomb.guide_N"]
+    turns_over = float(slope * level_Nm)
+    if not _LEAST_m_per_s < turns_over < _MOST_m_per_s:
+        return None
+    both = dict.fromkeys(("speed_m_per_s", "rotary_m_per_s"), turns_over)
+    return base.with_effect(SMOOTH, both)
