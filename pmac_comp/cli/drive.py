@@ -55,8 +55,9 @@ def identify(
         FrictionChoice,
         typer.Option(
             "--friction",
-            help="auto: Coulomb and viscous, and presliding or Stribeck friction where the "
-            "captures show them on samples that were not fitted; coulomb: the base model only",
+            help="auto: Coulomb and viscous, and presliding, Stribeck friction or friction that "
+            "turns over with speed where the captures show them on samples that were not fitted; "
+            "coulomb: the base model only",
         ),
     ] = FrictionChoice.auto,
     report: ReportOption = None,

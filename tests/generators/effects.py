@@ -17,6 +17,7 @@ Draw = Callable[[np.random.Generator, float, Bench], Values]
 NOT_HIDDEN: Mapping[str, str] = {
     "coulomb": "part of the base model: every case has it, so it cannot be missing",
     "viscous": "part of the base model: every case has it, so it cannot be missing",
+    "smooth_coulomb": "a form of Coulomb friction that `identify` looks for at rests",
     "presliding_gms": "another form of presliding; half of the guide's presliding has this form",
 }
 """Effects of the library without a case of their own, and why."""

@@ -167,7 +167,13 @@ def test_friction_only_takes_energy():
 
 @pytest.mark.parametrize(
     ("effects", "order"),
-    [((), 1.5), (("presliding",), 1.3), (("stribeck@nut",), 1.0), (("backlash",), 1.4)],
+    [
+        ((), 1.5),
+        (("presliding",), 1.3),
+        (("stribeck@nut",), 1.0),
+        (("backlash",), 1.4),
+        (("smooth_coulomb",), 1.4),
+    ],
 )
 def test_halving_the_step_converges(effects, order):
     model = MODEL
@@ -183,6 +189,40 @@ def test_halving_the_step_converges(effects, order):
     assert misses[0] < 15e-9
     slopes = np.log2(np.array(misses[:-1]) / np.array(misses[1:]))
     assert np.mean(slopes) > order
+
+
+@pytest.mark.parametrize("ratio", [0.25, 1.0, 3.0])
+def test_smooth_friction_is_the_hyperbolic_tangent_of_speed(ratio):
+    # At constant speed by hand: guide and screw side each at their own speed, and viscous friction.
+    guide, turning = 2e-3, 1e-3
+    speeds = {"speed_m_per_s": guide, "rotary_m_per_s": turning}
+    model = MODEL.with_effect("smooth_coulomb", speeds)
+    v, own, lead = ratio * guide, model.parameters, BENCH.lead_m_per_rad
+    time_s = np.arange(0.0, 2.0, TS)
+    torque_Nm = simulate(model, v * time_s).motor_torque_Nm
+    sharp = own["coulomb.nut_Nm"] + own["coulomb.motor_Nm"]
+    turns = own["viscous.nut_Nms_per_rad"] + own["viscous.motor_Nms_per_rad"]
+    expected = sharp * np.tanh(v / turning) + turns * v / lead
+    expected += own["coulomb.guide_N"] * lead * np.tanh(v / guide)
+    expected += own["viscous.guide_Ns_per_m"] * lead * v
+    # The load raises the nut's friction by the share that its efficiency loses.
+    rubbing = torque_Nm[time_s > 1.5].mean()
+    assert rubbing == pytest.approx(expected, rel=0.02)
+
+
+def test_smooth_friction_over_no_speed_is_coulombs():
+    motion = tr.sinusoid(period_s=TS, amplitude_m=0.01, frequency_Hz=3.0, cycles=2.0)
+    sharp = simulate(MODEL, motion).table_position_m
+    moving = np.abs(motion.velocity_m_per_s) > 1e-3
+    left = []
+    for speed in (1e-3, 1e-4):
+        both = {"speed_m_per_s": speed, "rotary_m_per_s": speed}
+        smooth = simulate(MODEL.with_effect("smooth_coulomb", both), motion).table_position_m
+        left.append(smooth - sharp)
+    assert np.std(left[1][moving]) < 0.15 * np.std(left[0][moving])
+    assert np.std(left[1][moving]) < 0.1e-6
+    # It holds nothing: with either the motor ends where the integrator lets it, not where it stood.
+    assert abs(left[0][-1]) > 5e-6
 
 
 def test_default_steps_are_within_ten_nanometres():

@@ -3,11 +3,12 @@
 What lives here: how fast a drive creeps while its command rests, and the law that then lets go as
 well. What may not: the model's fit, controllers.
 
-Coulomb friction holds a drive at rest against whatever pushes it, up to its level, and the model of
-this program knows no other. Friction of grease, or of seals, can be a curve through zero speed:
-pushed with half of it the drive creeps on, v = v_c atanh(T / F) for F tanh(v / v_c). A law that
-goes on sending friction's torque at rest pushes such a drive out of its place: by 7 to 10 um within
-0.2 s where friction turns over within 0.2 mm/s, 0.46 of the total error without compensation.
+Coulomb friction holds a drive at rest against whatever pushes it, up to its level. Friction of
+grease, or of seals, can be a curve through zero speed, which ``identify`` looks for; this is for
+models that hold none. Pushed with half of it such a drive creeps on, v = v_c atanh(T / F) for F
+tanh(v / v_c). A law that goes on sending friction's torque at rest pushes such a drive out of its
+place: by 7 to 10 um within 0.2 s where friction turns over within 0.2 mm/s, 0.46 of the total error
+without compensation.
 
 Torque and speed of the motor over rests tell the two apart. On simulated cards a drive that creeps
 over 0.2 mm/s came out with 0.205 +- 0.005 mm/s, and seven that hold (presliding over 10 and 30 um,
@@ -64,8 +65,11 @@ def with_creep(
     Returns
     -------
     CompensationLaw
-        The law itself where the drive holds, or where the captures do not tell.
+        The law itself where the drive holds, where its friction is nothing at rest already, or
+        where the captures do not tell.
     """
+    if law.is_smooth:
+        return law
     found = creep_at_rest(law, captures, lead)
     if found is None:
         return law

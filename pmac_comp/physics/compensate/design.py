@@ -526,6 +526,7 @@ def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
         sizes |= _BED_TORQUE_SCALES
     if start.is_smooth:
         sizes |= _SMOOTH_SCALES
+        sizes.pop("rest_fade_per_s", None)  # there is nothing at rest
         lowest["stribeck_speed_m_per_s"] = _SLOWEST_SMOOTH
     elif start.has_stribeck:
         sizes |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})

@@ -404,8 +404,9 @@ def creep_remarks(law: CompensationLaw) -> list[str]:
     speed, two_std = (MM_PER_M * v for v in (found.speed_m_per_s, found.two_std_m_per_s))
     return [
         f"at rest the runs creep, by {speed:.2g} +- {two_std:.1g} mm/s where friction's torque "
-        "pushes: friction does not hold this drive, and the model knows none that does not. The "
-        "law lets go of its friction torque as a rest begins"
+        "pushes: friction does not hold this drive, as the model's does (`pmac-comp identify` fits "
+        "such friction where it predicts the runs). The law lets go of its friction torque as a "
+        "rest begins"
     ]
 
 

@@ -134,6 +134,7 @@ RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # and torque that r
 NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
 LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # beside a clearance
 _DRAG = {"BS": -900.0, "BD": 0.8, "BO": 0.0, "BT": 45.0, "TP": 0.0}  # in the places of the bed
+SMOOTH = replace(UNEVEN, SX=-UNEVEN.S0, TX=-UNEVEN.TC, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
 DRAGGING, LOOSE_DRAGGING = replace(UNEVEN, **_DRAG), replace(LAW, **_DRAG)
 
 
@@ -161,7 +162,9 @@ def gathered_motion(bench: CardBench) -> GatherResult:
     return result.require_whole()
 
 
-@pytest.mark.parametrize("law", [LAW, UNEVEN, DRAGGING], ids=["clearance", "uneven", "drag"])
+@pytest.mark.parametrize(
+    "law", [LAW, UNEVEN, DRAGGING, SMOOTH], ids=["clearance", "uneven", "drag", "smooth"]
+)
 def test_plc_form_computes_the_law_of_the_reference(tmp_path: Path, law: LawParameters) -> None:
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
@@ -210,7 +213,9 @@ def deviation_ct(result: GatherResult, law: LawParameters, n: int) -> np.ndarray
     return min(tried, key=lambda left: float(np.max(np.abs(left))))
 
 
-@pytest.mark.parametrize("law", [LAW, UNEVEN, DRAGGING], ids=["clearance", "uneven", "drag"])
+@pytest.mark.parametrize(
+    "law", [LAW, UNEVEN, DRAGGING, SMOOTH], ids=["clearance", "uneven", "drag", "smooth"]
+)
 def test_plc_form_of_every_second_cycle_computes_the_same_law(
     tmp_path: Path, law: LawParameters
 ) -> None:

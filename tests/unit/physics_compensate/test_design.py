@@ -10,7 +10,14 @@ from scipy.signal import butter, sosfiltfilt
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.physics.compensate.delay import nominal_delay_s
-from pmac_comp.physics.compensate.design import NutGap, design_law, slower_law, start_law
+from pmac_comp.physics.compensate.design import (
+    NutGap,
+    SmoothFriction,
+    Stribeck,
+    design_law,
+    slower_law,
+    start_law,
+)
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw, REST_FADE_per_s
 from pmac_comp.physics.compensate.loop import load_torque_Nm, model_loop
@@ -251,16 +258,34 @@ def test_law_knows_friction_that_is_higher_near_standstill() -> None:
     assert still.torque_stribeck_Nm == 0.0
 
 
+def test_law_knows_friction_that_turns_over_with_speed() -> None:
+    both = {"speed_m_per_s": 2e-3, "rotary_m_per_s": 2e-3}
+    model = DriveModel.base(BENCH).with_effect("smooth_coulomb", both)
+    motions, smooth = design_motions(BENCH)[::2], stribeck_friction(model)
+    assert isinstance(smooth, SmoothFriction)
+    assert smooth.speed_m_per_s == pytest.approx(2e-3)
+    knows, lacks = (
+        design_law(BENCH, model_loop(model), stribeck=s, motions=motions) for s in (smooth, None)
+    )
+    assert knows.is_smooth
+    assert not lacks.is_smooth
+    assert knows.torque_stribeck_Nm == -knows.torque_coulomb_Nm
+    assert knows.stribeck_speed_m_per_s == pytest.approx(1.6e-3, rel=0.4)
+    motion = a_move(0.05, 0.15, 2.0)
+    new, old = (promise(law, model_loop(model), motion) for law in (knows, lacks))
+    assert new.total_after_um < 0.5 * old.total_after_um
+
+
 def test_stribeck_friction_of_a_model_by_its_place() -> None:
     base = DriveModel.base(BENCH)
     assert stribeck_friction(base) is None
     assert stribeck_friction(base.with_effect("stribeck", {"excess_N": 0.0})) is None
     guide = stribeck_friction(base.with_effect("stribeck", {"excess_N": 20.0}))
-    assert guide is not None
+    assert isinstance(guide, Stribeck)
     assert guide.torque_Nm == pytest.approx(20.0 * BENCH.lead_m_per_rad)
     assert guide.guide_frac == pytest.approx(20.0 / base.parameters["coulomb.guide_N"])
     nut = stribeck_friction(base.with_effect("stribeck@nut", {"excess_Nm": 0.1}))
-    assert nut is not None
+    assert isinstance(nut, Stribeck)
     assert (nut.guide_frac, nut.torque_Nm) == (0.0, 0.1)
 
 

@@ -455,6 +455,41 @@ def test_friction_is_higher_near_standstill(speed: float, left: float) -> None:
     assert law.breaks_loose_Nm == pytest.approx(0.6)
 
 
+SMOOTH = CompensationLaw(
+    coulomb_m=1e-6, torque_coulomb_Nm=0.4, torque_limit_Nm=10.0, breakaway_m=1e-7,
+    torque_breakaway_m=1e-7,
+).as_smooth(0.8e-3)  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", [1e-4, 0.5e-3, 2e-3, 5e-3])
+def test_smooth_friction_sets_in_with_speed(speed: float) -> None:
+    path = -speed * np.clip(np.arange(0.0, 1.0, PERIOD) - 0.01, 0.0, None)
+    sent = evaluate_law(SMOOTH, path, PERIOD)
+    assert sent.torque_Nm[-1] / -0.4 == pytest.approx(np.tanh(speed / 1e-3), abs=0.17)
+    assert sent.correction_m[-1] / -1e-6 == pytest.approx(sent.torque_Nm[-1] / -0.4, rel=1e-6)
+
+
+def test_smooth_friction_is_nothing_at_rest() -> None:
+    path = np.concatenate([0.1 * np.arange(0.0, 0.2, PERIOD), np.full(500, 0.02)])
+    sent = evaluate_law(SMOOTH, path, PERIOD)
+    assert abs(sent.torque_Nm[-490]) < 1e-9
+    assert sent.torque_Nm.max() == pytest.approx(0.4, rel=1e-3)
+    assert SMOOTH.breaks_loose_Nm == 0.0
+    assert SMOOTH.largest_correction_m == pytest.approx(1e-6)
+
+
+def test_smooth_friction_stays_smooth_with_other_coefficients() -> None:
+    moved = SMOOTH.with_values(coulomb_m=3e-6, torque_coulomb_Nm=0.1)
+    assert (moved.stribeck_m, moved.torque_stribeck_Nm) == (-3e-6, -0.1)
+    still = moved.without_torque()
+    assert (still.stribeck_m, still.torque_stribeck_Nm) == (-3e-6, 0.0)
+
+
+def test_law_with_less_than_no_friction_at_rest_is_refused() -> None:
+    with pytest.raises(ModelError, match="torque_stribeck_Nm"):
+        CompensationLaw(torque_coulomb_Nm=0.4, torque_stribeck_Nm=-0.5)
+
+
 def test_table_feels_the_bed_swing_on_after_an_acceleration_and_not_at_rest() -> None:
     law = CompensationLaw(
         inertia_s2=2e-6,
