@@ -58,6 +58,9 @@ _LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 # plants slow sinusoids are up to a third better with it sharp. Other motions pay 0-3 % for it, with
 # Stribeck friction or a small load beside the play up to 15 %.
 _SHARPENED_FRAC = 0.4
+# By so much more of friction's torque may be held back in a crossing than the fit holds: it weighs
+# what that costs of the total error, of which there is room, against e_r, of which there is little.
+_HELD_BACK = (1.2, 1.4)
 _WORST_FOREMOST = 4  # power of the shares of aims that are taken together
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
@@ -210,6 +213,7 @@ def design_law(
     bed: SwungBed | None = None,
     stribeck: Stribeck | SmoothFriction | None = None,
     load_Nm: float = 0.0,
+    faster: CompensationLaw | None = None,
     motions: Sequence[Trajectory] | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
@@ -238,6 +242,8 @@ def design_law(
         Friction that is another near standstill.
     load_Nm : float
         Torque that holds the constant load of the model: a law with torque sends it.
+    faster : CompensationLaw, optional
+        Law of the same model that is computed more often, from where one with a gap is fitted too.
     motions : sequence of Trajectory, optional
         Where the coefficients are refined; ``design_motions`` if not given.
     provenance : dict, optional
@@ -285,9 +291,14 @@ def design_law(
     # valleys, which one is chance. From there with the crossing made sharp it finds another; not
     # with the fade that it ended on, near whose limits it stays.
     first = _sharpened(law)
-    again = replace(first, rest_fade_per_s=start.rest_fade_per_s)
-    second = _sharpened(_refined(again, loop, chosen, latency_cycles, progress))
-    return _best((first, second), loop, judging_motions(bench), latency_cycles)
+    again = [replace(first, rest_fade_per_s=start.rest_fade_per_s)]
+    if faster is not None:
+        again.append(replace(start, **{name: getattr(faster, name) for name in _free(start)[0]}))
+    others = [_sharpened(_refined(a, loop, chosen, latency_cycles, progress)) for a in again]
+    judged = judging_motions(bench)
+    law = _best((first, *others), loop, judged, latency_cycles)
+    held_back = [replace(law, gap_torque_Nm=k * law.gap_torque_Nm) for k in _HELD_BACK]
+    return _best((law, *held_back), loop, judged, latency_cycles)
 
 
 def _sharpened(law: CompensationLaw) -> CompensationLaw:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pmac_comp.physics.model.drive import DriveModel
 
 RIPPLE = "torque_ripple"
+TURNING = ("cogging", "friction_per_rev")  # what else of a model goes by the turn
 _HIGHEST_ORDER = 60
 _LEAST_TURNS = 3.0
 _STEADY_FRAC = 0.02
@@ -312,6 +313,44 @@ def rippling_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveMo
         "phase_rad": math.atan2(sine, -cosine),
     }
     return model.with_effect(RIPPLE, values)
+
+
+def turning_model(model: "DriveModel", captures: Sequence[Capture]) -> "DriveModel":
+    """A model with the cogging and the friction by the turn that runs show beyond it.
+
+    Where a fit may begin. The model itself where they show none, or where it has its own.
+
+    Parameters
+    ----------
+    model : DriveModel
+        Its friction grips as the drive's does.
+    captures : sequence of Capture
+        Runs without compensation.
+    """
+    if not set(TURNING).isdisjoint(model.effects):
+        return model
+    pitch_m = 2.0 * math.pi * model.bench.lead_m_per_rad
+    law = CompensationLaw(turn_m=pitch_m, torque_limit_Nm=model.bench.drive.torque_limit_Nm)
+    loop, delay_s = model_loop(model), delay.drive_delay_s(model)
+    found = turn_torque(law, loop, captures, drive_delay_s=delay_s)
+    grown = model
+    # What the law would send: against cogging, and with friction; both are cosines of the model.
+    if found.ripple_Nm > 0.0:
+        phase_rad = found.ripple_phase_rad + 0.5 * math.pi
+        grown = _with_wave(grown, "cogging", found.ripple_Nm, found.order, phase_rad)
+    if found.second_kind is Kind.GRIPS and found.second_size > 0.0:
+        phase_rad = found.second_phase_rad - 0.5 * math.pi
+        wave = ("friction_per_rev", found.second_size, found.second_order, phase_rad)
+        grown = _with_wave(grown, *wave)
+    return grown
+
+
+def _with_wave(
+    model: "DriveModel", effect: str, amplitude_Nm: float, order: int, phase_rad: float
+) -> "DriveModel":
+    values = {"amplitude_Nm": amplitude_Nm, "order_per_rev": float(order)}
+    wrapped_rad = math.remainder(phase_rad, 2.0 * math.pi)
+    return model.with_effect(effect, {**values, "phase_rad": wrapped_rad})
 
 
 def with_turn_torque(law: CompensationLaw, found: TurnTorque) -> CompensationLaw:

@@ -38,7 +38,7 @@ _STIFFNESS = "chain.axial_stiffness_N_per_m"
 _GUIDE_FACTORS = (1.0, 0.85, 0.92, 1.08)
 # Where a fit is right, 0.04 to 0.05 um are left with 40 000 counts: there no form of friction can
 # show, and below the second no other valley.
-_NOTHING_LEFT_um, _NO_OTHER_um = 0.055, 0.1
+_NOTHING_LEFT_um, NO_OTHER_um = 0.055, 0.1
 _FORMS = (
     ("stribeck",),
     ("presliding",),
@@ -123,9 +123,7 @@ def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) ->
     return Refit(final.model, rms_um(errors))
 
 
-def fitted_in_valleys(
-    captures: Sequence[Capture], bench: Bench, model: DriveModel, left_um: float
-) -> Refit | None:
+def fitted_in_valleys(captures: Sequence[Capture], bench: Bench, model: DriveModel) -> Refit | None:
     """A model of a nut with play, fitted from several splits of the lost motion: the best of them.
 
     Wind-up by the guide's friction and play give the lost motion together, and when the nut crosses
@@ -139,15 +137,13 @@ def fitted_in_valleys(
         As in ``identify``.
     model : DriveModel
         With play and all that runs showed of it.
-    left_um : float
-        What it leaves on held-out samples (``Refit.left_um``).
 
     Returns
     -------
     Refit or None
-        None without play, or where no other valley can be deeper.
+        None without play, or where the runs do not carry it.
     """
-    if _GAP not in model.parameters or left_um < _NO_OTHER_um:
+    if _GAP not in model.parameters:
         return None
     trial = Trial(captures, bench)
     tried = [trial.half(_split_anew(model, factor), None) for factor in _GUIDE_FACTORS]

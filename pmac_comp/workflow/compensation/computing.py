@@ -260,7 +260,8 @@ def _law_that_fits(
     fitting = cycles_of(dragging if dragging.drag_m > _DRAGS_m else whole)
     if fitting == every_cycles:
         return law
-    return designed(every_cycles=fitting, provenance={**provenance, ASKED: every_cycles})
+    slower = {**provenance, ASKED: every_cycles}
+    return designed(every_cycles=fitting, faster=law, provenance=slower)
 
 
 def _for_motion(

@@ -76,6 +76,7 @@ def dynamic_law(
     captures: Sequence[Capture] = (),
     *,
     every_cycles: int = 1,
+    faster: CompensationLaw | None = None,
     provenance: dict[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> CompensationLaw:
@@ -93,6 +94,8 @@ def dynamic_law(
         hold.
     every_cycles : int
         Servo cycles between two passes of the law.
+    faster : CompensationLaw, optional
+        Law of the same model and route with fewer cycles between two passes.
     provenance : dict, optional
         Kept with the law.
     progress : callable, optional
@@ -112,6 +115,7 @@ def dynamic_law(
             bed=swung_bed(model),
             stribeck=stribeck_friction(model),
             load_Nm=load_torque_Nm(model),
+            faster=faster,
             provenance={**(provenance or {}), **noted},
             progress=progress,
         )

@@ -10,7 +10,13 @@ from pmac_comp.files.bench import load_bench
 from pmac_comp.physics.compensate.evaluation import evaluate_law
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.loop import model_loop
-from pmac_comp.physics.compensate.ripple import Kind, TurnTorque, turn_torque, with_turn_torque
+from pmac_comp.physics.compensate.ripple import (
+    Kind,
+    TurnTorque,
+    turn_torque,
+    turning_model,
+    with_turn_torque,
+)
 from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid, trapezoid
 from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
@@ -98,6 +104,23 @@ def test_friction_once_per_turn_is_found() -> None:
     )
     assert got.order == 0
     assert got.second_size == pytest.approx(0.05, rel=0.15)
+
+
+def test_a_fit_begins_with_the_waves_of_the_turn_as_the_plant_has_them() -> None:
+    waves = {
+        "cogging": {"amplitude_Nm": 0.05, "order_per_rev": 12.0, "phase_rad": 0.4},
+        "friction_per_rev": {"amplitude_Nm": 0.04, "order_per_rev": 1.0, "phase_rad": 0.7},
+    }
+    plant = make_plant(BENCH, effects=waves, spread=0.0)
+    runs = [closed_loop_capture(BENCH, plant, move.position_m) for move in MOVES]
+    grown = turning_model(MODEL, runs)
+    assert set(grown.effects) == {*MODEL.effects, *waves}
+    for name, wave in waves.items():
+        own = grown.values_of(name)
+        assert own["order_per_rev"] == wave["order_per_rev"]
+        assert own["amplitude_Nm"] == pytest.approx(wave["amplitude_Nm"], rel=0.2)
+        assert own["phase_rad"] == pytest.approx(wave["phase_rad"], abs=0.3)
+    assert turning_model(grown, runs) is grown  # it has its own
 
 
 def test_torque_that_ripples_with_its_size_is_found_as_a_wave_of_friction() -> None:

@@ -1,4 +1,4 @@
-"""When a fit of a nut with play is begun from other splits of the lost motion, and when not."""
+"""A nut with play is fitted from other splits of the lost motion, which keep what they share."""
 
 from collections.abc import Mapping
 
@@ -13,17 +13,14 @@ MODEL = DriveModel.base(BENCH)
 LOOSE = MODEL.with_effect("backlash", {"gap_m": 4e-6})
 
 
-def test_only_play_that_leaves_much_is_fitted_from_other_splits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_only_play_is_fitted_from_other_splits(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: object) -> None:
         raise AssertionError("a trial was made")
 
     monkeypatch.setattr(refit, "Trial", never)
-    assert refit.fitted_in_valleys([], BENCH, MODEL, 0.5) is None
-    assert refit.fitted_in_valleys([], BENCH, LOOSE, 0.05) is None
+    assert refit.fitted_in_valleys([], BENCH, MODEL) is None
     with pytest.raises(AssertionError, match="a trial"):
-        refit.fitted_in_valleys([], BENCH, LOOSE, 0.5)
+        refit.fitted_in_valleys([], BENCH, LOOSE)
 
 
 def test_other_splits_keep_lost_motion_and_torque() -> None:
@@ -42,3 +39,8 @@ def _lost_m(own: Mapping[str, float]) -> float:
 
 def _torque_Nm(own: Mapping[str, float]) -> float:
     return own["coulomb.motor_Nm"] + own["coulomb.guide_N"] * BENCH.lead_m_per_rad
+
+
+def test_friction_that_turns_over_with_speed_is_a_kind_of_presliding() -> None:
+    assert refit._family("smooth_coulomb") == refit._family("presliding@all") == "presliding"
+    assert refit._family("stribeck@nut") == "stribeck"
