@@ -34,7 +34,11 @@ from pmac_comp.workflow.compensation.file import Compensation, check_route, writ
 from pmac_comp.workflow.compensation.text import describe, table_remarks
 from pmac_comp.workflow.controller.deploy import Deployment, deploy
 from pmac_comp.workflow.law.law_cost import cost_remarks
-from pmac_comp.workflow.model.identification import IdentificationOutcome, identify_captures
+from pmac_comp.workflow.model.identification import (
+    IdentificationOutcome,
+    base_friction,
+    identify_captures,
+)
 from pmac_comp.workflow.motion.campaigns import (
     calibration_motions,
     lead_motions,
@@ -244,7 +248,8 @@ def _whole_job(
         for i, capture in enumerate([*captures, *slow]):
             write_capture(out / f"calibration_{i + 1:02d}.h5", capture)
     with watch.step("identifying") as told:
-        identified = identify_captures(captures, axis.bench, progress=told)
+        friction = base_friction(captures, axis.bench)
+        identified = identify_captures(captures, axis.bench, friction=friction, progress=told)
         identified.write(out / "model.json")
     drive = identified.identification.model
     with watch.step("computing the law") as told:

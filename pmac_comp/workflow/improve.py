@@ -27,7 +27,7 @@ from pmac_comp.workflow.controller.upload_flow import removal_command
 from pmac_comp.workflow.law.dynamic_law import nut_gap
 from pmac_comp.workflow.law.routes import MOTION_ROUTES
 from pmac_comp.workflow.model.diagnosis import DiagnosisOutcome, diagnose_captures
-from pmac_comp.workflow.model.identification import identify_captures, load_model
+from pmac_comp.workflow.model.identification import base_friction, identify_captures, load_model
 from pmac_comp.workflow.motion.campaigns import (
     calibration_motions,
     lead_motions,
@@ -333,7 +333,8 @@ def _first_model(
     """The model to start from, as given or identified, with its file."""
     if path is not None:
         return load_model(path, bench, effects=effects), read_model(path)
-    found = identify_captures(captures, bench, progress=progress)
+    friction = base_friction(captures, bench)
+    found = identify_captures(captures, bench, friction=friction, progress=progress)
     return found.identification.model, found.model_file
 
 

@@ -35,7 +35,7 @@ def smooth_start(captures: Sequence[Capture], base: DriveModel) -> DriveModel | 
     base : DriveModel
         Its friction levels give the speed that the slope at rest stands for.
     """
-    parts = [slow_motion_at_rest(capture) for capture in captures]
+    parts = [np.zeros((3, 0)), *(slow_motion_at_rest(capture) for capture in captures)]
     torque_Nm, speed_m_per_s, place_m = np.concatenate(parts, axis=1)
     if speed_m_per_s.size < _LEAST_BINS:
         return None

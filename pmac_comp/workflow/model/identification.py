@@ -139,6 +139,16 @@ def identify_captures(
     return IdentificationOutcome(bench, tuple(captures), result, stored)
 
 
+def base_friction(captures: Sequence[Capture], bench: Bench) -> Friction:
+    """Friction to begin from: Coulomb's, but for a drive that creeps at rest, which none fits."""
+    from pmac_comp.physics.identify.smooth import smooth_start
+    from pmac_comp.physics.model.drive import DriveModel
+
+    base = DriveModel.base(bench)
+    creeps = not base.is_rigid and smooth_start(captures, base) is not None
+    return "auto" if creeps else "coulomb"
+
+
 def acted_in(captures: Sequence[Capture], bench: Bench, names: Sequence[str]) -> list[str]:
     """Names of the captures in which a compensation acted."""
     return [

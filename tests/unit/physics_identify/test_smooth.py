@@ -15,6 +15,7 @@ from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.plant import Plant, make_plant
 from pmac_comp.simulator.plant.door import load_plant
 from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
+from pmac_comp.workflow.model.identification import base_friction
 
 BENCH = load_bench("paper_x4")
 BASE = DriveModel.base(BENCH)
@@ -59,6 +60,12 @@ def test_a_drive_that_creeps_starts_where_its_friction_turns_over(
     # Between the 0.16 mm/s of the motor and the 0.2 of the guide; a fit begins there.
     assert own["speed_m_per_s"] == pytest.approx(0.18e-3 * factor, rel=0.4)
     assert own["rotary_m_per_s"] == own["speed_m_per_s"]
+
+
+def test_no_job_begins_from_coulomb_friction_where_the_drive_creeps(tmp_path: Path) -> None:
+    assert base_friction(moves(creeping(tmp_path, 5.0)), BENCH) == "auto"
+    assert base_friction(moves(make_plant(BENCH, effects={}, seed=3)), BENCH) == "coulomb"
+    assert base_friction([], BENCH) == "coulomb"
 
 
 @pytest.mark.parametrize(
