@@ -151,11 +151,22 @@ class _FrictionTrial(Trial):
             return None
 
     def smooth(self) -> Identification | None:
-        """Smooth friction fitted to one half; None where the drive holds at rest."""
+        """Smooth friction fitted to one half; None where the drive holds at rest.
+
+        With Stribeck's curve beside it, at the guide or at the nut, where that rather predicts the
+        other half: fitted without, its fall with speed goes into the split of the levels.
+        """
         base = DriveModel.base(self.bench)
         start = None if base.is_rigid else smooth_start(self.captures, base)
         outline = None if start is None else self._outline(start)
-        return None if outline is None else self.half(outline.model, None)
+        best = alone = None if outline is None else self.half(outline.model, None)
+        if best is None or alone is None:
+            return None
+        for name, curve in _curves(alone.model).items():
+            other = self.half(alone.model.with_effect(name, curve), None)
+            if other is not None and is_better(self.errors(other), self.errors(best), _RATHER):
+                best = other
+        return best
 
     def plain(self, outline: Identification | None) -> Identification:
         """The base model fitted in full, from where its outline ended."""
@@ -256,16 +267,16 @@ def _if_better(
     smooth: Identification | None,
     figures: dict[str, float],
 ) -> Identification | None:
-    """Smooth friction, where it predicts what was held out clearly better than Coulomb's.
+    """Smooth friction, where it predicts what was held out probably better than Coulomb's.
 
-    Or where that has no fit at all: of friction that turns over within 5 mm/s the guide's Coulomb
-    friction is not identifiable.
+    The rests show it as well. Or where Coulomb's has no fit at all: of friction that turns over
+    within 5 mm/s the guide's is not identifiable.
     """
     if smooth is None:
         return None
     errors = trial.errors(smooth)
     figures["held_out_smooth_um"] = rms_um(errors)
-    if base is None or is_better(errors, trial.errors(base), _CLEARLY):
+    if base is None or is_better(errors, trial.errors(base), _PROBABLY):
         return smooth
     return None
 
@@ -334,15 +345,21 @@ def _with_turning_curve(trial: _FrictionTrial, found: Identification) -> Identif
     What nut and bearings lose with speed costs torque and hardly moves the table: a curve at the
     guide, which moves both, comes out as nothing beside it or bends the guide's other friction.
     """
-    model, own = found.model, found.model.parameters
+    model = found.model
     if "stribeck" in model.effects:
         model = model.without_effect("stribeck")
+    return trial.fitted(model.with_effect("stribeck@nut", _curves(model)["stribeck@nut"]))
+
+
+def _curves(model: DriveModel) -> dict[str, dict[str, float]]:
+    """Stribeck's curve at guide and at nut, where its fit begins."""
+    own, guess = model.parameters, _FIRST_GUESS
     turning_Nm = own["coulomb.nut_Nm"] + own["coulomb.motor_Nm"]
-    curve = {
-        "excess_Nm": _TURNING_FRAC * turning_Nm,
-        "speed_m_per_s": _FIRST_GUESS.stribeck_m_per_s,
+    speed = {"speed_m_per_s": guess.stribeck_m_per_s}
+    return {
+        "stribeck": {"excess_N": guess.excess_N, **speed},
+        "stribeck@nut": {"excess_Nm": _TURNING_FRAC * turning_Nm, **speed},
     }
-    return trial.fitted(model.with_effect("stribeck@nut", curve))
 
 
 def _with_curve_anew(trial: _FrictionTrial, found: Identification) -> Identification | None:
