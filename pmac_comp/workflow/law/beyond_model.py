@@ -230,7 +230,8 @@ def _in_its_valley(
     if progress is not None:
         progress("fitting the drive beside the gap and the turn", 0.0)
     whole = turning_model(_loaded(anew.model, captures), captures)
-    return fitted_in_valleys(captures, bench, whole) or anew
+    found = fitted_in_valleys(captures, bench, whole)
+    return found if found is not None and found.left_um < anew.left_um else anew
 
 
 def _loaded(model: "DriveModel", captures: Sequence[Capture]) -> "DriveModel":
@@ -274,7 +275,7 @@ def _is_friction_found(name: str, values: Mapping[str, float]) -> bool:
     effect = split_name(name)[0]
     lengths_m = [values.get(f"{effect}.{length}", 0.0) for length in ("distance_m", "rotary_m")]
     is_sharp = effect.startswith("presliding") and max(lengths_m) <= STICK_ZONE_m
-    return effect in _FRICTION and not is_sharp
+    return effect in (*_FRICTION, "smooth_coulomb") and not is_sharp
 
 
 def _friction_remarks(law: CompensationLaw) -> list[str]:

@@ -8,6 +8,7 @@ import pytest
 
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
+from pmac_comp.physics.identify.refit import _smooth_part
 from pmac_comp.physics.identify.smooth import smooth_start
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.rests import slow_motion_at_rest
@@ -82,6 +83,14 @@ def test_no_job_begins_from_coulomb_friction_where_the_drive_creeps(tmp_path: Pa
 )
 def test_a_drive_that_holds_has_none(effects: dict[str, dict[str, float | str]]) -> None:
     assert smooth_start(moves(make_plant(BENCH, effects=effects, seed=3)), BASE) is None
+
+
+def test_a_fit_beside_play_tries_it_where_the_drive_creeps(tmp_path: Path) -> None:
+    loose = BASE.with_effect("backlash", {"gap_m": 4e-6})
+    part = _smooth_part(moves(creeping(tmp_path, 5.0)), loose)
+    assert set(part) == {"smooth_coulomb"}
+    assert set(part["smooth_coulomb"]) == {"speed_m_per_s", "rotary_m_per_s"}
+    assert _smooth_part(moves(make_plant(BENCH, effects={}, seed=3)), loose) == {}
 
 
 def test_runs_without_torque_or_rests_tell_nothing(tmp_path: Path) -> None:

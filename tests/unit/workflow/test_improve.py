@@ -58,6 +58,7 @@ class Bench:
             "KeptRuns": lambda folder: SimpleNamespace(keep=None, write_result=lambda found: None),
             "context_of": lambda *a: "context",
             "identify_captures": self.identified,
+            "base_friction": lambda captures, bench: "coulomb",
             "read_load": lambda link, period_s: self.load,
             "nut_gap": lambda model: None if self.gap is None else (self.gap, None),
             "compute_compensation": self.computed,

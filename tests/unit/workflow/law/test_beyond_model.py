@@ -47,6 +47,8 @@ def test_person_reads_of_the_gap_and_of_the_friction_that_it_hid() -> None:
     assert "2.10 um" in gap
     assert "stribeck" in friction
     assert "diagnose" in friction
+    smooth = {"effects": ["smooth_coulomb"], "values": {"smooth_coulomb.speed_m_per_s": 1e-3}}
+    assert len(shown_remarks(CompensationLaw(provenance={**NOTE, "whole_model": smooth}))) == 2
     sharp = {"effects": ["presliding@all"], "values": {"presliding.distance_m": 2e-8}}
     assert len(shown_remarks(CompensationLaw(provenance={**NOTE, "whole_model": sharp}))) == 1
     alone = CompensationLaw(provenance=clearance_note(GAP))
