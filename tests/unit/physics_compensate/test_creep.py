@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from pmac_comp.files.bench import load_bench
-from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.creep import CREEP, creep_at_rest, with_creep
 from pmac_comp.physics.compensate.law import CompensationLaw
-from pmac_comp.physics.signals.trajectory import trapezoid
-from pmac_comp.simulator.plant import Plant, make_plant
+from pmac_comp.simulator.plant import make_plant
 from pmac_comp.simulator.plant.door import load_plant
-from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.law.dynamic_law import creep_remarks
+from tests.physics.identified import moves_with_rests
 
 BENCH = load_bench("paper_x4")
 # Of the creeping drive, 0.4 N m and 40 N, and about that of the others.
@@ -22,28 +20,8 @@ LAW = CompensationLaw(torque_coulomb_Nm=0.46, coulomb_m=0.4e-6, torque_limit_Nm=
 TWO_MASSES = Path(__file__).parents[3] / "configs" / "plant_two_masses.py"
 
 
-def moves(plant: Plant, *, n: int = 2) -> list[Capture]:
-    """Runs that go, rest, come back and rest."""
-    sizes_m = (0.05, 0.12, 0.2)[:n]
-    return [
-        closed_loop_capture(
-            BENCH,
-            plant,
-            trapezoid(
-                period_s=BENCH.servo_period_s,
-                distance_m=size_m,
-                speed_m_per_s=0.2,
-                acceleration_m_per_s2=3.0,
-                s_curve_s=0.015,
-                dwell_s=0.2,
-            ).position_m,
-        )
-        for size_m in sizes_m
-    ]
-
-
 def test_a_drive_that_creeps_at_rest_is_known_and_the_law_lets_go() -> None:
-    runs = moves(load_plant(str(TWO_MASSES), BENCH))
+    runs = moves_with_rests(BENCH, load_plant(str(TWO_MASSES), BENCH))
     found = creep_at_rest(LAW, runs)
     assert found is not None
     # Friction of motor and guide turns over within 0.16 and 0.2 mm/s.
@@ -71,11 +49,13 @@ def test_a_drive_that_friction_holds_keeps_its_law(
 ) -> None:
     load_Nm = 150.0 * BENCH.lead_m_per_rad if "bias_force" in effects else 0.0
     law = LAW.with_values(torque_constant_Nm=load_Nm)
-    assert with_creep(law, moves(make_plant(BENCH, effects=effects, seed=3))) is law
+    assert (
+        with_creep(law, moves_with_rests(BENCH, make_plant(BENCH, effects=effects, seed=3))) is law
+    )
 
 
 def test_guide_that_holds_keeps_its_lag_while_the_motor_creeps() -> None:
-    (run,) = moves(load_plant(str(TWO_MASSES), BENCH), n=1)
+    (run,) = moves_with_rests(BENCH, load_plant(str(TWO_MASSES), BENCH), n=1)
     way = np.diff(run.commanded_position_m, prepend=run.commanded_position_m[0])
     last = np.maximum.accumulate(np.where(np.abs(way) > 1e-9, np.arange(way.size), 0))
     went = np.sign(way)[last]  # the direction in which it went last
@@ -88,6 +68,6 @@ def test_guide_that_holds_keeps_its_lag_while_the_motor_creeps() -> None:
 
 def test_runs_that_do_not_tell_leave_the_law() -> None:
     assert with_creep(LAW, []) is LAW
-    (run,) = moves(load_plant(str(TWO_MASSES), BENCH), n=1)
+    (run,) = moves_with_rests(BENCH, load_plant(str(TWO_MASSES), BENCH), n=1)
     assert with_creep(LAW.with_values(torque_coulomb_Nm=0.0), [run]).rest_fade_per_s < 400.0
     assert creep_remarks(LAW) == []

@@ -12,11 +12,10 @@ from pmac_comp.physics.identify.refit import _smooth_part
 from pmac_comp.physics.identify.smooth import smooth_start
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.rests import slow_motion_at_rest
-from pmac_comp.physics.signals.trajectory import trapezoid
 from pmac_comp.simulator.plant import Plant, make_plant
 from pmac_comp.simulator.plant.door import load_plant
-from pmac_comp.simulator.servo.closed_loop import closed_loop_capture
 from pmac_comp.workflow.model.identification import base_friction
+from tests.physics.identified import moves_with_rests
 
 BENCH = load_bench("paper_x4")
 BASE = DriveModel.base(BENCH)
@@ -33,29 +32,11 @@ def creeping(tmp_path: Path, factor: float) -> Plant:
     return load_plant(str(plant), BENCH)
 
 
-def moves(plant: Plant) -> list[Capture]:
-    return [
-        closed_loop_capture(
-            BENCH,
-            plant,
-            trapezoid(
-                period_s=BENCH.servo_period_s,
-                distance_m=size_m,
-                speed_m_per_s=0.2,
-                acceleration_m_per_s2=3.0,
-                s_curve_s=0.015,
-                dwell_s=0.25,
-            ).position_m,
-        )
-        for size_m in (0.05, 0.12)
-    ]
-
-
 @pytest.mark.parametrize("factor", [1.0, 5.0, 25.0])
 def test_a_drive_that_creeps_starts_where_its_friction_turns_over(
     tmp_path: Path, factor: float
 ) -> None:
-    start = smooth_start(moves(creeping(tmp_path, factor)), BASE)
+    start = smooth_start(moves_with_rests(BENCH, creeping(tmp_path, factor)), BASE)
     assert start is not None
     own = start.values_of("smooth_coulomb")
     # Between the 0.16 mm/s of the motor and the 0.2 of the guide; a fit begins there.
@@ -64,8 +45,11 @@ def test_a_drive_that_creeps_starts_where_its_friction_turns_over(
 
 
 def test_no_job_begins_from_coulomb_friction_where_the_drive_creeps(tmp_path: Path) -> None:
-    assert base_friction(moves(creeping(tmp_path, 5.0)), BENCH) == "auto"
-    assert base_friction(moves(make_plant(BENCH, effects={}, seed=3)), BENCH) == "coulomb"
+    assert base_friction(moves_with_rests(BENCH, creeping(tmp_path, 5.0)), BENCH) == "auto"
+    assert (
+        base_friction(moves_with_rests(BENCH, make_plant(BENCH, effects={}, seed=3)), BENCH)
+        == "coulomb"
+    )
     assert base_friction([], BENCH) == "coulomb"
 
 
@@ -82,19 +66,25 @@ def test_no_job_begins_from_coulomb_friction_where_the_drive_creeps(tmp_path: Pa
     ids=lambda effects: next(iter(effects), "plain"),
 )
 def test_a_drive_that_holds_has_none(effects: dict[str, dict[str, float | str]]) -> None:
-    assert smooth_start(moves(make_plant(BENCH, effects=effects, seed=3)), BASE) is None
+    assert (
+        smooth_start(moves_with_rests(BENCH, make_plant(BENCH, effects=effects, seed=3)), BASE)
+        is None
+    )
 
 
 def test_a_fit_beside_play_tries_it_where_the_drive_creeps(tmp_path: Path) -> None:
     loose = BASE.with_effect("backlash", {"gap_m": 4e-6})
-    part = _smooth_part(moves(creeping(tmp_path, 5.0)), loose)
+    part = _smooth_part(moves_with_rests(BENCH, creeping(tmp_path, 5.0)), loose)
     assert set(part) == {"smooth_coulomb"}
     assert set(part["smooth_coulomb"]) == {"speed_m_per_s", "rotary_m_per_s"}
-    assert _smooth_part(moves(make_plant(BENCH, effects={}, seed=3)), loose) == {}
+    assert _smooth_part(moves_with_rests(BENCH, make_plant(BENCH, effects={}, seed=3)), loose) == {}
 
 
 def test_runs_without_torque_or_rests_tell_nothing(tmp_path: Path) -> None:
-    runs = [replace(run, torque_command_Nm=None) for run in moves(creeping(tmp_path, 1.0))]
+    runs = [
+        replace(run, torque_command_Nm=None)
+        for run in moves_with_rests(BENCH, creeping(tmp_path, 1.0))
+    ]
     assert slow_motion_at_rest(runs[0]).shape == (3, 0)
     assert smooth_start(runs, BASE) is None
 
