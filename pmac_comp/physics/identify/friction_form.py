@@ -27,7 +27,7 @@ from pmac_comp.physics.identify.linear_start import SKEW_TIME, lag_by_speed_s
 from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.scale_age import SKEW
-from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start
+from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start, turns_over_at_once
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -166,7 +166,7 @@ class _FrictionTrial(Trial):
             other = self.half(alone.model.with_effect(name, curve), None)
             if other is not None and is_better(self.errors(other), self.errors(best), _RATHER):
                 best = other
-        return best
+        return None if turns_over_at_once(best.model) else best
 
     def plain(self, outline: Identification | None) -> Identification:
         """The base model fitted in full, from where its outline ended."""
@@ -267,16 +267,16 @@ def _if_better(
     smooth: Identification | None,
     figures: dict[str, float],
 ) -> Identification | None:
-    """Smooth friction, where it predicts what was held out probably better than Coulomb's.
+    """Smooth friction, where it predicts what was held out clearly better than Coulomb's.
 
-    The rests show it as well. Or where Coulomb's has no fit at all: of friction that turns over
-    within 5 mm/s the guide's is not identifiable.
+    Or where that has no fit at all: of friction that turns over within 5 mm/s the guide's Coulomb
+    friction is not identifiable.
     """
     if smooth is None:
         return None
     errors = trial.errors(smooth)
     figures["held_out_smooth_um"] = rms_um(errors)
-    if base is None or is_better(errors, trial.errors(base), _PROBABLY):
+    if base is None or is_better(errors, trial.errors(base), _CLEARLY):
         return smooth
     return None
 

@@ -22,7 +22,7 @@ import numpy as np
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.result import Identification
-from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start
+from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start, turns_over_at_once
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -118,7 +118,7 @@ def fitted_anew(captures: Sequence[Capture], bench: Bench, model: DriveModel) ->
         if any(_family(part) in map(_family, model.effects) for part in form):
             continue
         other = trial.half(_with_form(plain.model, form, parts), None)
-        if other is None:
+        if other is None or (SMOOTH in form and turns_over_at_once(other.model)):
             continue
         left = trial.errors(other)
         is_first = best is plain.model
