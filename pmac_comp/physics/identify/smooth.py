@@ -5,9 +5,9 @@ such friction begins. What may not: the fits and the choice between forms (``fri
 Imports ``signals`` and the model.
 
 Friction F tanh(v / v_c) holds nothing: torque T that is left at rest moves the drive, with
-v = v_c T / F while it is small. Coulomb friction, presliding, play and loads hold: of what their
-motor still moves at rest a line through torque explains at most a third, of smooth friction's
-0.95 and more (v_c from 0.2 to 5 mm/s).
+v = v_c T / F while it is small. Coulomb friction, presliding, play and loads hold: over the runs of
+a calibration a line through torque explains at most a third of what their motor still moves at
+rest, of smooth friction's 0.95 and more (v_c from 0.2 to 5 mm/s).
 """
 
 from collections.abc import Sequence
