@@ -26,7 +26,12 @@ from pmac_comp.physics.compensate.design import FASTEST_FADE_per_s
 from pmac_comp.physics.compensate.evaluation import REST_CYCLES, friction_state
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
-from pmac_comp.physics.signals.rests import moving_of, rests_of, slow_motion_at_rest
+from pmac_comp.physics.signals.rests import (
+    moving_of,
+    rests_of,
+    slow_motion_at_rest,
+    speed_by_push,
+)
 
 CREEP = "creep"  # of a law's provenance
 _LEAST_BINS = 8
@@ -95,16 +100,12 @@ def creep_at_rest(
         return None
     rests = [_pushed(law, capture) for capture in captures]
     push, speed = np.concatenate(rests, axis=1) if rests else np.zeros((2, 0))
-    square = float(push @ push)
-    if push.size < _LEAST_BINS or square == 0.0:
+    slope = None if push.size < _LEAST_BINS else speed_by_push(push, speed)
+    if slope is None or slope.explained < _LEAST_EXPLAINED:
         return None
-    creeps = float(push @ speed) / square
-    left = speed - creeps * push
-    std = float(np.sqrt(left @ left / (push.size - 1) / square))
-    explained = 1.0 - float(left @ left) / max(float(speed @ speed), 1e-30)
-    if creeps < max(_LEAST_m_per_s, _SURE * std) or explained < _LEAST_EXPLAINED:
+    if slope.value < max(_LEAST_m_per_s, _SURE * slope.std):
         return None
-    return Creep(creeps, 2.0 * std, _held_share(law, captures, lead))
+    return Creep(slope.value, 2.0 * slope.std, _held_share(law, captures, lead))
 
 
 def _pushed(law: CompensationLaw, capture: Capture) -> FloatArray:

@@ -27,7 +27,7 @@ from pmac_comp.physics.identify.linear_start import SKEW_TIME, lag_by_speed_s
 from pmac_comp.physics.identify.problem import BEYOND_STEPS, step_floors
 from pmac_comp.physics.identify.result import Identification
 from pmac_comp.physics.identify.scale_age import SKEW
-from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start, turns_over_at_once
+from pmac_comp.physics.identify.smooth import SMOOTH, smooth_values, turns_over_at_once
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import BASE_EFFECTS, DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -157,8 +157,8 @@ class _FrictionTrial(Trial):
         other half: fitted without, its fall with speed goes into the split of the levels.
         """
         base = DriveModel.base(self.bench)
-        start = None if base.is_rigid else smooth_start(self.captures, base)
-        outline = None if start is None else self._outline(start)
+        values = smooth_values(self.captures, base)
+        outline = None if values is None else self._outline(base.with_effect(SMOOTH, values))
         best = alone = None if outline is None else self.half(outline.model, None)
         if best is None or alone is None:
             return None
@@ -242,12 +242,14 @@ def identify_with_friction(
     """
     trial = _FrictionTrial(captures, bench, progress, executor)
     base, smooth = trial.outlined(), trial.smooth()
-    figures = {}
+    figures: dict[str, float] = {}
+    errors = None
     if base is not None:
-        figures["held_out_coulomb_um"] = rms_um(trial.errors(base))
-    best = _if_better(trial, base, smooth, figures)
-    if best is None and base is not None:
-        best = _holding(trial, base, figures)
+        errors = trial.errors(base)
+        figures["held_out_coulomb_um"] = rms_um(errors)
+    best = _if_better(trial, errors, smooth, figures)
+    if best is None and base is not None and errors is not None:
+        best = _holding(trial, base, errors, figures)
     final = None
     if best is not None:
         final = _without_nothing(trial, trial.settled(best.model), best)
@@ -263,7 +265,7 @@ def identify_with_friction(
 
 def _if_better(
     trial: _FrictionTrial,
-    base: Identification | None,
+    plain: FloatArray | None,
     smooth: Identification | None,
     figures: dict[str, float],
 ) -> Identification | None:
@@ -276,19 +278,17 @@ def _if_better(
         return None
     errors = trial.errors(smooth)
     figures["held_out_smooth_um"] = rms_um(errors)
-    if base is None or is_better(errors, trial.errors(base), _CLEARLY):
-        return smooth
-    return None
+    return smooth if plain is None or is_better(errors, plain, _CLEARLY) else None
 
 
 def _holding(
-    trial: _FrictionTrial, base: Identification, figures: dict[str, float]
+    trial: _FrictionTrial, base: Identification, plain: FloatArray, figures: dict[str, float]
 ) -> Identification | None:
     """Best form of friction that holds at rest, where the captures ask for more than Coulomb's."""
-    errors, suspected = trial.errors(base), trial.suspects(base)
-    best = _chosen(trial, base.model, errors, figures, suspected=suspected)
+    suspected = trial.suspects(base)
+    best = _chosen(trial, base.model, plain, figures, suspected=suspected)
     if best is None and suspected:
-        best = _set_in(trial, base.model, errors, figures)
+        best = _set_in(trial, base.model, plain, figures)
     return best
 
 

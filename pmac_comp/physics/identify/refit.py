@@ -19,10 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.result import Identification
-from pmac_comp.physics.identify.smooth import SMOOTH, smooth_start, turns_over_at_once
+from pmac_comp.physics.identify.smooth import SMOOTH, smooth_values, turns_over_at_once
 from pmac_comp.physics.identify.trial import Trial, channel_sizes, is_better, rms_um
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.model.effect import split_name
@@ -153,25 +154,30 @@ def fitted_in_valleys(captures: Sequence[Capture], bench: Bench, model: DriveMod
     if _GAP not in model.parameters:
         return None
     trial = Trial(captures, bench)
-    best = _deepest(trial, model, None, _GUIDE_FACTORS)
-    if best is not None:
-        best = _deepest(trial, best.model, best, _NEARER_FACTORS)
-    final = None if best is None else trial.settled(best.model)
-    if final is None or best is None:
+    first = _fits_of_splits(trial, model, _GUIDE_FACTORS)
+    if not first:
         return None
-    return Refit(final.model, rms_um(trial.errors(best)))
+    near = _deepest(first)
+    nearer = _fits_of_splits(trial, near[0].model, _NEARER_FACTORS)
+    best, errors = _deepest([near, *nearer])
+    final = trial.settled(best.model)
+    return None if final is None else Refit(final.model, rms_um(errors))
 
 
 def _deepest(
-    trial: Trial, model: DriveModel, known: Identification | None, factors: Sequence[float]
-) -> Identification | None:
-    """The best of fits to one half, from other splits of a model's lost motion, and a known one."""
-    tried = [known, *(trial.half(_split_anew(model, factor), None) for factor in factors)]
-    found = [(fit, trial.errors(fit)) for fit in tried if fit is not None]
-    if not found:
-        return None
-    sizes = channel_sizes(found[0][1])
-    return min(found, key=lambda pair: float(np.sum(np.mean(pair[1], axis=0) / sizes)))[0]
+    tried: Sequence[tuple[Identification, FloatArray]],
+) -> tuple[Identification, FloatArray]:
+    """The fit that leaves least of both channels, measured by what the first leaves."""
+    sizes = channel_sizes(tried[0][1])
+    return min(tried, key=lambda one: float(np.sum(np.mean(one[1], axis=0) / sizes)))
+
+
+def _fits_of_splits(
+    trial: Trial, model: DriveModel, factors: Sequence[float]
+) -> list[tuple[Identification, FloatArray]]:
+    """Fits to one half from other splits of a model's lost motion, and what they leave."""
+    fits = [trial.half(_split_anew(model, factor), None) for factor in factors]
+    return [(fit, trial.errors(fit)) for fit in fits if fit is not None]
 
 
 def _split_anew(model: DriveModel, factor: float) -> DriveModel:
@@ -187,10 +193,8 @@ def _split_anew(model: DriveModel, factor: float) -> DriveModel:
 
 def _smooth_part(captures: Sequence[Capture], model: DriveModel) -> dict[str, dict[str, float]]:
     """Friction that turns over with speed, from where its fit begins, where rests show it."""
-    base = DriveModel.base(model.bench)
-    levels = {name: model.parameters[name] for name in base.parameters}
-    start = smooth_start(captures, base.with_parameters(levels))
-    return {} if start is None else {SMOOTH: start.values_of(SMOOTH)}
+    values = smooth_values(captures, model)
+    return {} if values is None else {SMOOTH: values}
 
 
 def _with_form(

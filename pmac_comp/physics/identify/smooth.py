@@ -1,7 +1,7 @@
 """Friction that turns over with speed, seen at rests of the captures.
 
-What lives here: whether a drive creeps while its command rests, and the model from which a fit of
-such friction begins. What may not: the fits and the choice between forms (``friction_form``).
+What lives here: whether a drive creeps while its command rests, and from where a fit of such
+friction begins. What may not: the fits and the choice between forms (``friction_form``).
 Imports ``signals`` and the model.
 
 Friction F tanh(v / v_c) holds nothing: torque T that is left at rest moves the drive, with
@@ -16,10 +16,11 @@ import numpy as np
 
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.model.drive import DriveModel
-from pmac_comp.physics.signals.rests import slow_motion_at_rest
+from pmac_comp.physics.signals.rests import slow_motion_at_rest, speed_by_push
 
 SMOOTH = "smooth_coulomb"
 _LEAST_BINS = 12
+_FITTED = 3  # the slope, and the two of the load
 _SURE = 5.0  # standard deviations
 _LEAST_EXPLAINED = 0.6  # of the speeds' scatter
 # Less is as good as Coulomb friction here. The torque that a stop leaves moves a drive that holds
@@ -28,40 +29,38 @@ _LEAST_m_per_s, _MOST_m_per_s = 0.1e-3, 20e-3
 _LEAST_FITTED_m_per_s = 0.05e-3
 
 
-def smooth_start(captures: Sequence[Capture], base: DriveModel) -> DriveModel | None:
-    """The base model with smooth friction, from where its fit begins; None where the drive holds.
+def smooth_values(captures: Sequence[Capture], model: DriveModel) -> dict[str, float] | None:
+    """Values of smooth friction from where its fit begins; None where the drive holds.
+
+    Also where runs do not tell, and for a drive that is stated as one mass.
 
     Parameters
     ----------
     captures : sequence of Capture
         Runs with torque and rests.
-    base : DriveModel
-        Its friction levels give the speed that the slope at rest stands for.
+    model : DriveModel
+        Its Coulomb levels give the speed that the slope at rest stands for.
     """
+    if model.is_rigid:
+        return None
     parts = [np.zeros((3, 0)), *(slow_motion_at_rest(capture) for capture in captures)]
     torque_Nm, speed_m_per_s, place_m = np.concatenate(parts, axis=1)
-    if speed_m_per_s.size < _LEAST_BINS:
-        return None
     # A load, and one that changes along the travel, is no push.
-    columns = np.column_stack([torque_Nm, np.ones(place_m.size), place_m])
-    (slope, *_), _, rank, _ = np.linalg.lstsq(columns, speed_m_per_s, rcond=None)
-    if rank < columns.shape[1]:
+    load = np.column_stack([np.ones(place_m.size), place_m])
+    both = np.column_stack([torque_Nm, speed_m_per_s])
+    told = np.linalg.matrix_rank(np.column_stack([torque_Nm, load])) == _FITTED
+    if place_m.size < _LEAST_BINS or not told:
         return None
-    by_load, *_ = np.linalg.lstsq(columns[:, 1:], torque_Nm, rcond=None)
-    pushed_Nm = torque_Nm - columns[:, 1:] @ by_load
-    by_load, *_ = np.linalg.lstsq(columns[:, 1:], speed_m_per_s, rcond=None)
-    speed = speed_m_per_s - columns[:, 1:] @ by_load
-    left = speed - slope * pushed_Nm
-    std = np.sqrt(left @ left / (left.size - columns.shape[1]) / (pushed_Nm @ pushed_Nm))
-    if slope < _SURE * std or left @ left > (1.0 - _LEAST_EXPLAINED) * (speed @ speed):
+    by_load, *_ = np.linalg.lstsq(load, both, rcond=None)
+    slope = speed_by_push(*(both - load @ by_load).T, fitted=_FITTED)
+    if slope is None or slope.value < _SURE * slope.std or slope.explained < _LEAST_EXPLAINED:
         return None
-    own, lead = base.parameters, base.bench.lead_m_per_rad
+    own, lead = model.parameters, model.bench.lead_m_per_rad
     level_Nm = own["coulomb.nut_Nm"] + own["coulomb.motor_Nm"] + lead * own["coulomb.guide_N"]
-    turns_over = float(slope * level_Nm)
+    turns_over = slope.value * level_Nm
     if not _LEAST_m_per_s < turns_over < _MOST_m_per_s:
         return None
-    both = dict.fromkeys(("speed_m_per_s", "rotary_m_per_s"), turns_over)
-    return base.with_effect(SMOOTH, both)
+    return dict.fromkeys(("speed_m_per_s", "rotary_m_per_s"), turns_over)
 
 
 def turns_over_at_once(model: DriveModel) -> bool:

@@ -5,6 +5,7 @@ Imports ``base`` and ``files``.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,13 +38,15 @@ def slow_motion_at_rest(capture: Capture) -> FloatArray:
     Means over 20 ms; none of the first 20 ms of a rest, where the loop's lag goes. A run without
     torque, or without rests, has none.
     """
-    period, torque_Nm = capture.sample_period_s, capture.torque_command_Nm
-    size = max(round(_BIN_s / period), 1)
     found = [np.zeros((3, 0))]
-    for rest in rests_of(capture.commanded_position_m, period) if torque_Nm is not None else ():
+    period, torque_Nm = capture.sample_period_s, capture.torque_command_Nm
+    if torque_Nm is None:
+        return found[0]
+    size = max(round(_BIN_s / period), 1)
+    for rest in rests_of(capture.commanded_position_m, period):
         begins = rest.start + (size if rest.start > 0 else 0)
         n = (rest.stop - begins) // size
-        if n < 2 or torque_Nm is None:
+        if n < 2:
             continue
         bins = slice(begins, begins + n * size)
         place_m, mean_Nm = (
@@ -53,6 +56,29 @@ def slow_motion_at_rest(capture: Capture) -> FloatArray:
         speed_m_per_s = np.diff(place_m) / (size * period)
         found.append(np.stack([_middles(mean_Nm), speed_m_per_s, _middles(place_m)]))
     return np.concatenate(found, axis=1)
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Speed by push at rests, its standard deviation, and the share of speed that it explains."""
+
+    value: float
+    std: float
+    explained: float
+
+
+def speed_by_push(push: FloatArray, speed: FloatArray, *, fitted: int = 1) -> Slope | None:
+    """Slope through zero of speeds by pushes, shape (n,) each; None where nothing pushes.
+
+    ``fitted`` numbers were taken from these samples, the slope among them.
+    """
+    square = float(push @ push)
+    if push.size <= fitted or square == 0.0:
+        return None
+    slope = float(push @ speed) / square
+    left = speed - slope * push
+    std = float(np.sqrt(left @ left / (push.size - fitted) / square))
+    return Slope(slope, std, 1.0 - float(left @ left) / max(float(speed @ speed), 1e-30))
 
 
 def _middles(values: FloatArray) -> FloatArray:

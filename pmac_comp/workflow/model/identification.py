@@ -141,12 +141,10 @@ def identify_captures(
 
 def base_friction(captures: Sequence[Capture], bench: Bench) -> Friction:
     """Friction to begin from: Coulomb's, but for a drive that creeps at rest, which none fits."""
-    from pmac_comp.physics.identify.smooth import smooth_start
+    from pmac_comp.physics.identify.smooth import smooth_values
     from pmac_comp.physics.model.drive import DriveModel
 
-    base = DriveModel.base(bench)
-    creeps = not base.is_rigid and smooth_start(captures, base) is not None
-    return "auto" if creeps else "coulomb"
+    return "coulomb" if smooth_values(captures, DriveModel.base(bench)) is None else "auto"
 
 
 def acted_in(captures: Sequence[Capture], bench: Bench, names: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from pmac_comp.files.bench import load_bench
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.identify.refit import _smooth_part
-from pmac_comp.physics.identify.smooth import smooth_start
+from pmac_comp.physics.identify.smooth import smooth_values
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.rests import slow_motion_at_rest
 from pmac_comp.simulator.plant import Plant, make_plant
@@ -36,9 +36,8 @@ def creeping(tmp_path: Path, factor: float) -> Plant:
 def test_a_drive_that_creeps_starts_where_its_friction_turns_over(
     tmp_path: Path, factor: float
 ) -> None:
-    start = smooth_start(moves_with_rests(BENCH, creeping(tmp_path, factor)), BASE)
-    assert start is not None
-    own = start.values_of("smooth_coulomb")
+    own = smooth_values(moves_with_rests(BENCH, creeping(tmp_path, factor)), BASE)
+    assert own is not None
     # Between the 0.16 mm/s of the motor and the 0.2 of the guide; a fit begins there.
     assert own["speed_m_per_s"] == pytest.approx(0.18e-3 * factor, rel=0.4)
     assert own["rotary_m_per_s"] == own["speed_m_per_s"]
@@ -67,7 +66,7 @@ def test_no_job_begins_from_coulomb_friction_where_the_drive_creeps(tmp_path: Pa
 )
 def test_a_drive_that_holds_has_none(effects: dict[str, dict[str, float | str]]) -> None:
     assert (
-        smooth_start(moves_with_rests(BENCH, make_plant(BENCH, effects=effects, seed=3)), BASE)
+        smooth_values(moves_with_rests(BENCH, make_plant(BENCH, effects=effects, seed=3)), BASE)
         is None
     )
 
@@ -86,7 +85,7 @@ def test_runs_without_torque_or_rests_tell_nothing(tmp_path: Path) -> None:
         for run in moves_with_rests(BENCH, creeping(tmp_path, 1.0))
     ]
     assert slow_motion_at_rest(runs[0]).shape == (3, 0)
-    assert smooth_start(runs, BASE) is None
+    assert smooth_values(runs, BASE) is None
 
 
 def test_slow_motion_at_rest_is_speed_under_torque() -> None:

@@ -5,26 +5,24 @@ from pmac_comp.base.units import MM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.model import slots as s
 from pmac_comp.physics.model.effect import Effect, Values
-from pmac_comp.physics.model.parameters import parameter
+from pmac_comp.physics.model.parameters import ParameterSpec, parameter
 
-_SPEED = parameter(
-    "speed_m_per_s",
-    "m/s",
-    1e-3,
-    (1e-5, 0.1),
-    file=("speed_mm_per_s", "mm/s", MM_PER_M),
-    description="at which the guide's friction has 76 % of its level",
-    by_root=True,
-)
-_ROTARY = parameter(
-    "rotary_m_per_s",
-    "m/s",
-    1e-3,
-    (1e-5, 0.1),
-    file=("rotary_mm_per_s", "mm/s", MM_PER_M),
-    description="the same for nut and motor, expressed at the table",
-    by_root=True,
-)
+
+def _speed(side: str, description: str) -> ParameterSpec:
+    """Speed over which the friction of one side turns over, expressed at the table."""
+    return parameter(
+        f"{side}_m_per_s",
+        "m/s",
+        1e-3,
+        (1e-5, 0.1),
+        file=(f"{side}_mm_per_s", "mm/s", MM_PER_M),
+        description=description,
+        by_root=True,
+    )
+
+
+_SPEED = _speed("speed", "at which the guide's friction has 76 % of its level")
+_ROTARY = _speed("rotary", "the same for nut and motor, expressed at the table")
 
 
 def _apply(vector: FloatArray, values: Values, bench: Bench, place: str) -> None:
