@@ -311,8 +311,8 @@ def design_law(
     if faster is not None:
         again.append(replace(start, **{name: getattr(faster, name) for name in _free(start)[0]}))
     others = [_sharpened(_refined(a, loop, chosen, latency_cycles, progress)) for a in again]
-    unseen = motions or judging_motions(bench)
-    judged = _judge(loop, unseen, latency_cycles, with_torque=with_torque)
+    judging = motions or judging_motions(bench)
+    judged = _judge(loop, judging, latency_cycles, with_torque=with_torque)
     with working() as threads:
         law = min((first, *others), key=lambda law: judged(law, threads))
         return _polished(law, lambda law: judged(law, threads), progress)
@@ -352,9 +352,8 @@ def _polished(
     """The law with the coefficients that are judged best, found by search from its own.
 
     The sums of squares of a fit weigh what is far within its aim as much as what is beyond it, and
-    their slopes say little where a nut crosses a gap: a search along the coefficients, which needs
-    none (Powell's), leaves a sixth to a third less of the worst motions, also of those that
-    nothing was fitted on.
+    their slopes say little where a nut crosses a gap. A search along the coefficients, which needs
+    none (Powell's), leaves a tenth to two fifths less of the worst of motions that it never saw.
     """
     from scipy.optimize import minimize
 
