@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
-from pmac_comp.base.progress import Progress
+from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -312,10 +312,9 @@ def design_law(
         again.append(replace(start, **{name: getattr(faster, name) for name in _free(start)[0]}))
     others = [_sharpened(_refined(a, loop, chosen, latency_cycles, progress)) for a in again]
     judging = motions or judging_motions(bench)
-    judged = _judge(loop, judging, latency_cycles, with_torque=with_torque)
     with working() as threads:
-        law = min((first, *others), key=lambda law: judged(law, threads))
-        return _polished(law, lambda law: judged(law, threads), progress)
+        judged = _judge(loop, judging, latency_cycles, threads, with_torque=with_torque)
+        return _polished(min((first, *others), key=judged), judged, progress)
 
 
 def _sharpened(law: CompensationLaw) -> CompensationLaw:
@@ -323,8 +322,13 @@ def _sharpened(law: CompensationLaw) -> CompensationLaw:
 
 
 def _judge(
-    loop: LoopRunner, motions: Sequence[Trajectory], latency_cycles: int, *, with_torque: bool
-) -> Callable[[CompensationLaw, Executor], float]:
+    loop: LoopRunner,
+    motions: Sequence[Trajectory],
+    latency_cycles: int,
+    threads: Executor,
+    *,
+    with_torque: bool,
+) -> Callable[[CompensationLaw], float]:
     """What a law leaves of the errors of motions, as shares of their aims, the worst foremost.
 
     Which of two fits errs less on what they were fitted on says little of other motions: one of
@@ -339,7 +343,7 @@ def _judge(
         total = float(np.sqrt(np.mean((total_m - total_m[0]) ** 2)))
         return [float(np.std(residual_m)) / aim[0], total / aim[1]][:n_errors]
 
-    def judged(law: CompensationLaw, threads: Executor) -> float:
+    def judged(law: CompensationLaw) -> float:
         left = list(threads.map(partial(shares, law), motions, wanted))
         return float(np.mean(np.power(left, _WORST_FOREMOST)))
 
@@ -365,7 +369,8 @@ def _polished(
     size = _POLISHING_STEP * np.array([sizes[name] for name in names])
     first = np.array([getattr(law, name) for name in names])
     lower = np.array([lowest.get(name, -np.inf) for name in names])
-    tell, n_judged = progress or (lambda _text, _fraction: None), 0
+    tell = progress or untold
+    n_judged = 0
 
     def at(point: FloatArray) -> CompensationLaw:
         return _with_values(law, names, np.maximum(first + point * size, lower))
@@ -558,7 +563,7 @@ def _refined(
         parts = zip(motions, wanted, strict=True)
         return np.concatenate([_errors(law, loop, m, latency_cycles, aim) for m, aim in parts])
 
-    tell = progress or (lambda _text, _fraction: None)
+    tell = progress or untold
 
     def stepped(intermediate_result: "OptimizeResult") -> None:
         tell("computing the law", min(0.99, intermediate_result.nit / _USUAL_STEPS))

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.base.progress import Progress
+from pmac_comp.base.progress import Progress, untold
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import TRUE_POSITIONS, Capture
 from pmac_comp.physics.identify.friction_form import identify_with_friction
@@ -83,7 +83,7 @@ def compare_models(
     ModelError
         Too few captures, or none with a table position.
     """
-    tell = progress or (lambda _text, _fraction: None)
+    tell = progress or untold
     fit, judge = parted(captures, validate)
     tell("full model", 0.0)
     found = identify_with_friction(fit, bench, progress=lambda text, part: tell(text, 0.6 * part))

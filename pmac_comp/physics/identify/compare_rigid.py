@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmac_comp.base.errors import DidNotConverge, ModelError, NotIdentifiable
-from pmac_comp.base.progress import Progress
+from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.files.capture import Capture
@@ -106,7 +106,7 @@ def compare_rigid(
     ------
     EMPS: Janot, Gautier, Brunot 2019.
     """
-    tell = progress or (lambda _text, _fraction: None)
+    tell = progress or untold
     if capture.torque_command_Nm is None:
         raise ModelError(
             "Friction of a drive without a scale shows in the torque, which this capture lacks.",

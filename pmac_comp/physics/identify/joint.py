@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import ModelError
-from pmac_comp.base.progress import Progress
+from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
@@ -161,7 +161,7 @@ def _identify_elastic(
     held_out: Sequence[BoolArray] | None,
     stages: Stages,
 ) -> Identification:
-    tell = progress or (lambda _text, _fraction: None)
+    tell = progress or untold
     has_scale = any(c.table_position_m is not None for c in captures) and not start.is_rigid
     if has_scale and not warm:
         tell("linear start from the two regressions", 0.0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.base.errors import DidNotConverge
-from pmac_comp.base.progress import Progress
+from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.threads import working
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.identify.covariance import uncertainty_of
@@ -170,7 +170,7 @@ def refine(
 def _refine(
     problem: Problem, weights: str, progress: Progress | None, *, rounding: bool, stages: Stages
 ) -> Fit:
-    tell = progress or (lambda _text, _fraction: None)
+    tell = progress or untold
     theta = problem.bounded(
         problem.theta_of([problem.model.parameters[spec.name] for spec in problem.specs])
     )
