@@ -36,6 +36,8 @@ _WORDS = {
     "presliding": "presliding at the guide (presliding)",
     "presliding@rotary": "presliding at nut and motor (presliding@rotary)",
     "presliding@all": "presliding at guide, nut and motor (presliding@all)",
+    "presliding@nut": "presliding at the nut alone (presliding@nut)",
+    "presliding@motor": "presliding at the motor alone (presliding@motor)",
     "presliding_gms": "presliding at the guide with memory of earlier reversals (presliding_gms)",
     SMOOTH: "friction that turns over with speed and holds nothing at rest (smooth_coulomb)",
     "stribeck": "Stribeck friction at the guide (stribeck)",
@@ -111,6 +113,7 @@ _TURNING_FRAC = 0.2  # of Coulomb friction at nut and motor, where a fit of thei
 _FIRST_GUESS = _Form(guide_m=10e-6, rotary_m=5e-6, excess_N=10.0, stribeck_m_per_s=0.005)
 # No friction turns over at once: Coulomb's, as drives have it.
 _ONSET = _Form(0.2e-6, 0.2e-6, excess_N=0.0, stribeck_m_per_s=0.005, has_stribeck=False)
+_SHARP = replace(_ONSET, guide_m=0.0, rotary_m=0.0)
 _ANY_m = 1e-9
 # Lag of the table by speed that is twice what guides usually make, or a lead, which no friction
 # makes: there the base model is also fitted with a scale that is read late, of which it makes
@@ -218,11 +221,11 @@ def identify_with_friction(
     gets friction that turns over with speed, if that is clearly better. For others presliding at
     guide, nut and motor with Stribeck friction is fitted to alternate stretches of the captures and
     judged, like the base model, by table minus motor and torque on the other stretches; then the
-    same with memory at the guide. Where nothing comes of it, and the base model leaves clearly more
-    around reversals than elsewhere, or than the sensors' steps make, Coulomb friction that sets in
-    over some tenths of a micrometre is tried in the same way. What is clearly better, without the
-    parts that came out as nothing, is fitted to everything. Otherwise the fit of the base model
-    goes on to its end.
+    same with memory at the guide, and with presliding at the nut or at the motor alone. Where
+    nothing comes of it, and the base model leaves clearly more around reversals than elsewhere, or
+    than the sensors' steps make, Coulomb friction that sets in over some tenths of a micrometre is
+    tried in the same way. What is clearly better, without the parts that came out as nothing, is
+    fitted to everything. Otherwise the fit of the base model goes on to its end.
 
     Parameters
     ----------
@@ -331,6 +334,12 @@ def _chosen(
             left = trial.errors(other)
             figures["held_out_gms_um"] = rms_um(left)
             found, errors = (other, left) if is_better(left, errors, _RATHER) else (found, errors)
+    for place in ("nut", "motor") if form.rotary_m > STICK_ZONE_m else ():
+        other = _turning_over_at(trial, found, place, form)
+        if other is not None:
+            left = trial.errors(other)
+            figures[f"held_out_presliding_{place}_um"] = rms_um(left)
+            found, errors = (other, left) if is_better(left, errors, _RATHER) else (found, errors)
     other = _with_turning_curve(trial, found)
     if other is None:
         return found
@@ -349,6 +358,25 @@ def _with_turning_curve(trial: _FrictionTrial, found: Identification) -> Identif
     if "stribeck" in model.effects:
         model = model.without_effect("stribeck")
     return trial.fitted(model.with_effect("stribeck@nut", _curves(model)["stribeck@nut"]))
+
+
+def _turning_over_at(
+    trial: _FrictionTrial, found: Identification, place: str, form: _Form
+) -> Identification | None:
+    """The same with presliding at nut or motor alone, which else turn over at once like the guide.
+
+    With one distance for both of them a fit gives one all their friction, and from there it does
+    not come back: their levels begin even.
+    """
+    model = found.model
+    start = _start(model, _SHARP, STICK_ZONE_m)
+    even_Nm = 0.5 * (start.parameters["coulomb.nut_Nm"] + start.parameters["coulomb.motor_Nm"])
+    start = start.with_parameters({"coulomb.nut_Nm": even_Nm, "coulomb.motor_Nm": even_Nm})
+    turning = {"distance_m": form.rotary_m, "damping_ratio": _FIRST_GUESS.rotary_damping}
+    start = start.with_effect(f"presliding@{place}", turning)
+    if "stribeck" in model.effects:
+        start = start.with_effect("stribeck", model.values_of("stribeck"))
+    return trial.fitted(start)
 
 
 def _curves(model: DriveModel) -> dict[str, dict[str, float]]:

@@ -38,7 +38,7 @@ class Trial:
 
     def errors(self, found: Any) -> FloatArray:
         parts = tuple(n for n in found.model.effects if n not in BASE.effects)
-        return self.left[parts] * PLAIN
+        return self.left.get(parts, 1.0) * PLAIN
 
 
 @pytest.mark.parametrize(
@@ -55,3 +55,22 @@ def test_stribeck_friction_within_its_deviation(without: float, kept: tuple[str,
 def test_a_whole_that_predicts_nothing_is_not_taken() -> None:
     trial = Trial(excess_std_N=8.0, left={WHOLE: 1.0, ("presliding@all",): 1.0})
     assert _chosen(trial, BASE, PLAIN, {}, suspected=False) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("place", ["nut", "motor"])
+def test_presliding_at_nut_or_motor_alone_is_taken_where_it_predicts_more(place: str) -> None:
+    """With one distance for both a fit gave the motor all friction of a nut that slides first."""
+    alone = (f"presliding@{place}", "stribeck")
+    trial = Trial(excess_std_N=1.0, left={WHOLE: 0.2, alone: 0.1})
+    figures: dict[str, float] = {}
+    levels = {"coulomb.nut_Nm": 0.02, "coulomb.motor_Nm": 0.42}
+    start = DriveModel.base(BASE.bench, {**BASE.parameters, **levels})
+    found = _chosen(trial, start, PLAIN, figures, suspected=False)  # type: ignore[arg-type]
+    assert found is not None
+    assert tuple(n for n in found.model.effects if n not in BASE.effects) == alone
+    assert found.model.parameters["coulomb.nut_Nm"] == pytest.approx(0.22)  # begun even
+    assert f"held_out_presliding_{place}_um" in figures
+    trial.left[alone] = 0.2
+    found = _chosen(trial, start, PLAIN, figures, suspected=False)  # type: ignore[arg-type]
+    assert found is not None
+    assert tuple(n for n in found.model.effects if n not in BASE.effects) == WHOLE
