@@ -215,13 +215,9 @@ def _followed_share(state: float, goal: float, way: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _crossed(
-    flank: float, lagged: float, goal: float, way: float, share: float
-) -> tuple[float, float, float]:
-    """Flank, the flank that the motor has reached, and by how much that was behind."""
-    flank = _followed_share(flank, goal, way)
-    behind = flank - lagged
-    return flank, lagged + share * behind, behind
+def _crossed(flank: float, lagged: float, share: float) -> tuple[float, float]:
+    """The flank that the motor has reached, and by how much it was behind."""
+    return lagged + share * (flank - lagged), flank - lagged
 
 
 @njit(cache=True, nogil=True)
@@ -375,8 +371,8 @@ def _evaluate(
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound
-        way = abs(v) * period / breakaway
         if bed_share > 0.0:
+            way = abs(v) * period / breakaway
             swing, bed_speed, bed = _swung(bed_swings, a, bed_speed, bed, period)
             felt = _held_between(_followed_share(felt, swing, way), swing, s, most)
             sent += torque_bed * felt
@@ -387,8 +383,8 @@ def _evaluate(
         )
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:
-            f = gap_load + e + lookahead * inertia * j
-            g, h, behind = _crossed(g, h, _flank(f, gap_width), way, period / (gap_lag + period))
+            g = g if v == 0.0 else _flank(gap_load + e + lookahead * inertia * j, gap_width)
+            h, behind = _crossed(g, h, period / (gap_lag + period))
             correction[k] += gap_half * (h - held)
             crossing = gap_torque * behind
         sent += (sent - wound + loop_a * a + loop_v * v) * more + cogging + crossing

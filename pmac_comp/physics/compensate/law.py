@@ -17,7 +17,7 @@ less than half a nanometre is a rest) and ``x`` the distance from the law's orig
     d' = (|p'| (sgn p' - d)) / DD                       drag state, in place of the bed
     e  = A0 (a + b) + V0 v + VU |v| + (S0 + SS w) s + DX d       elastic, as the force in the nut
     f  = B + e + L A0 j                                 with a constant load, L seconds later
-    g' = |v| (f / max(|f|, W) - g) / break-away distance
+    g  = f / max(|f|, W), at rest as it was             flank of the nut by the force in it
     h' = (g - h) / M                                    flank of the nut as the motor changes it
     correction = (1 + K x) e + G (h - h0) + J0 j        added to the command
     q  = 2 pi (r + L v) / turn                          angle of the screw, looking ahead
@@ -108,9 +108,11 @@ time. A weight or a slanted axis loads the nut at rest already: B, the elastic c
 load, shifts where the flank changes, and h0 = B / max(|B|, W) is the flank that the load holds,
 where ``g`` and ``h`` begin; a load that nothing overcomes leaves no gap to take up. A nut that is
 only soft around zero force, as one without preload, takes its G up just so:
-in proportion to the force, until W is reached. The flank follows the way of the command, as
-friction does: where the force turns over in the last tenths of a micrometre of a move, the guide
-holds the table wherever the nut is, and a motor that still crossed the gap would throw it.
+in proportion to the force, until W is reached. While the command rests the flank stays: the guide
+holds the table wherever the nut is. It follows the force at once, not over a way as friction does:
+on a way that suits friction's presliding (10 um) a nut crosses too late, and on one that suits the
+nut friction turns over too soon (small slow sinusoids of drives with play and presliding were left
+1.7 of their aim).
 
 A machine bed on its foundation swings as the table pushes it off, and the table feels the bed's
 acceleration as its own: positions are relative to the bed. The bed is one mass

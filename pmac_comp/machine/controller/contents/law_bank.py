@@ -49,7 +49,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
                                                           or lacks where friction sets in with it
     e = A0 a + V0 v + VU |v| + (S0 + SX w) s + b         VU, TU: only with a GH of zero
     f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
-    g = (g + h f / max(GW, |f|)) / (1 + h)                flank: goes with the force
+    g = f / max(GW, |f|), at rest as it was               flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
     c = (1 + C1 r) e + GH (l - l0) + J0 j                l0 = GB / max(GW, |GB|)
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
@@ -519,8 +519,7 @@ def evaluate(
     q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t
     q = q + p.T0 + p.TP * r + wave
     passed = np.abs(v) * p.S_INV
-    share = passed / (1.0 + passed)
-    felt = _dragged(p, way) if p.drags else _felt_of_bed(p, a, s, share)
+    felt = _dragged(p, way) if p.drags else _felt_of_bed(p, a, s, passed / (1.0 + passed))
     q = q + p.BT * felt
     q = q + (q + p.RT * a + p.RV * v) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
     q = q + cogging + p.TU * np.abs(v)
@@ -531,7 +530,7 @@ def evaluate(
         goal = foreseen / np.maximum(p.GW, np.abs(foreseen))
         held = p.held_flank
         first = start.get("g", held)
-        flank = _towards(goal, share, first)
+        flank = _towards(goal, np.where(rests, 0.0, 1.0), first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)
         c = c + p.GH * (lagged - held)
         q = q + p.TG * (flank - np.concatenate([[first], lagged[:-1]]))
