@@ -2,8 +2,8 @@
 
 What lives here: the start from the closed forms (regression of the simulated mechanical error on
 acceleration, velocity and direction), the refinement of all coefficients through the closed loop
-of the model (``loop``), and for a nut with play the search for what leaves least of the worst
-motions. What may not: captures, counts. Imports ``physics.signals``, ``files`` and ``base``.
+of the model (``loop``), and the search for what leaves least of the worst motions. What may not:
+captures, counts. Imports ``physics.signals``, ``files`` and ``base``.
 
 The refinement is what makes the law right with the loop around it: latency of the door, current
 loop, delay and the controller's own feed-forward all act in the simulation, so the coefficients
@@ -64,19 +64,30 @@ _SHARPENED_FRAC = 0.4
 _WORST_FOREMOST = 4
 # The search that betters the judgement: its first steps, as shares of the usual changes, and how
 # often it judges.
-_POLISHING_STEP = 0.05
-_MOST_JUDGED = 400
-# What it leaves as fitted: without these it ends lower in the same time.
-_NOT_POLISHED = (
+_POLISHING_STEP, _MOST_JUDGED = 0.1, 120
+_POLISHING_STEP_WITH_PLAY, _MOST_JUDGED_WITH_PLAY = 0.05, 400
+# What it moves: how friction turns over, which a fit by squares settles on large motions.
+_FRICTION = (
+    "coulomb_m",
+    "breakaway_m",
+    "stribeck_m",
+    "torque_coulomb_Nm",
+    "torque_breakaway_m",
+    "torque_stribeck_Nm",
+    "stribeck_speed_m_per_s",
+)
+# With play all but these: without them it ends lower in the same time.
+_NOT_POLISHED_WITH_PLAY = (
     "compliance_slope_per_m",
     "torque_constant_Nm",
     "torque_jerk_Nm_s3_per_m",
     "torque_impulse_Nm_s3_per_m",
     "rest_fade_per_s",
 )
-# The flank too follows the way over this: with as much as other laws have, a nut at the end of a
-# move crosses so late that moves are left half as much again.
-_LEAST_BREAKAWAY_WITH_GAP_m = 0.2e-6
+_SHARP = ("gap_width_m", "breakaway_m", "torque_breakaway_m")  # with play, which no fit finds
+# The search is judged on small slow motions too, which a fit by squares hardly feels: friction may
+# turn over sooner than a fit is let.
+_LEAST_BREAKAWAY_JUDGED_m = 0.2e-6
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
@@ -260,7 +271,7 @@ def design_law(
     faster : CompensationLaw, optional
         Law of the same model that is computed more often, from where one with a gap is fitted too.
     motions : sequence of Trajectory, optional
-        Where the coefficients are refined, and judged where there is a gap; if not given,
+        Where the coefficients are refined and judged; if not given,
         ``design_motions`` and ``judging_motions``.
     provenance : dict, optional
         Kept with the law.
@@ -300,21 +311,26 @@ def design_law(
         start = start.as_smooth(_SMOOTH_FRAC * stribeck.speed_m_per_s)
     elif stribeck is not None:
         start = _gripping_slow(stribeck, start)
-    law = _refined(start, loop, chosen, latency_cycles, progress)
-    if gap is None or gap.edge_m_per_s2 > 0.0:
-        return law
-    # What a nut does in its gap jumps with the coefficients, and the fit ends in one of many
-    # valleys, which one is chance. From there with the crossing made sharp it finds another; not
-    # with the fade that it ended on, near whose limits it stays.
-    first = _sharpened(law)
-    again = [replace(first, rest_fade_per_s=start.rest_fade_per_s)]
-    if faster is not None:
-        again.append(replace(start, **{name: getattr(faster, name) for name in _free(start)[0]}))
-    others = [_sharpened(_refined(a, loop, chosen, latency_cycles, progress)) for a in again]
-    judging = motions or judging_motions(bench)
+    fitted = partial(
+        _refined, loop=loop, motions=chosen, latency_cycles=latency_cycles, progress=progress
+    )
+    law, play = fitted(start), gap is not None and gap.edge_m_per_s2 == 0.0
+    candidates = [law]
+    if play:
+        # What a nut does in its gap jumps with the coefficients, and the fit ends in one of many
+        # valleys, which one is chance. From there with the crossing made sharp it finds another;
+        # not with the fade that it ended on, near whose limits it stays.
+        first = _sharpened(law)
+        again = [replace(first, rest_fade_per_s=start.rest_fade_per_s)]
+        if faster is not None:
+            values = {name: getattr(faster, name) for name in _free(start)[0]}
+            again.append(replace(start, **values))
+        candidates = [first, *(_sharpened(fitted(a)) for a in again)]
+    holds_m_per_s2 = start.coulomb_m / start.inertia_s2 if play else 0.0
+    judging = motions or judging_motions(bench, threshold_m_per_s2=holds_m_per_s2)
     with working() as threads:
         judged = _judge(loop, judging, latency_cycles, threads, with_torque=with_torque)
-        return _polished(min((first, *others), key=judged), judged, progress)
+        return _polished(min(candidates, key=judged), judged, progress, play=play)
 
 
 def _sharpened(law: CompensationLaw) -> CompensationLaw:
@@ -351,22 +367,31 @@ def _judge(
 
 
 def _polished(
-    law: CompensationLaw, judged: Callable[[CompensationLaw], float], progress: Progress | None
+    law: CompensationLaw,
+    judged: Callable[[CompensationLaw], float],
+    progress: Progress | None,
+    *,
+    play: bool,
 ) -> CompensationLaw:
     """The law with the coefficients that are judged best, found by search from its own.
 
     The sums of squares of a fit weigh what is far within its aim as much as what is beyond it, and
-    their slopes say little where a nut crosses a gap. A search along the coefficients, which needs
-    none (Powell's), leaves a tenth to two fifths less of the worst of motions that it never saw.
+    their slopes say little where a nut crosses a gap or friction turns over within a sample. A
+    search along the coefficients, which needs none (Powell's), leaves a tenth to two fifths less of
+    the worst of motions that it never saw: with play of moves, without of small slow sinusoids.
     """
     from scipy.optimize import minimize
 
     sizes, lowest = _free(law)
-    lowest["gap_width_m"] *= _SHARPENED_FRAC
-    lowest |= dict.fromkeys(("breakaway_m", "torque_breakaway_m"), _LEAST_BREAKAWAY_WITH_GAP_m)
-    # Those of the gap first: what goes with them follows.
-    names = [name for name in reversed(sizes) if name not in _NOT_POLISHED]
-    size = _POLISHING_STEP * np.array([sizes[name] for name in names])
+    lowest |= dict.fromkeys(("breakaway_m", "torque_breakaway_m"), _LEAST_BREAKAWAY_JUDGED_m)
+    names = [name for name in sizes if name in _FRICTION]
+    step, most = _POLISHING_STEP, _MOST_JUDGED
+    if play:
+        lowest["gap_width_m"] *= _SHARPENED_FRAC
+        # Those of the gap first: what goes with them follows.
+        names = [name for name in reversed(sizes) if name not in _NOT_POLISHED_WITH_PLAY]
+        step, most = _POLISHING_STEP_WITH_PLAY, _MOST_JUDGED_WITH_PLAY
+    size = step * np.array([sizes[name] for name in names])
     first = np.array([getattr(law, name) for name in names])
     lower = np.array([lowest.get(name, -np.inf) for name in names])
     tell = progress or untold
@@ -378,14 +403,14 @@ def _polished(
     def cost(point: FloatArray) -> float:
         nonlocal n_judged
         n_judged += 1
-        tell("polishing the law", min(0.99, n_judged / _MOST_JUDGED))
+        tell("polishing the law", min(0.99, n_judged / most))
         return judged(at(point))
 
     found = minimize(
         cost,
         np.zeros(len(names)),
         method="Powell",
-        options={"maxfev": _MOST_JUDGED, "xtol": 0.2, "ftol": 3e-3},
+        options={"maxfev": most, "xtol": 0.2, "ftol": 3e-3},
     )
     return at(found.x)
 
@@ -454,11 +479,8 @@ def slower_law(
         lookahead_s=law.lookahead_s + later_s,
     )
     chosen = tuple(motions or _fitted_on(bench, with_gap=law.gap_half_m > 0.0))
-    slower = _refined(start, loop, chosen, latency_cycles, None, most_steps=_FEW_STEPS)
-    if law.gap_half_m == 0.0:
-        return slower
-    sharp = ("gap_width_m", "breakaway_m", "torque_breakaway_m")  # which no fit finds
-    return replace(slower, **{name: getattr(law, name) for name in sharp})
+    held = _SHARP if law.gap_half_m > 0.0 else _FRICTION
+    return _refined(start, loop, chosen, latency_cycles, None, most_steps=_FEW_STEPS, held=held)
 
 
 def _fitted_on(bench: Bench, *, with_gap: bool) -> tuple[Trajectory, ...]:
@@ -548,11 +570,14 @@ def _refined(
     progress: Progress | None,
     *,
     most_steps: int = _MOST_STEPS,
+    held: Sequence[str] = (),
 ) -> CompensationLaw:
-    """The law whose free coefficients leave the least of the errors of motions in a loop."""
+    """The law whose free coefficients, but those held, leave the least of motions' errors."""
     from scipy.optimize import least_squares
 
     sizes, lowest = _free(start)
+    for name in held:
+        sizes.pop(name, None)
     names, size = list(sizes), np.array(list(sizes.values()))
     first = np.array([getattr(start, name) for name in names]) / size
     lower = np.array([lowest.get(name, -np.inf) for name in names]) / size

@@ -19,10 +19,18 @@ _DWELL_s = 0.1
 # Of a move of a drive whose nut has play, as long as those of people: where the nut comes to stand
 # in its gap lasts as long. Of others the fit would hide what fades at a rest in its friction.
 DWELL_WITH_GAP_s = 0.2
-# On half as many moves a law was found that leaves twice as much of one beside them: where the nut
-# comes to stand is chance. Sinusoids are more often slow, where it hardly crosses.
-_JUDGING_MOVES, _JUDGING_SINES = 32, 12
-_SLOWEST_Hz, _FASTEST_Hz, _MORE_SLOW = 0.7, 5.0, 1.5  # of a sinusoid that judges
+# On half as many moves a law that takes up play was found that leaves twice as much of one beside
+# them: where the nut comes to stand is chance. Sinusoids are more often slow, where it hardly
+# crosses.
+_JUDGING_MOVES, _JUDGING_SINES = 8, 8
+_JUDGING_MOVES_WITH_PLAY, _JUDGING_SINES_WITH_PLAY = 32, 12
+_SLOWEST_Hz, _FASTEST_Hz, _MORE_SLOW = 0.7, 5.0, 1.5  # of a large sinusoid that judges
+# Small sinusoids that judge: on none of them but one that was fitted, laws were found that leave
+# twice to three times their aim of them.
+_SMALL_SINES = 8
+_SMALL_SLOWEST_Hz, _SMALL_FASTEST_Hz = 0.4, 1.6
+_SMALLEST_m, _SMALL_WIDEST_m = 0.008, 0.03
+_THRESHOLD_FROM, _THRESHOLD_TO = 1.0, 1.8  # times the acceleration that friction holds the nut by
 _LAG_SHARE = 0.75  # of the peak torque; a law needs the rest for inertia and friction
 
 
@@ -130,32 +138,71 @@ def resting_moves(bench: Bench, *, n_moves: int, dwell_cycles: int) -> tuple[Tra
     )
 
 
-def judging_motions(bench: Bench) -> tuple[Trajectory, ...]:
-    """Motions by which a law with a gap is chosen and bettered, beside those that it is fitted on.
+def judging_motions(bench: Bench, *, threshold_m_per_s2: float = 0.0) -> tuple[Trajectory, ...]:
+    """Motions by which a law is chosen and bettered, beside those that it is fitted on.
 
-    Moves and sinusoids spread over what is usual.
+    Moves and sinusoids spread over what is usual: large sinusoids near what speed and acceleration
+    allow, and small slow ones, of whose error friction makes nearly all. With play others whose
+    acceleration just overcomes friction: the nut changes its flank near the ends of their strokes
+    and has long to do it.
+
+    Parameters
+    ----------
+    bench : Bench
+        Travel, limits, period.
+    threshold_m_per_s2 : float
+        Acceleration of the table whose force is that of friction at the guide, where its nut has
+        play; else 0.
     """
     from scipy.stats.qmc import Halton
 
     low_m, high_m = bench.travel_m
-    sines = []
-    # The first point of the sequence is its corner.
-    for fast, wide, place in Halton(3, scramble=False).random(_JUDGING_SINES + 1)[1:]:
-        frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast**_MORE_SLOW
-        most_m = min(0.05, 0.1 * (high_m - low_m), _largest_sine_m(bench, frequency_Hz))
-        amplitude_m = (0.7 + 0.3 * wide) * most_m
-        sines.append(
-            sinusoid(
-                period_s=bench.servo_period_s,
-                amplitude_m=amplitude_m,
-                frequency_Hz=frequency_Hz,
-                cycles=2.0,
-                centre_m=low_m + 1.2 * amplitude_m + place * (high_m - low_m - 2.4 * amplitude_m),
-                dwell_s=0.05,
-            )
+    span_m, play = high_m - low_m, threshold_m_per_s2 > 0.0
+
+    def sine(
+        amplitude_m: float, frequency_Hz: float, place: float, cycles: float = 1.0
+    ) -> Trajectory:
+        amplitude_m = min(amplitude_m, 0.1 * span_m, _largest_sine_m(bench, frequency_Hz))
+        return sinusoid(
+            period_s=bench.servo_period_s,
+            amplitude_m=amplitude_m,
+            frequency_Hz=frequency_Hz,
+            cycles=cycles,
+            ramp_cycles=0.5 * cycles,
+            centre_m=low_m + 1.2 * amplitude_m + place * (span_m - 2.4 * amplitude_m),
+            dwell_s=0.05,
         )
-    dwell_cycles = round(DWELL_WITH_GAP_s / bench.servo_period_s)
-    return (*resting_moves(bench, n_moves=_JUDGING_MOVES, dwell_cycles=dwell_cycles), *sines)
+
+    def large(fast: float, wide: float, place: float) -> Trajectory:
+        frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast**_MORE_SLOW
+        most_m = min(0.05, 0.1 * span_m, _largest_sine_m(bench, frequency_Hz))
+        return sine((0.7 + 0.3 * wide) * most_m, frequency_Hz, place, 2.0)
+
+    def small(fast: float, wide: float, place: float) -> Trajectory:
+        frequency_Hz = _SMALL_SLOWEST_Hz * (_SMALL_FASTEST_Hz / _SMALL_SLOWEST_Hz) ** fast
+        return sine(_small_m(wide), frequency_Hz, place)
+
+    def at_threshold(more: float, wide: float, place: float) -> Trajectory:
+        times = _THRESHOLD_FROM + more * (_THRESHOLD_TO - _THRESHOLD_FROM)
+        omega = math.sqrt(times * threshold_m_per_s2 / _small_m(wide))
+        return sine(_small_m(wide), omega / (2.0 * math.pi), place)
+
+    n_moves = _JUDGING_MOVES_WITH_PLAY if play else _JUDGING_MOVES
+    n_sines = _JUDGING_SINES_WITH_PLAY if play else _JUDGING_SINES
+    dwell_s = DWELL_WITH_GAP_s if play else _DWELL_s
+    # The first point of the sequence is its corner.
+    drawn = Halton(3, scramble=False).random(max(n_sines, _SMALL_SINES) + 1)[1:]
+    return (
+        *resting_moves(bench, n_moves=n_moves, dwell_cycles=round(dwell_s / bench.servo_period_s)),
+        *(large(*point) for point in drawn[:n_sines]),
+        *(small(*point) for point in drawn[:_SMALL_SINES]),
+        *(at_threshold(*point) for point in drawn[:_SMALL_SINES] if play),
+    )
+
+
+def _small_m(wide: float) -> float:
+    """Amplitude of a small sinusoid, from the smallest at 0 to the widest at 1."""
+    return float(_SMALLEST_m * (_SMALL_WIDEST_m / _SMALLEST_m) ** wide)
 
 
 def fastest_move(bench: Bench) -> Trajectory:

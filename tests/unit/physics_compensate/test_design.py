@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -41,7 +42,10 @@ def law() -> CompensationLaw:
     return design_law(BENCH, model_loop(DriveModel.base(BENCH)))
 
 
-@pytest.mark.parametrize("motions", [design_motions, judging_motions])
+@pytest.mark.parametrize(
+    "motions",
+    [design_motions, judging_motions, partial(judging_motions, threshold_m_per_s2=0.35)],
+)
 def test_motions_stay_within_travel_and_limits(
     motions: Callable[[Bench], tuple[Trajectory, ...]],
 ) -> None:
@@ -196,8 +200,8 @@ def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
         return design_law(BENCH, model_loop(model), gap=gap, latency_cycles=0, motions=motions)
 
     searched = found()
-    monkeypatch.setattr(design, "_MOST_JUDGED", 1)
-    assert worst(searched) < min(0.9 * worst(found()), 0.1)
+    monkeypatch.setattr(design, "_MOST_JUDGED_WITH_PLAY", 1)
+    assert worst(searched) < min(0.95 * worst(found()), 0.07)
     assert searched.breakaway_m >= 0.2e-6  # never sharper than a drive turns over
     assert searched.torque_breakaway_m >= 0.2e-6
 
