@@ -64,7 +64,7 @@ _SHARPENED_FRAC = 0.4
 _WORST_FOREMOST = 4
 # The search that betters the judgement: its first steps, as shares of the usual changes, and how
 # often it judges.
-_POLISHING_STEP, _MOST_JUDGED = 0.1, 120
+_POLISHING_STEP, _MOST_JUDGED = 0.1, 80
 _POLISHING_STEP_WITH_PLAY, _MOST_JUDGED_WITH_PLAY = 0.05, 400
 # What it moves: how friction turns over, which a fit by squares settles on large motions.
 _FRICTION = (

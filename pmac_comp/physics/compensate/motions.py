@@ -22,12 +22,10 @@ DWELL_WITH_GAP_s = 0.2
 # On half as many moves a law that takes up play was found that leaves twice as much of one beside
 # them: where the nut comes to stand is chance. Sinusoids are more often slow, where it hardly
 # crosses.
-_JUDGING_MOVES, _JUDGING_SINES = 8, 8
-_JUDGING_MOVES_WITH_PLAY, _JUDGING_SINES_WITH_PLAY = 32, 12
+_JUDGING_MOVES, _JUDGING_SINES, _SMALL_SINES = 6, 6, 6
+_JUDGING_MOVES_WITH_PLAY, _JUDGING_SINES_WITH_PLAY, _SMALL_SINES_WITH_PLAY = 32, 12, 8
 _SLOWEST_Hz, _FASTEST_Hz, _MORE_SLOW = 0.7, 5.0, 1.5  # of a large sinusoid that judges
-# Small sinusoids that judge: on none of them but one that was fitted, laws were found that leave
-# twice to three times their aim of them.
-_SMALL_SINES = 8
+# Small ones: judged on none, laws were found that leave two to three times their aim of such.
 _SMALL_SLOWEST_Hz, _SMALL_FASTEST_Hz = 0.4, 1.6
 _SMALLEST_m, _SMALL_WIDEST_m = 0.008, 0.03
 _THRESHOLD_FROM, _THRESHOLD_TO = 1.0, 1.8  # times the acceleration that friction holds the nut by
@@ -160,15 +158,15 @@ def judging_motions(bench: Bench, *, threshold_m_per_s2: float = 0.0) -> tuple[T
     span_m, play = high_m - low_m, threshold_m_per_s2 > 0.0
 
     def sine(
-        amplitude_m: float, frequency_Hz: float, place: float, cycles: float = 1.0
+        amplitude_m: float, frequency_Hz: float, place: float, ramp_cycles: float = 0.5
     ) -> Trajectory:
         amplitude_m = min(amplitude_m, 0.1 * span_m, _largest_sine_m(bench, frequency_Hz))
         return sinusoid(
             period_s=bench.servo_period_s,
             amplitude_m=amplitude_m,
             frequency_Hz=frequency_Hz,
-            cycles=cycles,
-            ramp_cycles=0.5 * cycles,
+            cycles=1.0,
+            ramp_cycles=ramp_cycles,
             centre_m=low_m + 1.2 * amplitude_m + place * (span_m - 2.4 * amplitude_m),
             dwell_s=0.05,
         )
@@ -176,7 +174,8 @@ def judging_motions(bench: Bench, *, threshold_m_per_s2: float = 0.0) -> tuple[T
     def large(fast: float, wide: float, place: float) -> Trajectory:
         frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast**_MORE_SLOW
         most_m = min(0.05, 0.1 * span_m, _largest_sine_m(bench, frequency_Hz))
-        return sine((0.7 + 0.3 * wide) * most_m, frequency_Hz, place, 2.0)
+        # Those at the limits grow no faster: that would accelerate them beyond.
+        return sine((0.7 + 0.3 * wide) * most_m, frequency_Hz, place, ramp_cycles=1.0)
 
     def small(fast: float, wide: float, place: float) -> Trajectory:
         frequency_Hz = _SMALL_SLOWEST_Hz * (_SMALL_FASTEST_Hz / _SMALL_SLOWEST_Hz) ** fast
@@ -188,15 +187,16 @@ def judging_motions(bench: Bench, *, threshold_m_per_s2: float = 0.0) -> tuple[T
         return sine(_small_m(wide), omega / (2.0 * math.pi), place)
 
     n_moves = _JUDGING_MOVES_WITH_PLAY if play else _JUDGING_MOVES
-    n_sines = _JUDGING_SINES_WITH_PLAY if play else _JUDGING_SINES
+    n_large = _JUDGING_SINES_WITH_PLAY if play else _JUDGING_SINES
+    n_small = _SMALL_SINES_WITH_PLAY if play else _SMALL_SINES
     dwell_s = DWELL_WITH_GAP_s if play else _DWELL_s
     # The first point of the sequence is its corner.
-    drawn = Halton(3, scramble=False).random(max(n_sines, _SMALL_SINES) + 1)[1:]
+    drawn = Halton(3, scramble=False).random(max(n_large, n_small) + 1)[1:]
     return (
         *resting_moves(bench, n_moves=n_moves, dwell_cycles=round(dwell_s / bench.servo_period_s)),
-        *(large(*point) for point in drawn[:n_sines]),
-        *(small(*point) for point in drawn[:_SMALL_SINES]),
-        *(at_threshold(*point) for point in drawn[:_SMALL_SINES] if play),
+        *(large(*point) for point in drawn[:n_large]),
+        *(small(*point) for point in drawn[:n_small]),
+        *(at_threshold(*point) for point in drawn[:n_small] if play),
     )
 
 

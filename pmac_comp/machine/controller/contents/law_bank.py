@@ -96,7 +96,9 @@ MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
 _WOBBLE_LEAD_deg: Final = 45.0  # of the torque against the wobble of the lead, in the way it goes
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
-_LAYOUT: Final = 13  # of a bank: the checksum begins with it, so that another layout's does not fit
+# Of a bank: the checksum begins with it, so that another layout's does not fit, nor that of a law
+# whose flank follows the force over a way.
+_LAYOUT: Final = 14
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
