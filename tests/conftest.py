@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from pmac_comp.physics.compensate import design
 from pmac_comp.workflow.capture import axis_setup
 from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
     count_places,
@@ -71,6 +72,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def laws_are_searched_shortly() -> Iterator[None]:
+    """The search of a law without play takes seconds that tests of other things do not need.
+
+    ``test_design`` tests the search; the commands that the system tests start do all of it.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "_MOST_JUDGED", 10)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

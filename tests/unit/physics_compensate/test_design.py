@@ -185,6 +185,31 @@ def test_gap_of_the_nut_is_taken_up_with_the_force() -> None:
     assert new.e_r_after_um < 0.5 * old.e_r_after_um
 
 
+def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fit by squares settles on large motions how friction turns over."""
+    model = DriveModel.base(BENCH)
+    model = model.with_effect("presliding", {"distance_m": 10e-6, "damping_ratio": 0.05})
+    loop = model_loop(model.with_effect("stribeck", {"excess_N": 15.0, "speed_m_per_s": 0.005}))
+    friction = Stribeck(15.0 / 45.0, 15.0 * BENCH.lead_m_per_rad, 0.005)
+
+    def found(n_judged: int) -> CompensationLaw:
+        monkeypatch.setattr(design, "_MOST_JUDGED", n_judged)
+        return design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
+
+    def left_um(law: CompensationLaw, motion: Trajectory) -> float:
+        return promise(law, loop, motion, latency_cycles=0).e_r_after_um
+
+    fitted, searched = found(1), found(80)
+    small = a_sine(0.010, 1.0, 3.0), a_sine(0.012, 0.7, 3.0)
+    assert all(left_um(searched, m) < 0.9 * left_um(fitted, m) for m in small)
+    assert left_um(searched, small[0]) < 0.15
+    large = a_move(0.034, 0.19, 3.8)  # pays little for it
+    assert left_um(searched, large) < 1.15 * left_um(fitted, large)
+    assert searched.inertia_s2 == fitted.inertia_s2  # only friction is searched
+
+
 def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
