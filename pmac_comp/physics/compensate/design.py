@@ -61,7 +61,7 @@ _LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 # Stribeck friction or a small load beside the play up to 15 %.
 _SHARPENED_FRAC = 0.4
 # Power of the shares of the aims that are taken together where laws are judged.
-_WORST_FOREMOST = 4
+_WORST_FOREMOST = 6
 # The search that betters the judgement: its first steps, as shares of the usual changes, and how
 # often it judges.
 _POLISHING_STEP, _MOST_JUDGED = 0.1, 80
@@ -314,9 +314,14 @@ def design_law(
     fitted = partial(
         _refined, loop=loop, motions=chosen, latency_cycles=latency_cycles, progress=progress
     )
-    law, play = fitted(start), gap is not None and gap.edge_m_per_s2 == 0.0
+    law, thresholds_m_per_s2 = fitted(start), tuple[float, ...]()
     candidates = [law]
-    if play:
+    play = gap is not None and gap.edge_m_per_s2 == 0.0
+    if gap is not None and play:
+        holds_m_per_s2 = start.coulomb_m / start.inertia_s2
+        thresholds_m_per_s2 = tuple(
+            abs(gap.load_m_per_s2 + way * holds_m_per_s2) for way in (1.0, -1.0)
+        )
         # What a nut does in its gap jumps with the coefficients, and the fit ends in one of many
         # valleys, which one is chance. From there with the crossing made sharp it finds another;
         # not with the fade that it ended on, near whose limits it stays.
@@ -326,8 +331,7 @@ def design_law(
             values = {name: getattr(faster, name) for name in _free(start)[0]}
             again.append(replace(start, **values))
         candidates = [first, *(_sharpened(fitted(a)) for a in again)]
-    holds_m_per_s2 = start.coulomb_m / start.inertia_s2 if play else 0.0
-    judging = motions or judging_motions(bench, threshold_m_per_s2=holds_m_per_s2)
+    judging = motions or judging_motions(bench, thresholds_m_per_s2=thresholds_m_per_s2)
     with working() as threads:
         judged = _judge(loop, judging, latency_cycles, threads, with_torque=with_torque)
         return _polished(min(candidates, key=judged), judged, progress, play=play)

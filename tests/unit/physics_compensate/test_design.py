@@ -44,7 +44,11 @@ def law() -> CompensationLaw:
 
 @pytest.mark.parametrize(
     "motions",
-    [design_motions, judging_motions, partial(judging_motions, threshold_m_per_s2=0.35)],
+    [
+        design_motions,
+        judging_motions,
+        partial(judging_motions, thresholds_m_per_s2=(0.0, 0.35, 40.0)),
+    ],
 )
 def test_motions_stay_within_travel_and_limits(
     motions: Callable[[Bench], tuple[Trajectory, ...]],
