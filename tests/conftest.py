@@ -76,12 +76,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(scope="session", autouse=True)
 def laws_are_searched_shortly() -> Iterator[None]:
-    """The search of a law without play takes seconds that tests of other things do not need.
+    """The search of a law takes seconds, with play most of a minute: tests of others go without.
 
     ``test_design`` tests the search; the commands that the system tests start do all of it.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(design, "_MOST_JUDGED", 10)
+        patch.setattr(design, "_MOST_JUDGED_WITH_PLAY", 40)
         yield
 
 
