@@ -98,10 +98,10 @@ def _flank_by_speed(law: CompensationLaw) -> list[str]:
     if law.stribeck_m <= 0.0:
         return []
     load, fast, slow = abs(law.gap_load_m), law.coulomb_m, law.coulomb_m + law.stribeck_m
-    pairs = {tuple(sorted((abs(load + way * fast), abs(load + way * slow)))) for way in (-1, 1)}
+    ranges = {_sizes(load + way * fast, load + way * slow) for way in (-1.0, 1.0)}
     between = " and ".join(
         f"from {low / law.inertia_s2:.2f} to {high / law.inertia_s2:.2f}"
-        for low, high in sorted(pairs)
+        for low, high in sorted(ranges)
     )
     return [
         "beside the gap, friction that is higher near standstill moves the nut from flank to flank "
@@ -109,3 +109,9 @@ def _flank_by_speed(law: CompensationLaw) -> list[str]:
         "leave two to four times what it leaves of others. `pmac-comp verify` such a motion before "
         "you rely on it, or accelerate more"
     ]
+
+
+def _sizes(one: float, other: float) -> tuple[float, float]:
+    """Smallest and largest size of what lies between two values, on either side of 0 or on both."""
+    small, large = sorted((abs(one), abs(other)))
+    return (small if one * other > 0.0 else 0.0), large

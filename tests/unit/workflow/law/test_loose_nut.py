@@ -89,9 +89,7 @@ def test_small_load_leaves_one_acceleration_as_friction_turns_the_nut_at_the_oth
     assert "accelerations of -1.50 m/s2" in text
 
 
-def test_friction_that_is_higher_near_standstill_moves_the_flank_between_two_accelerations() -> (
-    None
-):
+def test_friction_higher_near_standstill_moves_the_flank_between_two_accelerations() -> None:
     law = CompensationLaw(
         inertia_s2=2e-6, coulomb_m=1e-6, stribeck_m=0.5e-6, gap_half_m=2e-6, gap_width_m=1e-7
     )
@@ -99,6 +97,9 @@ def test_friction_that_is_higher_near_standstill_moves_the_flank_between_two_acc
     assert "lies from 0.50 to 0.75 m/s2" in text
     _, text = flank_remarks(law.with_values(gap_load_m=-3e-6))
     assert "lies from 0.75 to 1.00 and from 2.00 to 2.25 m/s2" in text
+    # At rest friction holds this load, in motion it does not.
+    _, text = flank_remarks(law.with_values(gap_load_m=1.2e-6))
+    assert "lies from 0.00 to 0.15 and from 1.10 to 1.35 m/s2" in text
 
 
 def test_nut_without_load_or_without_gap_has_nothing_said_of_its_flank() -> None:
