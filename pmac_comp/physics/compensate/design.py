@@ -314,14 +314,11 @@ def design_law(
     fitted = partial(
         _refined, loop=loop, motions=chosen, latency_cycles=latency_cycles, progress=progress
     )
-    law, thresholds_m_per_s2 = fitted(start), tuple[float, ...]()
+    law = fitted(start)
     candidates = [law]
     play = gap is not None and gap.edge_m_per_s2 == 0.0
-    if gap is not None and play:
-        holds_m_per_s2 = start.coulomb_m / start.inertia_s2
-        thresholds_m_per_s2 = tuple(
-            abs(gap.load_m_per_s2 + way * holds_m_per_s2) for way in (1.0, -1.0)
-        )
+    thresholds_m_per_s2 = _changes_flank_m_per_s2(gap, start) if gap is not None and play else ()
+    if play:
         # What a nut does in its gap jumps with the coefficients, and the fit ends in one of many
         # valleys, which one is chance. From there with the crossing made sharp it finds another;
         # not with the fade that it ended on, near whose limits it stays.
@@ -335,6 +332,12 @@ def design_law(
     with working() as threads:
         judged = _judge(loop, judging, latency_cycles, threads, with_torque=with_torque)
         return _polished(min(candidates, key=judged), judged, progress, play=play)
+
+
+def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, ...]:
+    """Accelerations of the table, in size, at which its nut changes the flank."""
+    holds_m_per_s2 = law.coulomb_m / law.inertia_s2
+    return tuple(abs(gap.load_m_per_s2 + way * holds_m_per_s2) for way in (1.0, -1.0))
 
 
 def _sharpened(law: CompensationLaw) -> CompensationLaw:

@@ -182,21 +182,21 @@ def judging_motions(
         )
 
     def large(fast: float, wide: float, place: float) -> Trajectory:
-        frequency_Hz = _SLOWEST_Hz * (_FASTEST_Hz / _SLOWEST_Hz) ** fast**_MORE_SLOW
+        frequency_Hz = _between(_SLOWEST_Hz, _FASTEST_Hz, fast**_MORE_SLOW)
         most_m = min(0.05, 0.1 * span_m, _largest_sine_m(bench, frequency_Hz))
         # Those at the limits grow no faster: that would accelerate them beyond.
         return sine((0.7 + 0.3 * wide) * most_m, frequency_Hz, place, ramp_cycles=1.0)
 
     def small(fast: float, wide: float, place: float) -> Trajectory:
-        frequency_Hz = _SMALL_SLOWEST_Hz * (_SMALL_FASTEST_Hz / _SMALL_SLOWEST_Hz) ** fast
-        amplitude_m = _SMALLEST_m * (_SMALL_WIDEST_m / _SMALLEST_m) ** wide
+        frequency_Hz = _between(_SMALL_SLOWEST_Hz, _SMALL_FASTEST_Hz, fast)
+        amplitude_m = _between(_SMALLEST_m, _SMALL_WIDEST_m, wide)
         return sine(amplitude_m, frequency_Hz, place)
 
     def at_threshold(
         threshold_m_per_s2: float, more: float, wide: float, place: float
     ) -> Trajectory:
         times = _THRESHOLD_FROM + more * (_THRESHOLD_TO - _THRESHOLD_FROM)
-        amplitude_m = _SMALLEST_m * (_THRESHOLD_WIDEST_m / _SMALLEST_m) ** wide
+        amplitude_m = _between(_SMALLEST_m, _THRESHOLD_WIDEST_m, wide)
         frequency_Hz = math.sqrt(times * threshold_m_per_s2 / amplitude_m) / (2.0 * math.pi)
         # A load as large as friction leaves no threshold one way.
         frequency_Hz = min(max(frequency_Hz, _THRESHOLD_SLOWEST_Hz), _FASTEST_Hz)
@@ -217,6 +217,11 @@ def judging_motions(
             for threshold, point in zip(cycle(thresholds_m_per_s2), drawn[:n_small], strict=False)
         ),
     )
+
+
+def _between(lowest: float, highest: float, share: float) -> float:
+    """Value that lies a share of the way from lowest to highest, by equal ratios."""
+    return float(lowest * (highest / lowest) ** share)
 
 
 def fastest_move(bench: Bench) -> Trajectory:
