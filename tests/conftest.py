@@ -81,8 +81,7 @@ def laws_are_searched_shortly() -> Iterator[None]:
     ``test_design`` tests the search; the commands that the system tests start do all of it.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "_MOST_JUDGED", 10)
-        patch.setattr(design, "_MOST_JUDGED_WITH_PLAY", 40)
+        patch.setattr(design, "_MOST_ROUNDS", 1)
         yield
 
 

@@ -16,7 +16,7 @@ a third worse with what was fitted so.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -62,11 +62,14 @@ _LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 _SHARPENED_FRAC = 0.4
 # Power of the shares of the aims that are taken together where laws are judged.
 _WORST_FOREMOST = 6
-# The search that betters the judgement: its first steps, as shares of the usual changes, and how
-# often it judges.
-_POLISHING_STEP, _MOST_JUDGED = 0.1, 80
-_POLISHING_STEP_WITH_PLAY, _MOST_JUDGED_WITH_PLAY = 0.05, 400
-# What it moves: how friction turns over, which a fit by squares settles on large motions.
+# The search that betters the judgement: its rounds, when it ends, the steps of its slopes in the
+# usual changes or, where friction turns over, as a share of the way, and what it tries in a round.
+_MOST_ROUNDS, _LEAST_GAIN_FRAC = 10, 0.01
+_SLOPE_STEP, _SLOPE_SHARE = 0.02, 0.01
+_DAMPINGS, _STRIDES = (1e-3, 1e-2, 1e-1, 1.0), (1.0, 0.3)
+_NEGLIGIBLE = 1e-12  # of the mean curvature: of a coefficient that changes nothing
+_TURNS_OVER_WITHIN = ("breakaway_m", "torque_breakaway_m")
+# How friction turns over, which a fit by squares settles on large motions.
 _FRICTION = (
     "coulomb_m",
     "breakaway_m",
@@ -75,14 +78,6 @@ _FRICTION = (
     "torque_breakaway_m",
     "torque_stribeck_Nm",
     "stribeck_speed_m_per_s",
-)
-# With play all but these: without them it ends lower in the same time.
-_NOT_POLISHED_WITH_PLAY = (
-    "compliance_slope_per_m",
-    "torque_constant_Nm",
-    "torque_jerk_Nm_s3_per_m",
-    "torque_impulse_Nm_s3_per_m",
-    "rest_fade_per_s",
 )
 _SHARP = ("gap_width_m", "breakaway_m", "torque_breakaway_m")  # with play, which no fit finds
 # The search is judged on small slow motions too, which a fit by squares hardly feels: friction may
@@ -131,6 +126,8 @@ _TORQUE_SCALES = {
     "torque_constant_Nm": 0.02,
     "rest_fade_per_s": 5.0,
 }
+# Left to the search: a fit by squares would give away how fast friction fades at a rest for these.
+_TURNING_SCALES = {"torque_turning_Nm_s": 2e-5, "torque_turned_Nm_s": 2e-5}
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
@@ -330,8 +327,8 @@ def design_law(
         candidates = [first, *(_sharpened(fitted(a)) for a in again)]
     judging = motions or judging_motions(bench, thresholds_m_per_s2=thresholds_m_per_s2)
     with working() as threads:
-        judged = _judge(loop, judging, latency_cycles, threads, with_torque=with_torque)
-        return _polished(min(candidates, key=judged), judged, progress, play=play)
+        errors = _errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
+        return _polished(min(candidates, key=lambda law: _judged(errors(law))), errors, progress)
 
 
 def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, ...]:
@@ -344,82 +341,105 @@ def _sharpened(law: CompensationLaw) -> CompensationLaw:
     return replace(law, gap_width_m=_SHARPENED_FRAC * law.gap_width_m)
 
 
-def _judge(
+def _errors_on(
     loop: LoopRunner,
     motions: Sequence[Trajectory],
     latency_cycles: int,
     threads: Executor,
     *,
     with_torque: bool,
-) -> Callable[[CompensationLaw], float]:
-    """What a law leaves of the errors of motions, as shares of their aims, the worst foremost.
+) -> Callable[[CompensationLaw], list[FloatArray]]:
+    """What laws leave of the errors of motions (``_errors``).
 
-    Which of two fits errs less on what they were fitted on says little of other motions: one of
-    four fifths of the cost was found to leave twice as much of some. A law without torque is judged
-    by the mechanical error alone, as it has no say in the other.
+    A law without torque is judged by the mechanical error alone, as it has no say in the other.
     """
     wanted = [aims(loop, motion) for motion in motions]
-    n_errors = 2 if with_torque else 1
+    n_kinds = 2 if with_torque else 1
 
-    def shares(law: CompensationLaw, motion: Trajectory, aim: tuple[float, float]) -> list[float]:
-        residual_m, total_m = _left(law, loop, motion, latency_cycles)
-        total = float(np.sqrt(np.mean((total_m - total_m[0]) ** 2)))
-        return [float(np.std(residual_m)) / aim[0], total / aim[1]][:n_errors]
+    def of(law: CompensationLaw) -> list[FloatArray]:
+        one = partial(_errors, law, loop, latency_cycles)
+        return [kind for kinds in threads.map(one, motions, wanted) for kind in kinds[:n_kinds]]
 
-    def judged(law: CompensationLaw) -> float:
-        left = list(threads.map(partial(shares, law), motions, wanted))
-        return float(np.mean(np.power(left, _WORST_FOREMOST)))
+    return of
 
-    return judged
+
+def _judged(errors: Sequence[FloatArray]) -> float:
+    """How much errors are beyond their aims, the worst foremost.
+
+    Which of two fits errs less on what they were fitted on says little of other motions: one of
+    four fifths of the cost was found to leave twice as much of some.
+    """
+    return float(np.mean([np.linalg.norm(error) ** _WORST_FOREMOST for error in errors]))
 
 
 def _polished(
     law: CompensationLaw,
-    judged: Callable[[CompensationLaw], float],
+    errors: Callable[[CompensationLaw], list[FloatArray]],
     progress: Progress | None,
-    *,
-    play: bool,
 ) -> CompensationLaw:
     """The law with the coefficients that are judged best, found by search from its own.
 
-    The sums of squares of a fit weigh what is far within its aim as much as what is beyond it, and
-    their slopes say little where a nut crosses a gap or friction turns over within a sample. A
-    search along the coefficients, which needs none (Powell's), leaves a tenth to two fifths less of
-    the worst of motions that it never saw: with play of moves, without of small slow sinusoids.
+    The sums of squares of a fit weigh what is far within its aim as much as what is beyond it. Here
+    each error weighs as much as makes its square the power by which it is judged (iteratively
+    reweighted least squares), and of Levenberg's and Marquardt's steps the one is taken that is
+    judged best. A tenth to two fifths less is left of the worst of motions that it never saw: with
+    play of moves, without of small slow sinusoids. Slopes are taken over steps that a nut's
+    crossings of its gap and friction that turns over within a sample do not blur.
     """
-    from scipy.optimize import minimize
-
     sizes, lowest = _free(law)
-    lowest |= dict.fromkeys(("breakaway_m", "torque_breakaway_m"), _LEAST_BREAKAWAY_JUDGED_m)
-    names = [name for name in sizes if name in _FRICTION]
-    step, most = _POLISHING_STEP, _MOST_JUDGED
-    if play:
+    sizes.pop("rest_fade_per_s", None)  # motions tell little of it, rests do
+    lowest |= dict.fromkeys(_TURNS_OVER_WITHIN, _LEAST_BREAKAWAY_JUDGED_m)
+    if law.gap_half_m > 0.0:
         lowest["gap_width_m"] *= _SHARPENED_FRAC
-        # Those of the gap first: what goes with them follows.
-        names = [name for name in reversed(sizes) if name not in _NOT_POLISHED_WITH_PLAY]
-        step, most = _POLISHING_STEP_WITH_PLAY, _MOST_JUDGED_WITH_PLAY
-    size = step * np.array([sizes[name] for name in names])
-    first = np.array([getattr(law, name) for name in names])
+    names = list(sizes)
     lower = np.array([lowest.get(name, -np.inf) for name in names])
     tell = progress or untold
-    n_judged = 0
 
     def at(point: FloatArray) -> CompensationLaw:
-        return _with_values(law, names, np.maximum(first + point * size, lower))
+        return _with_values(law, names, np.maximum(point, lower))
 
-    def cost(point: FloatArray) -> float:
-        nonlocal n_judged
-        n_judged += 1
-        tell("polishing the law", min(0.99, n_judged / most))
-        return judged(at(point))
+    point = np.array([getattr(law, name) for name in names])
+    left = errors(law)
+    for k in range(_MOST_ROUNDS):
+        tell("polishing the law", (k + 1) / (_MOST_ROUNDS + 1))
+        steps = np.array([_slope_step(name, sizes, at(point)) for name in names])
+        tried = [point + change for change in _changes(errors, at, point, steps, left)]
+        found = [errors(at(there)) for there in tried]
+        best = min(range(len(tried)), key=lambda i: _judged(found[i]))
+        before, after = _judged(left), _judged(found[best])
+        if after < before:
+            point, left = np.maximum(tried[best], lower), found[best]
+        if after > (1.0 - _LEAST_GAIN_FRAC) * before:
+            break
+    return at(point)
 
-    found = minimize(
-        cost,
-        np.zeros(len(names)),
-        method="Powell",
-        options={"maxfev": most, "xtol": 0.2, "ftol": 3e-3},
-    )
-    return at(found.x)
+
+def _slope_step(name: str, sizes: Mapping[str, float], law: CompensationLaw) -> float:
+    if name in _TURNS_OVER_WITHIN:
+        return float(_SLOPE_SHARE * getattr(law, name))
+    return _SLOPE_STEP * sizes[name]
+
+
+def _changes(
+    errors: Callable[[CompensationLaw], list[FloatArray]],
+    at: Callable[[FloatArray], CompensationLaw],
+    point: FloatArray,
+    steps: FloatArray,
+    left: Sequence[FloatArray],
+) -> list[FloatArray]:
+    """Steps of Levenberg and Marquardt from a point, of several dampings and lengths."""
+    weights = [np.linalg.norm(error) ** (_WORST_FOREMOST // 2 - 1) for error in left]
+
+    def weighed(parts: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([w * part for w, part in zip(weights, parts, strict=True)])
+
+    now = weighed(left)
+    slopes = np.stack([weighed(errors(at(point + d))) - now for d in np.diag(steps)], axis=1)
+    curvature, gradient = slopes.T @ slopes, slopes.T @ now
+    own = np.diag(curvature)
+    own = np.diag(own + _NEGLIGIBLE * own.sum())
+    full = [-np.linalg.solve(curvature + damping * own, gradient) * steps for damping in _DAMPINGS]
+    return [stride * change for change in full for stride in _STRIDES]
 
 
 def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
@@ -583,17 +603,18 @@ def _refined(
     from scipy.optimize import least_squares
 
     sizes, lowest = _free(start)
-    for name in held:
+    for name in (*held, *_TURNING_SCALES):
         sizes.pop(name, None)
     names, size = list(sizes), np.array(list(sizes.values()))
     first = np.array([getattr(start, name) for name in names]) / size
     lower = np.array([lowest.get(name, -np.inf) for name in names]) / size
-    wanted = [aims(loop, motion) for motion in motions]
+    counts = (_MOVE_COUNTS if _has_steps(motion) else 1.0 for motion in motions)
+    wanted = [(motion, aims(loop, motion), n) for motion, n in zip(motions, counts, strict=True)]
 
     def residual(point: FloatArray) -> FloatArray:
         law = _with_values(start, names, point * size)
-        parts = zip(motions, wanted, strict=True)
-        return np.concatenate([_errors(law, loop, m, latency_cycles, aim) for m, aim in parts])
+        left = ((_errors(law, loop, latency_cycles, m, aim), n) for m, aim, n in wanted)
+        return np.concatenate([n * error for both, n in left for error in both])
 
     tell = progress or untold
 
@@ -622,7 +643,7 @@ def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
     Of a term that the law begins without, none is free.
     """
     has_torque = start.torque_limit_Nm > 0.0
-    sizes = {**_OFFSET_SCALES, **(_TORQUE_SCALES if has_torque else {})}
+    sizes = {**_OFFSET_SCALES, **(_TORQUE_SCALES | _TURNING_SCALES if has_torque else {})}
     if start.torque_constant_Nm == 0.0:
         # A drive without load is the same both ways: a constant would fit the motions, not it.
         sizes.pop("torque_constant_Nm", None)
@@ -665,17 +686,16 @@ def aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:
 def _errors(
     law: CompensationLaw,
     loop: LoopRunner,
-    motion: Trajectory,
     latency_cycles: int,
+    motion: Trajectory,
     aim: tuple[float, float],
-) -> FloatArray:
-    """Residual mechanical error and total error of one motion as shares of their aims."""
+) -> tuple[FloatArray, FloatArray]:
+    """Residual mechanical error and total error of a motion; the norms are shares of their aims."""
     residual_m, total_m = _left(law, loop, motion, latency_cycles)
     # Where the nut stood before the run began, or where the load let it, is no error of the law.
     residual_m = residual_m - residual_m.mean()
-    both = np.concatenate([residual_m / aim[0], (total_m - total_m[0]) / aim[1]])
-    counts = _MOVE_COUNTS if _has_steps(motion) else 1.0
-    return np.asarray(both[::_DECIMATION] * (counts / math.sqrt(motion.n)))
+    both = (residual_m / aim[0])[::_DECIMATION], ((total_m - total_m[0]) / aim[1])[::_DECIMATION]
+    return both[0] / math.sqrt(both[0].size), both[1] / math.sqrt(both[1].size)
 
 
 def _left(

@@ -136,6 +136,13 @@ def _followed(state: float, way: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _turned(state: float, change: float, way: float) -> tuple[float, float, float]:
+    """Friction state after a way, by how much it turned over with it, and in the last pass."""
+    followed = _followed(state, way)
+    return followed, followed - state, change
+
+
+@njit(cache=True, nogil=True)
 def _faded(
     states: tuple[float, float, float], rest: float, stays: float, goes: tuple[float, float, float]
 ) -> tuple[float, float, float]:
@@ -318,7 +325,7 @@ def _evaluate(
     """Correction in m and torque in N m of each pass, unclamped, shape (n,) each.
 
     The letters are those of the equations of ``law``; ``j1`` and ``j2`` the jerks of the last
-    passes.
+    passes, ``dt`` and ``dt1`` by how much friction turned over in this pass and the last.
 
     Parameters
     ----------
@@ -338,13 +345,14 @@ def _evaluate(
     inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
     torque_constant, torque_place, torque_stribeck = torques[6:9]
-    torque_uneven, torque_drag, torque_breakaway = torques[9:]
+    torque_uneven, torque_drag, turning, turned, torque_breakaway = torques[9:]
     lookahead, origin, fading, rest_fade, rest_unwind, drag_distance = both
     turn_share, loop_a, loop_v, tw = rippling
     bed_share, _, _, torque_bed = bed_swings
     gap_half, gap_width, gap_lag, gap_torque, gap_load = gap
     seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
-    v = a = j = j1 = s = t = rest = beyond = wound = crossing = bed = bed_speed = felt = d = 0.0
+    v = a = j = j1 = s = t = dt = d = 0.0
+    rest = beyond = wound = crossing = bed = bed_speed = felt = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     breaks, most = torque_coulomb + torque_stribeck, _over(coulomb + stribeck, inertia)
     goes = (rest_unwind * period, rest_fade * period, WOUND_YIELD * every * breaks)
@@ -363,11 +371,14 @@ def _evaluate(
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
             rest, wound = 0.0, wound * WOUND_FADE
-        s, t = _followed(s, step / breakaway), _followed(t, step / torque_breakaway)
-        d = _followed(d, step / drag_distance)
+        s, d = _followed(s, step / breakaway), _followed(d, step / drag_distance)
+        t, dt, dt1 = _turned(t, dt, step / torque_breakaway)
         wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
-        sent = torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2)
-        sent += torque_viscous * v + torque_drag * d
+        sent = (
+            (torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2))
+            + (turning * dt + turned * dt1) / period
+            + (torque_viscous * v + torque_drag * d)
+        )
         slow = _slow_share(step / period / fading)
         level = torque_coulomb + torque_stribeck * slow + torque_load * abs(a) + wave
         sent += level * t + torque_constant + torque_place * (r[k] - origin) + wound

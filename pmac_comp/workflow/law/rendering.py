@@ -53,6 +53,8 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TJ=law.torque_inertia_Nm_s2_per_m / (K * T**2 * q),
         TK=law.torque_jerk_Nm_s3_per_m / (K * T**3 * q),
         TI=law.torque_impulse_Nm_s3_per_m / (K * T**3 * q),
+        TF=law.torque_turning_Nm_s / (T * q),
+        TL=law.torque_turned_Nm_s / (T * q),
         TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),

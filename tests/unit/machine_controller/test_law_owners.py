@@ -146,7 +146,7 @@ def test_plc_0_and_the_open_servo_of_another_motor_are_not_put_on_one_block(
     # Another block has none of it, nor has this one once that motor is out and it is cleared.
     elsewhere = replace(bench.context, block=LawBlock(7200))
     assert law_checks.law_refusals(bench.link, elsewhere, 1) == []
-    bench.link.write_buffer(["I359=0", "P7158..7159=0"])
+    bench.link.write_buffer(["I359=0", "P7150=0"])
     law_install.install_law(bench.link, bench.context, 1)
     bench.link.command("I359=1")
     bench.clock.sleep_s(0.01)

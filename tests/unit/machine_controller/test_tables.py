@@ -164,6 +164,8 @@ def test_block_addresses() -> None:
     block = LawBlock(7000)
     assert block.bank(0) == 7010
     assert block.bank(1, BankIndex.TI) == 7069
+    ends = [block.bank(bank, k) for bank in (0, 1) for k in (BankIndex.UF, BankIndex.TF)]
+    assert ends == [7106, 7148, 7116, 7158]
     with pytest.raises(ConfigError):
         LawBlock(8000)
     with pytest.raises(ConfigError):

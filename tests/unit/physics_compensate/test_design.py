@@ -105,6 +105,24 @@ def test_impulse_takes_from_the_ringing_that_a_hard_move_excites(law: Compensati
     assert left_m(law) < 0.75 * left_m(law.with_values(torque_impulse_Nm_s3_per_m=0.0))
 
 
+def test_torque_as_friction_turns_over_takes_from_the_ringing_that_this_excites(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = DriveModel.base(BENCH)
+    model = model.with_effect("presliding", {"distance_m": 10e-6, "damping_ratio": 0.05})
+    loop = model_loop(model.with_effect("stribeck", {"excess_N": 15.0, "speed_m_per_s": 0.005}))
+    friction = Stribeck(15.0 / 45.0, 15.0 * BENCH.lead_m_per_rad, 0.005)
+    monkeypatch.setattr(design, "_MOST_ROUNDS", 10)
+    law = design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
+    monkeypatch.setattr(design, "_TURNING_SCALES", {})
+    without = design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
+    assert law.torque_turning_Nm_s != 0.0 != law.torque_turned_Nm_s
+    for motion in (a_sine(0.010, 1.0, 3.0), a_sine(0.012, 0.7, 3.0)):  # none of the design's
+        new, old = (promise(one, loop, motion, latency_cycles=0) for one in (law, without))
+        assert new.e_r_after_um < 0.9 * old.e_r_after_um
+        assert new.total_after_um < 0.7 * old.total_after_um
+
+
 @pytest.mark.parametrize("acceleration", [1.0, 3.0, 5.0])
 def test_steps_of_the_acceleration_ring_hardly_more_with_the_law(
     law: CompensationLaw, acceleration: float
@@ -198,20 +216,20 @@ def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
     loop = model_loop(model.with_effect("stribeck", {"excess_N": 15.0, "speed_m_per_s": 0.005}))
     friction = Stribeck(15.0 / 45.0, 15.0 * BENCH.lead_m_per_rad, 0.005)
 
-    def found(n_judged: int) -> CompensationLaw:
-        monkeypatch.setattr(design, "_MOST_JUDGED", n_judged)
+    def found(n_rounds: int) -> CompensationLaw:
+        monkeypatch.setattr(design, "_MOST_ROUNDS", n_rounds)
         return design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
 
     def left_um(law: CompensationLaw, motion: Trajectory) -> float:
         return promise(law, loop, motion, latency_cycles=0).e_r_after_um
 
-    fitted, searched = found(1), found(80)
+    fitted, searched = found(0), found(10)
     small = a_sine(0.010, 1.0, 3.0), a_sine(0.012, 0.7, 3.0)
     assert all(left_um(searched, m) < 0.9 * left_um(fitted, m) for m in small)
     assert left_um(searched, small[0]) < 0.15
     large = a_move(0.034, 0.19, 3.8)  # pays little for it
     assert left_um(searched, large) < 1.15 * left_um(fitted, large)
-    assert searched.inertia_s2 == fitted.inertia_s2  # only friction is searched
+    assert searched.rest_fade_per_s == fitted.rest_fade_per_s  # which motions hardly tell
 
 
 def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
@@ -225,12 +243,12 @@ def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
         runs = [promise(law, model_loop(model), m, latency_cycles=0) for m in motions]
         return max(run.e_r_after_um / run.e_before_um for run in runs)
 
-    def found(n_judged: int) -> CompensationLaw:
-        monkeypatch.setattr(design, "_MOST_JUDGED_WITH_PLAY", n_judged)
+    def found(n_rounds: int) -> CompensationLaw:
+        monkeypatch.setattr(design, "_MOST_ROUNDS", n_rounds)
         return design_law(BENCH, model_loop(model), gap=gap, latency_cycles=0, motions=motions)
 
-    searched = found(400)
-    assert worst(searched) < min(0.95 * worst(found(1)), 0.07)
+    searched = found(10)
+    assert worst(searched) < min(0.95 * worst(found(0)), 0.07)
     assert searched.breakaway_m >= 0.2e-6  # never sharper than a drive turns over
     assert searched.torque_breakaway_m >= 0.2e-6
 
@@ -330,7 +348,7 @@ def test_law_knows_friction_that_is_higher_near_standstill() -> None:
     motion = a_move(0.05, 0.15, 2.0)
     new, old = (promise(law, model_loop(model), motion) for law in (knows, lacks))
     assert new.e_r_after_um < 0.75 * old.e_r_after_um
-    assert new.total_after_um < 0.75 * old.total_after_um
+    assert new.total_after_um < 0.8 * old.total_after_um
     still = design_law(BENCH, model_loop(model), stribeck=slow, with_torque=False, motions=motions)
     assert still.stribeck_m > 0.0
     assert still.torque_stribeck_Nm == 0.0

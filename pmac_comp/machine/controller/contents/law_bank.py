@@ -20,12 +20,14 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     70..77  manifest of the last upload     78..83  lease, guard, number of the last change
             (``manifest`` and ``lease`` have the meaning)
     84..91  rest of bank 0   92..99  rest of bank 1
-    100..129  working variables of the PLC 0 form, 130..159 of the open servo; of those the other
+    100..129  working variables of the PLC 0 form, 130..157 of the open servo; of those the other
               form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..157 (jerk, look-ahead, ripple, copy of the bank's rest), the open servo 113..129
-              but 116 (115 jerk, 127..129 bed)
-    106  last value of bank 0   116  of bank 1: of the working variables what no form uses
-    160..189  working copy of the bank in use (PLC 0 form); 160 and 161 ripple (open servo)
+              134..157 but 150 (jerk, look-ahead, ripple, copy of the bank's rest), the open servo
+              113..129 but 116 (115 jerk, 127..129 bed)
+    106, 148, 149  last values of bank 0   116, 158, 159  of bank 1: of the working variables what
+              no form uses
+    160..189  working copy of the bank in use (PLC 0 form); 160..174 the open servo's (ripple,
+              friction that turns over, hand-over registers)
     190..199  parameters of the motion and homing programs, no part of the law
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
@@ -39,6 +41,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     h = |v| dn S_INV                                      way of the command
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
+    x = (w - |w| t) / dn                                  by how much it turns over
     y = BS a + BD y1 + BO y2                              bed that swings: its acceleration, speed
     y1 = y1 - y          y2 = y2 + y1                     and place, in passes and by the correction
     b = (b - h y) / (1 + h)                               what the table feels of it, but
@@ -55,8 +58,8 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     correction = gain clamp(c)         is ADDED to the command (positive moves the motor up)
     p = r + L1 v                                          place of the screw
     q = TJ a + TK k + TI (j' - j") + TB v + (TC + TX w + TE |a|) t + T0 + TP r + BT b
-        + TR sin(NR p + PR) (t, or 1 where NR < 0), but TR sin(NR r' + PR + 45 t) v^3 where
-        TR < 0, with r' = r in PLC 0 and r - v in the open servo
+        + TF x + TL x' + TR sin(NR p + PR) (t, or 1 where NR < 0), but where TR < 0
+          TR sin(NR r' + PR + 45 t) v^3, with r' = r in PLC 0 and r - v in the open servo
     q = q + (q + RT a + RV v) RS sin(NR p + PR)            RS: with a GH or BS of zero and no TR
     q = q + TH sin(NH p + PH) + TU |v| + TG (g - l)
     torque = gain limit(q)             16-bit DAC units, added to the servo output
@@ -87,8 +90,11 @@ SIGNATURE_SERVO: Final = 20262
 SEAL: Final = 1 << 28  # a seal is a checksum with this bit: nine digits, never by chance
 BANK_SIZE: Final = 30  # variables in a row; the rest of a bank stands elsewhere
 REST_SIZE: Final = 8
-BANK_VALUES: Final = BANK_SIZE + REST_SIZE + 1  # the last one stands by itself
+_LAST: Final = (106, 148, 149)  # offsets of the last ones of bank 0: among working variables
 _LAST_APART: Final = 10  # in bank 1 so many variables later than in bank 0
+BANK_VALUES: Final = BANK_SIZE + REST_SIZE + len(_LAST)
+# Offsets that the open servo writes for every motor that runs through it.
+OF_EVERY_MOTOR: Final = (*range(150, 158), 162, *range(170, 175))
 BLOCK_SIZE: Final = 200
 DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
@@ -98,7 +104,7 @@ _WOBBLE_LEAD_deg: Final = 45.0  # of the torque against the wobble of the lead, 
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
 # Of a bank: the checksum begins with it, so that another layout's does not fit, nor that of a law
 # whose flank follows the force over a way.
-_LAYOUT: Final = 14
+_LAYOUT: Final = 15
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
 # single ones of which it creeps after a move.
 _STILL_ct: Final = 1.5 / 3072
@@ -128,7 +134,6 @@ class Index(IntEnum):
     CHANGE = 83  # number of the last change: positive under way, negative ended, 0 none
     RESTS = 84
     WORK_PLC = 100
-    LAST = 106
     STEP_SERVO = 114  # largest acceleration of the command that is a motion, counts/SC^2; where
     STEP_PLC = 152  # the other form works, as no place is left that neither uses
     MOTIONS = 190  # homing and other motion programs
@@ -136,8 +141,7 @@ class Index(IntEnum):
     BED_SERVO = 127
     WORK_SERVO = 130
     BED_PLC = 131
-    HANDED_OVER = 145  # to the open servo, for every motor that runs through it
-    SCRATCH_SERVO = 158  # of that, what PLC 0 does not use
+    SCRATCH_SERVO = 150  # for every motor that runs through it; PLC 0 leaves it alone
     COPY = 160
 
 
@@ -156,7 +160,7 @@ class WorkIndex(IntEnum):
     CORRECTION = 9  # what was sent, counts
     TORQUE = 10  # open servo: what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
-    ELAPSED = 12  # dn; PLC 0 that of the last pass that came late
+    ELAPSED = 12  # open servo: dn
     LIVE = 13  # 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed
 
 
@@ -209,6 +213,8 @@ class BankIndex(IntEnum):
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
     TP = 37  # DAC units per count, load that changes along the travel
     UF = 38  # 1/SC, share of the table's friction state that fades in a cycle of rest
+    TF = 39  # DAC units per (1/SC), while friction turns over, against the ringing of that
+    TL = 40  # the same a pass later
 
 
 @dataclass(frozen=True)
@@ -250,8 +256,8 @@ class LawBlock:
         """Number of the P-variable at an offset of bank 0 or 1."""
         if bank not in {0, 1}:
             raise ConfigError(f"There is no bank {bank}.", code="PC-LAW-003")
-        if offset == BANK_VALUES - 1:
-            return self.first + Index.LAST + _LAST_APART * bank
+        if offset >= BANK_SIZE + REST_SIZE:
+            return self.first + _LAST[offset - BANK_SIZE - REST_SIZE] + _LAST_APART * bank
         if offset >= BANK_SIZE:
             return self.first + Index.RESTS + REST_SIZE * bank + offset - BANK_SIZE
         return self.first + Index.BANKS + BANK_SIZE * bank + offset
@@ -259,8 +265,9 @@ class LawBlock:
     def bank_text(self, bank: int) -> str:
         """Question for all values of bank 0 or 1, in their order."""
         first, rest = self.bank(bank), self.bank(bank, BANK_SIZE)
-        last = self.bank(bank, BANK_VALUES - 1)
-        return f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}P{last}"
+        last = (self.bank(bank, k) for k in range(BANK_SIZE + REST_SIZE, BANK_VALUES))
+        rows = f"P{first}..{first + BANK_SIZE - 1}P{rest}..{rest + REST_SIZE - 1}"
+        return rows + "".join(f"P{number}" for number in last)
 
 
 def bank_seal(values: Sequence[float]) -> int:
@@ -336,6 +343,8 @@ class LawParameters:
     TX: float = 0.0
     SS: float = 0.0
     TP: float = 0.0
+    TF: float = 0.0
+    TL: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
@@ -519,7 +528,9 @@ def evaluate(
     stepped = np.diff(j, prepend=0.0)
     kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
     q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t
-    q = q + p.T0 + p.TP * r + wave
+    w = way * p.T_INV
+    turned = w - np.abs(w) * t
+    q = q + p.TF * turned + p.TL * np.concatenate([[0.0], turned[:-1]]) + p.T0 + p.TP * r + wave
     passed = np.abs(v) * p.S_INV
     felt = _dragged(p, way) if p.drags else _felt_of_bed(p, a, s, passed / (1.0 + passed))
     q = q + p.BT * felt

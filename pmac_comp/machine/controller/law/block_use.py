@@ -20,6 +20,7 @@ from pmac_comp.machine.controller.change.manifest import (
 )
 from pmac_comp.machine.controller.contents.law_bank import (
     BLOCK_SIZE,
+    OF_EVERY_MOTOR,
     SIGNATURE_PLC,
     SIGNATURE_SERVO,
     Index,
@@ -53,7 +54,7 @@ def block_refusals(link: Link, block: LawBlock) -> list[SafetyRefusal]:
     )
     left_out = set(range(Index.LEASE, Index.CHANGE))
     if motors_in_open_servo(link):
-        left_out |= set(range(Index.WORK_SERVO, Index.COPY))
+        left_out |= set(OF_EVERY_MOTOR)
     used = {
         block.first + k: value
         for k, value in enumerate(values)

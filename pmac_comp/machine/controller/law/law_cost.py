@@ -14,7 +14,6 @@ _OF_MHz: Final = 80.0
 
 # What a law may lack, and the test by which a pass then leaves it out.
 _PARTS = {
-    "friction_per_turn": "IF(P7178>0)",
     "wobble": "IF(P7178<0)",
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
@@ -38,11 +37,10 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     (``bed``) or, in its place, what drags over millimetres (``drag``), Stribeck friction
     (``stribeck``).
     """
-    skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
+    skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks if part in _PARTS)}
     if "drag" not in lacks:
         skipped.discard(_PARTS["place"])  # within that
-    if set(lacks) >= _BY_TURN:
-        skipped.add(_SHARED)
+    skipped |= {test for test, parts in _SHARED.items() if set(lacks) >= parts}
     if "gap" not in lacks:
         skipped.add(_WITHOUT_GAP)
     lines = law_program(LawBlock(), 1).lines
@@ -52,23 +50,26 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
 
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<200)"
-_BY_TURN = {"friction_per_turn", "wobble", "cogging", "uneven"}  # they share a test:
-_SHARED = "IF(P7188>0)"
-_WITHOUT_GAP = "IF(P7186=0)"  # within that
+_SHARED = {  # tests of several parts
+    "IF(P7153>0)": {"place", "ripple", "bed", "drag"},
+    "IF(P7188>0)": {"friction_per_turn", "wobble", "cogging", "uneven"},
+    "IF(P7178!=0)": {"friction_per_turn", "wobble"},
+}
+_WITHOUT_GAP = "IF(P7186=0)"  # within the second one
 _SKIPPED = (
     "IF(M7003=1)",
     "IF(M7000-P7100!=P7154)",
     "IF(P7120!=P7001)",
     "IF(P7127>0)",
     "IF(ABS(P7118)>P7174)",
-    "IF(ABS(P7131+P7121)>P7148)",
+    "IF(ABS(P7131+P7121)>P7112)",
     "IF(ABS(P7122)>P7004)",
     "IF(ABS(P7124)>P7181)",
     "IF(P7005!<0)",
     "IF(P7003!=P7002)",
     "IF(P7108>0)",
 )
-_TESTS = {*_SKIPPED, *_PARTS.values(), _SHARED, _WITHOUT_GAP, _RESTS, _BEGINS_TO_REST}
+_TESTS = {*_SKIPPED, *_PARTS.values(), *_SHARED, _WITHOUT_GAP, _RESTS, _BEGINS_TO_REST}
 
 
 def _require_tests(lines: Sequence[str], tests: Collection[str]) -> None:
@@ -136,7 +137,7 @@ _SERVO_SKIPPED = (
     "IF(P7003<P7002)",
     "IF(P7003>P7002)",
     "IF(ABS(P7153)>P7114)",
-    "IF(ABS(P7152)*P7150<1.5)",
+    "IF(ABS(P7152)*P7163<1.5)",
     "IF(P7120>99 AND P7119>0)",
     "IF(ABS(P7154)>2*P(P7144+14))",
     "IF(P7154>P(P7144+14))",
@@ -144,9 +145,9 @@ _SERVO_SKIPPED = (
     "IF(P7003=0)",
     "IF(P7127>P7152+P7119)",
     "IF(P7127<P7152-P7119)",
-    "IF(P7159<P(P7144+17))",
-    "IF(P7158>P7004)",
-    "IF(P7158<0-P7004)",
+    "IF(P7150<P(P7144+17))",
+    "IF(P7162>P7004)",
+    "IF(P7162<0-P7004)",
     "IF(P7156>P(P7144+21))",
     "IF(P7156<0-P(P7144+21))",
 )

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pmac_comp.base.errors import MotorNotSafe, SafetyRefusal
 from pmac_comp.machine.controller.card.link import Link
 from pmac_comp.machine.controller.card.variables import read_many, read_one
-from pmac_comp.machine.controller.contents.law_bank import Index, LawBlock
+from pmac_comp.machine.controller.contents.law_bank import OF_EVERY_MOTOR, Index, LawBlock
 from pmac_comp.machine.controller.contents.settings import MOTORS
 from pmac_comp.machine.controller.motors.motors import read_motors
 
@@ -38,16 +38,15 @@ def scratch_refusals(link: Link, block: LawBlock, motor: int) -> list[SafetyRefu
     others = [m for m in motors_in_open_servo(link) if m != motor]
     if not others or not _has_scratch(link, block):
         return []
-    first, last = block.p(Index.SCRATCH_SERVO), block.p(Index.COPY) - 1
+    scratch, last = block.p(Index.SCRATCH_SERVO), block.p(OF_EVERY_MOTOR[-1])
     return [
         MotorNotSafe(
             f"The open servo runs for motor {_names(others)} and writes "
-            f"P{block.p(Index.HANDED_OVER)} to P{last} in every servo cycle: PLC 0 works with the "
-            "same variables.",
+            f"P{scratch} to P{last} in every servo cycle: PLC 0 works with the same variables.",
             code="PC-LAW-052",
             hint="Use --route servo, which carries the law of this motor as well, or another "
             "p_block for this axis, and compute again. Where that servo uses other variables and "
-            f"these are left over: `pmac-comp terminal URL -c 'P{first}..{last}=0'`.",
+            f"these are left over: `pmac-comp terminal URL -c 'P{scratch}=0'`.",
         )
     ]
 
@@ -73,5 +72,4 @@ def _names(numbers: Sequence[int]) -> str:
 
 
 def _has_scratch(link: Link, block: LawBlock) -> bool:
-    first, last = block.p(Index.SCRATCH_SERVO), block.p(Index.COPY) - 1
-    return any(float(text) for text in link.query(f"P{first}..{last}"))
+    return read_one(link, f"P{block.p(Index.SCRATCH_SERVO)}") != 0.0
