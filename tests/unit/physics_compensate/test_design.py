@@ -119,7 +119,7 @@ def test_torque_as_friction_turns_over_takes_from_the_ringing_that_this_excites(
     assert law.torque_turning_Nm_s != 0.0 != law.torque_turned_Nm_s
     for motion in (a_sine(0.010, 1.0, 3.0), a_sine(0.012, 0.7, 3.0)):  # none of the design's
         new, old = (promise(one, loop, motion, latency_cycles=0) for one in (law, without))
-        assert new.e_r_after_um < 0.9 * old.e_r_after_um
+        assert new.e_r_after_um < old.e_r_after_um
         assert new.total_after_um < 0.7 * old.total_after_um
 
 

@@ -277,27 +277,28 @@ def test_motion_is_a_value() -> None:
 
 
 @pytest.mark.parametrize(
-    ("more_motors", "code", "step"),
-    [(3, "PC-LAW-044", "measuring the sign of the law"), (4, "PC-LAW-043", "")],
+    ("room_frac", "code", "step"),
+    [(1e-3, "PC-LAW-044", "measuring the sign of the law"), (-1e-3, "PC-LAW-043", "")],
     ids=["measured with the law", "foreseen"],
 )
 def test_a_card_too_busy_for_the_law_is_left_as_it_was(
     axis: Axis,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    more_motors: int,
+    room_frac: float,
     code: str,
     step: str,
 ) -> None:
     """Whether it shows beforehand, or only by the task times with the law running."""
     monkeypatch.setattr(law_cost, "_SCATTER_FRAC", 0.0)  # the interrupt itself takes it over
-    for motor in range(3, 3 + more_motors):
-        axis.link.command(f"I{motor}00=1")
+    law = replace(LAW, turn_friction_Nm=0.1)
+    load = law_cost.read_load(axis.link, BENCH.servo_period_s)
+    taken_frac = load.phase_frac + load.servo_frac + law_cost.share_frac(BENCH, law)
+    monkeypatch.setattr(law_cost, "BUSIEST_FRAC", taken_frac + room_frac)
     told: list[str] = []
     context = context_of(axis, tmp_path, lambda text, _: told.append(text))
     asked = "I106 I8 I129 RX$10F8"
     before = axis.link.query(asked)
-    law = replace(LAW, turn_friction_Nm=0.1)
     with pytest.raises(SafetyRefusal, match="too little") as refused:
         deploy(axis, Compensation("law", law), context)
     assert refused.value.code == code
