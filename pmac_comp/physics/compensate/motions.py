@@ -25,7 +25,7 @@ DWELL_WITH_GAP_s = 0.2
 # On half as many moves a law that takes up play was found that leaves twice as much of one beside
 # them: where the nut comes to stand is chance. Sinusoids are more often slow, where it hardly
 # crosses.
-_JUDGING_MOVES, _JUDGING_SINES, _SMALL_SINES = 6, 6, 6
+_JUDGING_MOVES, _JUDGING_SINES, _SMALL_SINES = 6, 6, 10
 _JUDGING_MOVES_WITH_PLAY, _JUDGING_SINES_WITH_PLAY, _SMALL_SINES_WITH_PLAY = 32, 12, 8
 _SLOWEST_Hz, _FASTEST_Hz, _MORE_SLOW = 0.7, 5.0, 1.5  # of a large sinusoid that judges
 # Few of the sequence are as fast: without these the total error of the fastest was given away for
