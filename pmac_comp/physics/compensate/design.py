@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
+from pmac_comp.base.errors import NonFinite
 from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
@@ -369,7 +370,8 @@ def _judged(errors: Sequence[FloatArray]) -> float:
     Which of two fits errs less on what they were fitted on says little of other motions: one of
     four fifths of the cost was found to leave twice as much of some.
     """
-    return float(np.mean([np.linalg.norm(error) ** _WORST_FOREMOST for error in errors]))
+    with np.errstate(over="ignore"):
+        return float(np.mean([np.linalg.norm(error) ** _WORST_FOREMOST for error in errors]))
 
 
 def _polished(
@@ -398,20 +400,24 @@ def _polished(
     def at(point: FloatArray) -> CompensationLaw:
         return _with_values(law, names, np.maximum(point, lower))
 
-    point = np.array([getattr(law, name) for name in names])
+    best = point = np.array([getattr(law, name) for name in names])
     left = errors(law)
     for k in range(_MOST_ROUNDS):
         tell("polishing the law", (k + 1) / (_MOST_ROUNDS + 1))
         steps = np.array([_slope_step(name, sizes, at(point)) for name in names])
-        tried = [point + change for change in _changes(errors, at, point, steps, left)]
-        found = [errors(at(there)) for there in tried]
-        best = min(range(len(tried)), key=lambda i: _judged(found[i]))
-        before, after = _judged(left), _judged(found[best])
-        if after < before:
-            point, left = np.maximum(tried[best], lower), found[best]
-        if after > (1.0 - _LEAST_GAIN_FRAC) * before:
+        before = _judged(left)
+        for change in _changes(errors, at, point, steps, left):
+            there = np.maximum(point + change, lower)
+            try:
+                found = errors(at(there))
+            except NonFinite:
+                continue  # a step too far: the loop of the model ran away
+            if _judged(found) < _judged(left):
+                best, left = there, found
+        if _judged(left) > (1.0 - _LEAST_GAIN_FRAC) * before:
             break
-    return at(point)
+        point = best
+    return at(best)
 
 
 def _slope_step(name: str, sizes: Mapping[str, float], law: CompensationLaw) -> float:
