@@ -20,10 +20,10 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     70..77  manifest of the last upload     78..83  lease, guard, number of the last change
             (``manifest`` and ``lease`` have the meaning)
     84..91  rest of bank 0   92..99  rest of bank 1
-    100..129  working variables of the PLC 0 form, 130..157 of the open servo; of those the other
-              form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and place),
-              134..157 but 150 (jerk, look-ahead, ripple, copy of the bank's rest), the open servo
-              113..129 but 116 (115 jerk, 127..129 bed)
+    100..129  working variables of the PLC 0 form, 130..144 and 150..157 of the open servo; of those
+              the other form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and
+              place), 134..157 but 150 (jerk, look-ahead, ripple, copy of the bank's rest), the open
+              servo 113..129 but 116 (115 jerk, 127..129 bed)
     106, 148, 149  last values of bank 0   116, 158, 159  of bank 1: of the working variables what
               no form uses
     160..189  working copy of the bank in use (PLC 0 form); 160..174 the open servo's (ripple,
