@@ -579,7 +579,7 @@ def test_cost_of_the_law_is_counted() -> None:
             assert plain < law_cost.operation_count({*lacking, part}) < operations
     # Torque by the turn or a gap fit into every cycle, beside phase, servo and background tasks; a
     # bed does not.
-    of_turn = ({"friction_per_turn", "cogging"}, {"wobble", "cogging"}, {"ripple"})
+    of_turn = ({"friction_per_turn", "cogging"}, {"wobble", "cogging"}, {"ripple", "stribeck"})
     alone = (*of_turn, {"gap"}, {"uneven"}, {"drag"}, {"cogging", "stribeck"})
     for has in alone:
         assert law_cost.law_cost_cycles(parts - has) < 0.84 * period

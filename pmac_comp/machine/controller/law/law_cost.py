@@ -52,6 +52,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<200)"
 _SHARED = {  # tests of several parts
     "IF(P7153>0)": {"place", "ripple", "bed", "drag"},
+    "IF(P7153>1)": {"place", "bed", "drag"},
     "IF(P7188>0)": {"friction_per_turn", "wobble", "cogging", "uneven"},
     "IF(P7178!=0)": {"friction_per_turn", "wobble"},
 }

@@ -143,8 +143,8 @@ def test_an_open_servo_that_leaves_no_time_is_not_sent_to_itself(
 def test_a_law_that_was_counted_to_fit_is_not_taken_back_for_the_scatter_of_looks(
     axis: Axis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cogging and Stribeck friction: 83.5 % of the time, at the edge."""
-    law = CompensationLaw(inertia_s2=2e-6, ripple_Nm=0.05, stribeck_m=1e-7)
+    """Torque that ripples and Stribeck friction: 83.5 % of the time, at the edge."""
+    law = CompensationLaw(inertia_s2=2e-6, turn_share=0.05, stribeck_m=1e-7)
     assert cost_refusals(BENCH, law, load_of()) == []
     running = replace(load_of(), rti_frac=share_frac(BENCH, law) + 0.008)
     monkeypatch.setattr(law_cost, "read_load", lambda *_: running)
