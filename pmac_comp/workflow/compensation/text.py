@@ -89,11 +89,11 @@ def _describe_torque(law: CompensationLaw) -> dict[str, float]:
         # By the step of the jerk with which a hard move begins.
         kick_Nm = law.torque_impulse_Nm_s3_per_m * HARD_MOVE_m_per_s2 / MOVE_S_CURVE_s
         out["impulse against ringing as a hard move begins, one pass, Nm"] = kick_Nm
-    turning = law.torque_turning_Nm_s, law.torque_turned_Nm_s
-    for name, each in zip(("now", "a pass later"), turning, strict=True):
-        if each != 0.0:
-            # Of all friction, which turns over from one way to the other.
-            out[f"torque as friction turns over, {name}, in all mNm s"] = 2e3 * each
+    if law.torque_turning_Nm_s != 0.0:
+        # Of all friction, from one way to the other.
+        what = "impulse against ringing as friction turns over"
+        out[f"{what}, mNm s"] = 2e3 * law.torque_turning_Nm_s
+        out[f"{what}, a pass later, mNm s"] = 2e3 * law.torque_turned_Nm_s
     if law.torque_place_Nm_per_m != 0.0:
         lead_m_per_rad = law.turn_m / (2.0 * math.pi)
         out["load that rises along the travel N/m"] = law.torque_place_Nm_per_m / lead_m_per_rad
