@@ -106,24 +106,6 @@ def test_impulse_takes_from_the_ringing_that_a_hard_move_excites(law: Compensati
     assert left_m(law) < 0.75 * left_m(law.with_values(torque_impulse_Nm_s3_per_m=0.0))
 
 
-def test_torque_as_friction_turns_over_takes_from_the_ringing_that_this_excites(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model = DriveModel.base(BENCH)
-    model = model.with_effect("presliding", {"distance_m": 10e-6, "damping_ratio": 0.05})
-    loop = model_loop(model.with_effect("stribeck", {"excess_N": 15.0, "speed_m_per_s": 0.005}))
-    friction = Stribeck(15.0 / 45.0, 15.0 * BENCH.lead_m_per_rad, 0.005)
-    monkeypatch.setattr(design, "_MOST_ROUNDS", 10)
-    law = design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
-    monkeypatch.setattr(design, "_TURNING_SCALES", {})
-    without = design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
-    assert law.torque_turning_Nm_s != 0.0 != law.torque_turned_Nm_s
-    for motion in (a_sine(0.010, 1.0, 3.0), a_sine(0.012, 0.7, 3.0)):  # none of the design's
-        new, old = (promise(one, loop, motion, latency_cycles=0) for one in (law, without))
-        assert new.e_r_after_um < 1.1 * old.e_r_after_um  # half of its aim
-        assert new.total_after_um < 0.75 * old.total_after_um
-
-
 @pytest.mark.parametrize("acceleration", [1.0, 3.0, 5.0])
 def test_steps_of_the_acceleration_ring_hardly_more_with_the_law(
     law: CompensationLaw, acceleration: float
@@ -231,6 +213,14 @@ def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
     large = a_move(0.034, 0.19, 3.8)  # pays little for it
     assert left_um(searched, large) < 1.15 * left_um(fitted, large)
     assert searched.rest_fade_per_s == fitted.rest_fade_per_s  # which motions hardly tell
+    # Without torque as friction turns over the first mode rings more; e_r is half its aim as it is.
+    assert searched.torque_turning_Nm_s != 0.0 != searched.torque_turned_Nm_s
+    monkeypatch.setattr(design, "_TURNING_SCALES", {})
+    without = found(10)
+    for motion in small:
+        new, old = (promise(law, loop, motion, latency_cycles=0) for law in (searched, without))
+        assert new.e_r_after_um < 1.1 * old.e_r_after_um
+        assert new.total_after_um < 0.75 * old.total_after_um
 
 
 def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
