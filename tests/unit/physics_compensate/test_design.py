@@ -254,6 +254,18 @@ def test_a_step_at_which_the_model_runs_away_is_not_taken() -> None:
     assert 1.5e-6 <= found.inertia_s2 < 1.75e-6
 
 
+def test_the_search_leaves_the_torque_of_a_constant_load_alone() -> None:
+    """Rests tell it apart from friction, motions hardly do."""
+
+    def errors(law: CompensationLaw) -> list[FloatArray]:
+        return [np.array([law.inertia_s2 / 1e-6, law.torque_constant_Nm - 1.0])]
+
+    law = CompensationLaw(inertia_s2=2e-6, torque_constant_Nm=0.24, torque_limit_Nm=10.0)
+    found = design._polished(law, errors, None)
+    assert found.inertia_s2 < law.inertia_s2
+    assert found.torque_constant_Nm == law.torque_constant_Nm
+
+
 def test_a_law_with_a_gap_and_no_torque_is_judged_by_what_it_has_a_say_in() -> None:
     model = DriveModel.base(BENCH).with_effect("backlash", {"gap_m": 4e-6})
     gap = NutGap(2e-6, 0.0, 0.0, model_loop(DriveModel.base(BENCH)))
