@@ -68,7 +68,7 @@ _WORST_FOREMOST = 6
 _MOST_ROUNDS, _LEAST_GAIN_FRAC = 10, 0.01
 _SLOPE_STEP, _SLOPE_SHARE = 0.02, 0.01
 _DAMPINGS, _STRIDES = (1e-3, 1e-2, 1e-1, 1.0), (1.0, 0.3)
-_NEGLIGIBLE = 1e-12  # of the mean curvature: of a coefficient that changes nothing
+_NEGLIGIBLE = 1e-12  # of the curvature in all: that of a coefficient that changes nothing
 # What the motions that judge tell little of. A constant torque that is not the load's passes for
 # friction at the next rest: with 150 N on the nut totals rose by half.
 _TOLD_BY_RESTS = ("rest_fade_per_s", "torque_constant_Nm")

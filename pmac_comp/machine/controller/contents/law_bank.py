@@ -515,7 +515,8 @@ def evaluate(
     start = dict(start_state or {})
     way = v + p.L1 * (a + 0.5 * (p.L1 + 1.0) * j)
     s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), p.UF)
-    t = _fading_state(way * p.T_INV, rests, start.get("t", 0.0), p.RF)
+    w = way * p.T_INV
+    t = _fading_state(w, rests, start.get("t", 0.0), p.RF)
     angle = r + p.L1 * v
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
@@ -525,12 +526,10 @@ def evaluate(
         place = r - max(0, 1 - latency_cycles) * v
         wave = p.TR * np.sin(np.radians(p.NR * place + p.PR + _WOBBLE_LEAD_deg * t)) * v**3
     cogging = p.TH * np.sin(np.radians(p.NH * angle + p.PH))
-    stepped = np.diff(j, prepend=0.0)
-    kick = p.TI * np.concatenate([[0.0], stepped[:-1]])
+    kick = p.TI * _a_pass_ago(np.diff(j, prepend=0.0))
     q = p.TJ * a + p.TK * answered + kick + p.TB * v + level * t
-    w = way * p.T_INV
     turned = w - np.abs(w) * t
-    q = q + p.TF * turned + p.TL * np.concatenate([[0.0], turned[:-1]]) + p.T0 + p.TP * r + wave
+    q = q + p.TF * turned + p.TL * _a_pass_ago(turned) + p.T0 + p.TP * r + wave
     passed = np.abs(v) * p.S_INV
     felt = _dragged(p, way) if p.drags else _felt_of_bed(p, a, s, passed / (1.0 + passed))
     q = q + p.BT * felt
@@ -546,13 +545,18 @@ def evaluate(
         flank = _towards(goal, np.where(rests, 0.0, 1.0), first)
         lagged = _towards(flank, np.full_like(flank, p.GL), first)
         c = c + p.GH * (lagged - held)
-        q = q + p.TG * (flank - np.concatenate([[first], lagged[:-1]]))
+        q = q + p.TG * (flank - _a_pass_ago(lagged, first))
     c = c + p.J0 * j
     return LawOutput(
         correction_ct=gain * np.clip(c, -clamp_ct, clamp_ct),
         torque_dac=gain * np.clip(q, -p.T_LIMIT, p.T_LIMIT),
         n_clamped=int(np.count_nonzero(np.abs(c) > clamp_ct)),
     )
+
+
+def _a_pass_ago(values: FloatArray, first: float = 0.0) -> FloatArray:
+    """Values of the pass before each, and what was before the first."""
+    return np.concatenate([[first], values[:-1]])
 
 
 def _felt_of_bed(

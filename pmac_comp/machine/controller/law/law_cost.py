@@ -14,6 +14,7 @@ _OF_MHz: Final = 80.0
 
 # What a law may lack, and the test by which a pass then leaves it out.
 _PARTS = {
+    "friction_per_turn": "IF(P7187>0)",
     "wobble": "IF(P7178<0)",
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
@@ -37,7 +38,7 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     (``bed``) or, in its place, what drags over millimetres (``drag``), Stribeck friction
     (``stribeck``).
     """
-    skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks if part in _PARTS)}
+    skipped = {*_SKIPPED, *(_PARTS[part] for part in lacks)}
     if "drag" not in lacks:
         skipped.discard(_PARTS["place"])  # within that
     skipped |= {test for test, parts in _SHARED.items() if set(lacks) >= parts}
