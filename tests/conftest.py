@@ -74,6 +74,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(skip)
 
 
+_WHOLE_SEARCH = design._MOST_ROUNDS
+
+
+@pytest.fixture
+def whole_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laws are searched as users get them."""
+    monkeypatch.setattr(design, "_MOST_ROUNDS", _WHOLE_SEARCH)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def laws_are_searched_shortly() -> Iterator[None]:
     """The search of a law takes seconds, with play most of a minute: tests of others go without.

@@ -348,6 +348,7 @@ def test_law_undoes_what_a_bed_that_swings_does_to_the_table() -> None:
     assert still.torque_bed_Nm_s2_per_m == 0.0
 
 
+@pytest.mark.usefixtures("whole_search")
 def test_law_knows_friction_that_is_higher_near_standstill() -> None:
     way = {"excess_N": 60.0, "speed_m_per_s": 0.02}  # a box way
     model = DriveModel.base(BENCH).with_effect("stribeck", way)
@@ -361,7 +362,7 @@ def test_law_knows_friction_that_is_higher_near_standstill() -> None:
     motion = a_move(0.05, 0.15, 2.0)
     new, old = (promise(law, model_loop(model), motion) for law in (knows, lacks))
     assert new.e_r_after_um < 0.75 * old.e_r_after_um
-    assert new.total_after_um < 0.8 * old.total_after_um
+    assert new.total_after_um < 0.75 * old.total_after_um
     still = design_law(BENCH, model_loop(model), stribeck=slow, with_torque=False, motions=motions)
     assert still.stribeck_m > 0.0
     assert still.torque_stribeck_Nm == 0.0

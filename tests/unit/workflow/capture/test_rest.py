@@ -136,6 +136,7 @@ def noisy_axis(route: str, folder: Path) -> Iterator[tuple[Axis, Context, Compen
         yield axis, context, compensation
 
 
+@pytest.mark.usefixtures("whole_search")
 @pytest.mark.parametrize(("route", "held"), [("law", 7130), ("servo", 7123)])
 def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
     tmp_path: Path, route: str, held: int
@@ -146,8 +147,8 @@ def test_torque_against_the_integrator_does_not_add_up_over_moves_one_way(
             axis.move_to(0.2e-3 * k / axis.scales.motor_m_per_ct)
             axis.link.clock.sleep_s(6.0)
             kept_Nm.append(float(axis.link.query(f"P{held}")[0]) * COARSE.drive.torque_per_dac_Nm)
-    # It was twice the friction, and grew; it comes and goes up to six tenths of it.
-    assert np.mean(kept_Nm[-5:]) < 0.75 * compensation.law.breaks_loose_Nm
+    # It was twice the friction, and grew.
+    assert np.mean(kept_Nm[-5:]) < 0.5 * compensation.law.breaks_loose_Nm
 
 
 @pytest.mark.parametrize("route", ["law", "servo"])
