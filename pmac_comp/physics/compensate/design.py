@@ -33,7 +33,7 @@ from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.constant import LEAST_LOAD_FRAC
 from pmac_comp.physics.compensate.delay import nominal_delay_s
 from pmac_comp.physics.compensate.evaluation import evaluate_law
-from pmac_comp.physics.compensate.law import CompensationLaw
+from pmac_comp.physics.compensate.law import REST_STEPS, CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.motions import (
     DWELL_WITH_GAP_s,
@@ -132,6 +132,7 @@ _TORQUE_SCALES = {
 }
 # Left to the search: a fit by squares would give away how fast friction fades at a rest for these.
 _TURNING_SCALES = {"torque_turning_Nm_s": 2e-5, "torque_turned_Nm_s": 2e-5}
+_LAG_SCALES, _START_LAG_s = {"coulomb_lag_s": 1e-4}, 1e-3
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
@@ -146,6 +147,7 @@ _LOWEST = {
     "rest_fade_per_s": 4.5,  # 0.82 are left: with all of it the motor creeps on
     "gap_half_m": 0.0,
     "gap_lag_s": 0.0,
+    "coulomb_lag_s": 0.0,
     "stribeck_m": 0.0,
     "torque_stribeck_Nm": 0.0,
     "stribeck_speed_m_per_s": 1e-3,
@@ -332,7 +334,9 @@ def design_law(
     judging = motions or judging_motions(bench, thresholds_m_per_s2=thresholds_m_per_s2)
     with working() as threads:
         errors = _errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
-        return _polished(min(candidates, key=lambda law: _judged(errors(law))), errors, progress)
+        best = min(candidates, key=lambda law: _judged(errors(law)))
+        best = replace(best, coulomb_lag_s=_START_LAG_s if bed is None else 0.0)
+        return _polished(best, errors, progress)
 
 
 def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, ...]:
@@ -570,6 +574,7 @@ def start_law(
         lookahead_s=latency_cycles * period + ahead_s,
         origin_m=bench.mid_travel_m,
         turn_m=bench.pitch_m,
+        rest_step_m=REST_STEPS * bench.motor_resolution_m,
         amplitude_limit_m=bench.safety.max_correction_um / UM_PER_M,
         valid_speed_m_per_s=max(_largest(m.velocity_m_per_s) for m in motions),
         valid_acceleration_m_per_s2=max(_largest(m.acceleration_m_per_s2) for m in motions),
@@ -613,7 +618,7 @@ def _refined(
     from scipy.optimize import least_squares
 
     sizes, lowest = _free(start)
-    for name in (*held, *_TURNING_SCALES):
+    for name in (*held, *_TURNING_SCALES, *_LAG_SCALES):
         sizes.pop(name, None)
     names, size = list(sizes), np.array(list(sizes.values()))
     first = np.array([getattr(start, name) for name in names]) / size
@@ -663,8 +668,10 @@ def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
         sizes |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
         lowest["coulomb_m"] = LEAST_COULOMB_m
         lowest["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
-    if start.bed_share > 0.0 and has_torque:
-        sizes |= _BED_TORQUE_SCALES
+    if start.bed_share > 0.0:
+        sizes |= _BED_TORQUE_SCALES if has_torque else {}
+    else:
+        sizes |= _LAG_SCALES
     if start.is_smooth:
         sizes |= _SMOOTH_SCALES
         sizes.pop("rest_fade_per_s", None)  # there is nothing at rest

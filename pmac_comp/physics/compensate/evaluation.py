@@ -18,11 +18,12 @@ REST_CYCLES = 100.0  # servo cycles of rest in which the friction states fade
 OUTPUT_SMOOTHING = 0.05  # of what the output has beyond the law at rest, per pass
 WOUND_FADE = 0.9999  # of the torque against the integrator, per pass in motion
 WOUND_YIELD = 0.01  # of the friction torque, that it gives way per cycle of the next REST_CYCLES
+_HARDNESS_SHARE = 0.1  # of the way to the present acceleration, per pass in motion
+_SOFT_FRAC = 0.3  # of the acceleration that loads the nut as friction does: so soft half unwinds
+_NO_ACCELERATION = 1e-12  # m/s2
 _WOBBLE_LEAD_rad = 0.25 * math.pi  # of the torque against a wobble, in the way it goes
 _STEP = 2.0  # of the jerk limit: beyond, the acceleration steps
-# Of a pass: after a move a card's register of the commanded position creeps by single steps (0.3 nm
-# with counts of 1 um), and their differences would take the friction states away.
-_STILL_m = 0.5e-9
+_SOFT_STEPS = 4.0  # of the largest step that is a rest: one after less is no step of the speed
 _Speed = TypeVar("_Speed", float, FloatArray)
 
 
@@ -99,6 +100,22 @@ def evaluate_law(
     )
 
 
+def end_hardness(law: CompensationLaw, position_m: FloatArray, period_s: float) -> FloatArray:
+    """Share of the table's friction that can unwind at a rest which does, shape (n,).
+
+    From 0 after a motion that ended softly to 1, as ``law`` has it: by how hard the command has
+    accelerated lately.
+    """
+    period_s *= law.every_cycles
+    seen_m = position_m[:: law.every_cycles]
+    shares: FloatArray = _end_hardness(
+        np.diff(seen_m, prepend=seen_m[0]) / period_s,
+        period_s,
+        _soft(law.bed_share, _over(law.coulomb_m + law.stribeck_m, law.inertia_s2)),
+    )
+    return np.repeat(shares, law.every_cycles)[: position_m.size]
+
+
 def friction_levels(
     law: CompensationLaw, speed_m_per_s: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -136,6 +153,13 @@ def _followed(state: float, way: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _lagging(state: float, lagged: float, way: float, share: float) -> tuple[float, float]:
+    """Friction state after a way, and the same with a lag: a share of the way to it in a pass."""
+    followed = _followed(state, way)
+    return followed, lagged + share * (followed - lagged)
+
+
+@njit(cache=True, nogil=True)
 def _turned(state: float, change: float, way: float) -> tuple[float, float, float]:
     """Friction state after a way, by how much it turned over with it, and in the last pass."""
     followed = _followed(state, way)
@@ -144,20 +168,35 @@ def _turned(state: float, change: float, way: float) -> tuple[float, float, floa
 
 @njit(cache=True, nogil=True)
 def _faded(
-    states: tuple[float, float, float], rest: float, stays: float, goes: tuple[float, float, float]
+    states: tuple[float, float, float],
+    rest: float,
+    goes: tuple[float, float, float, float],
+    unwinds: float,
 ) -> tuple[float, float, float]:
     """Friction states of table and torque, and the torque against the integrator, after a pass.
 
-    ``goes`` are the shares of the states that fade in a pass as a rest begins, and the torque by
-    which the last gives way in one after that where friction pushes along with all it has; it
-    ``stays`` up to that size.
+    ``goes`` are the shares of the states that fade in a pass as a rest begins, the table's where
+    it ``unwinds`` wholly, and the torque by which the last gives way in one after that where
+    friction pushes along with all it has; up to the last of them it stays.
     """
     s, t, wound = states
     if rest < REST_CYCLES:
-        return s * (1.0 - goes[0]), t * (1.0 - goes[1]), wound
-    if rest <= 2.0 * REST_CYCLES and wound * t > 0.0 and abs(wound) > stays:
+        return s * (1.0 - goes[0] * unwinds), t * (1.0 - goes[1]), wound
+    if rest <= 2.0 * REST_CYCLES and wound * t > 0.0 and abs(wound) > goes[3]:
         wound -= goes[2] * t
     return s, t, wound
+
+
+@njit(cache=True, nogil=True)
+def _soft(bed_share: float, most: float) -> float:
+    """Hardness of a motion's end after which half unwinds; with a bed none, all does always."""
+    return _NO_ACCELERATION + (0.0 if bed_share > 0.0 else _SOFT_FRAC * most)
+
+
+@njit(cache=True, nogil=True)
+def _hardened(hardness: float, acceleration: float) -> float:
+    """How hard a motion accelerates, lately, a pass later."""
+    return hardness + _HARDNESS_SHARE * (abs(acceleration) - hardness)
 
 
 @njit(cache=True, nogil=True)
@@ -248,9 +287,18 @@ def _friction_states(way: FloatArray, start: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _speed(step_m: float, period: float) -> float:
+def _speed(step_m: float, still_m: float, period: float) -> float:
     """Speed of the command by its step in a pass, none where it rests."""
-    return step_m / period if abs(step_m) >= _STILL_m else 0.0
+    return step_m / period if abs(step_m) >= still_m else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _before(
+    speed: float, last: float, acceleration: float, soft: float, period: float
+) -> tuple[float, float]:
+    """Speed and acceleration of the pass before; none where so slow a motion has come to rest."""
+    slow = 0.0 < abs(last) < soft and abs(acceleration) * period < soft
+    return (0.0, 0.0) if speed == 0.0 and slow else (last, acceleration)
 
 
 @njit(cache=True, nogil=True)
@@ -258,6 +306,18 @@ def _jerks(wanted: float, limit: float) -> tuple[float, float]:
     """The jerk with which the acceleration follows, and what of it the torque answers."""
     followed = min(max(wanted, -limit), limit)
     return followed, followed if abs(wanted) <= _STEP * limit else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _end_hardness(speed: FloatArray, period: float, soft: float) -> FloatArray:
+    shares = np.empty_like(speed)
+    hard = acceleration = last = 0.0
+    for k in range(speed.size):
+        if speed[k] != 0.0:
+            hard = _hardened(hard, acceleration)
+        acceleration, last = (speed[k] - last) / period, speed[k]
+        shares[k] = hard / (hard + soft)
+    return shares
 
 
 # The groups of coefficients that ``_evaluate`` takes, each in the order in which it unpacks them.
@@ -270,6 +330,7 @@ _ELASTIC = (
     "compliance_slope_per_m",
     "jerk_s3",
     "breakaway_m",
+    "coulomb_lag_s",
     "drag_m",
 )
 _TORQUE = (*TORQUE_TERMS, "torque_breakaway_m")
@@ -280,6 +341,7 @@ _BOTH = (
     "rest_fade_per_s",
     "rest_unwind_per_s",
     "drag_distance_m",
+    "rest_step_m",
 )
 _TURN = (  # as ``_by_turn`` has them
     "turn_m",
@@ -342,23 +404,28 @@ def _evaluate(
     every : float
         Servo cycles from pass to pass.
     """
-    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, drag = elastic
+    inertia, viscous, viscous_uneven, coulomb, stribeck, slope, jerk, breakaway, lag, drag = elastic
     torque_inertia, torque_jerk, impulse, torque_viscous, torque_coulomb, torque_load = torques[:6]
     torque_constant, torque_place, torque_stribeck = torques[6:9]
     torque_uneven, torque_drag, turning, turned, torque_breakaway = torques[9:]
-    lookahead, origin, fading, rest_fade, rest_unwind, drag_distance = both
+    lookahead, origin, fading, rest_fade, rest_unwind, drag_distance, still = both
     turn_share, loop_a, loop_v, tw = rippling
     bed_share, _, _, torque_bed = bed_swings
     gap_half, gap_width, gap_lag, gap_torque, gap_load = gap
     seen, correction, torque = output.size == r.size, np.empty(r.size), np.empty(r.size)
-    v = a = j = j1 = s = t = dt = d = 0.0
-    rest = beyond = wound = crossing = bed = bed_speed = felt = 0.0
+    v = a = j = j1 = s = z = t = dt = d = rest = hard = 0.0
+    beyond = wound = crossing = bed = bed_speed = felt = 0.0
     g = h = held = _flank(gap_load, gap_width) if gap_half > 0.0 else 0.0
     breaks, most = torque_coulomb + torque_stribeck, _over(coulomb + stribeck, inertia)
-    goes = (rest_unwind * period, rest_fade * period, WOUND_YIELD * every * breaks)
+    goes = (
+        rest_unwind * period,
+        rest_fade * period,
+        WOUND_YIELD * every * breaks,
+        breaks if gap_half > 0.0 else 0.0,
+    )
     for k in range(r.size):
-        v1, v = v, _speed(r[k] - r[max(k - 1, 0)], period)
-        j2, j1 = j1, j
+        v1, v, j2, j1 = v, _speed(r[k] - r[max(k - 1, 0)], still, period), j1, j
+        v1, a = _before(v, v1, a, _SOFT_STEPS * still / period, period)
         j, answered = _jerks(((v - v1) / period - a) / period, limit)
         a += j * period
         step = (v + lookahead * (a + 0.5 * (lookahead + period) * j)) * period
@@ -366,13 +433,16 @@ def _evaluate(
             rest += every
             if seen and k > 0:
                 beyond += OUTPUT_SMOOTHING * (output[k] - torque[k - 1] - beyond)
-            s, t, wound = _faded((s, t, wound), rest, breaks if gap_half > 0.0 else 0.0, goes)
+            s, t, wound = _faded((s, t, wound), rest, goes, hard / (hard + _soft(bed_share, most)))
         else:
             if seen and rest >= REST_CYCLES and breaks > 0.0:
                 t, wound = _taken_over(t, wound, beyond, breaks)
-            rest, wound = 0.0, wound * WOUND_FADE
-        s, d = _followed(s, step / breakaway), _followed(d, step / drag_distance)
-        t, dt, dt1 = _turned(t, dt, step / torque_breakaway)
+            rest, wound, hard = 0.0, wound * WOUND_FADE, _hardened(hard, a - j * period)
+        s, z = _lagging(s, z, step / breakaway, period / (lag + period))
+        (t, dt, dt1), d = (
+            _turned(t, dt, step / torque_breakaway),
+            _followed(d, step / drag_distance),
+        )
         wave, cogging, more = _by_turn(turn, turn_share, r[k] + lookahead * v)
         sent = (
             (torque_inertia * a + torque_jerk * answered + impulse * (j1 - j2))
@@ -390,7 +460,7 @@ def _evaluate(
         e = (
             inertia * (a + felt)
             + (viscous * v + viscous_uneven * abs(v))
-            + ((coulomb + stribeck * slow) * s + drag * d)
+            + ((coulomb + stribeck * slow) * z + drag * d)
         )
         correction[k] = (1.0 + slope * (r[k] - origin)) * e + jerk * j
         if gap_half > 0.0:

@@ -58,7 +58,7 @@ def _describe_law(compensation: Compensation) -> dict[str, Any]:
         "friction torque Nm": law.torque_coulomb_Nm,
         "friction grips over um": law.torque_breakaway_m * UM_PER_M,
         "friction torque fades at rest 1/s": law.rest_fade_per_s,
-        "friction offset fades at rest 1/s": law.rest_unwind_per_s,
+        "friction offset fades at rest after a hard end 1/s": law.rest_unwind_per_s,
         "look-ahead ms": law.lookahead_s * MS_PER_S,
     }
     return out | _describe_turn(law) | _describe_torque(law) | _describe_elastic(law)
@@ -120,8 +120,10 @@ def _describe_elastic(law: CompensationLaw) -> dict[str, float]:
 
 
 def _describe_friction(law: CompensationLaw) -> dict[str, float]:
-    """Friction of a law beside Coulomb's and viscous: near standstill, and over millimetres."""
+    """Friction of a law beside its levels: its lag, near standstill, and over millimetres."""
     out: dict[str, float] = {}
+    if law.coulomb_lag_s > 0.0:
+        out["friction offset follows with a lag of ms"] = law.coulomb_lag_s * MS_PER_S
     if law.is_smooth:
         out["friction sets in over the speed mm/s"] = law.stribeck_speed_m_per_s * MM_PER_M
     elif law.has_stribeck:

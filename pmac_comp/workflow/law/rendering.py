@@ -55,6 +55,7 @@ def law_parameters(law: CompensationLaw, scales: Scales) -> LawParameters:
         TI=law.torque_impulse_Nm_s3_per_m / (K * T**3 * q),
         TF=law.torque_turning_Nm_s / (T * q),
         TL=law.torque_turned_Nm_s / (T * q),
+        SL=law.coulomb_lag_s / (law.coulomb_lag_s + pass_s),
         TB=law.torque_viscous_Nm_s_per_m / (K * T * q),
         TC=law.torque_coulomb_Nm / q,
         TE=law.torque_load_Nm_s2_per_m / (K * T**2 * q),

@@ -132,10 +132,17 @@ LAW = LawParameters(
 # Without a clearance, whose places in the bank hold friction that differs by direction.
 UNEVEN = replace(LAW, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, VU=0.0061, TU=0.22)
 RIPPLING = replace(UNEVEN, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # and torque that ripples in proportion
-NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
+NO_BED = replace(LAW, BS=0.0, BD=0.0, BO=0.0, BT=0.0, SL=0.75)  # where friction may lag
 LOOSE_RIPPLING = replace(NO_BED, TR=0.0, RS=0.2, RT=12.0, RV=3.0)  # beside a clearance
-_DRAG = {"BS": -900.0, "BD": 0.8, "BO": 0.0, "BT": 45.0, "TP": 0.0}  # in the places of the bed
-SMOOTH = replace(UNEVEN, SX=-UNEVEN.S0, TX=-UNEVEN.TC, BS=0.0, BD=0.0, BO=0.0, BT=0.0)
+_DRAG = {
+    "BS": -900.0,
+    "BD": 0.8,
+    "BO": 0.0,
+    "BT": 45.0,
+    "TP": 0.0,
+    "SL": 0.75,
+}  # in the places of the bed
+SMOOTH = replace(UNEVEN, SX=-UNEVEN.S0, TX=-UNEVEN.TC, BS=0.0, BD=0.0, BO=0.0, BT=0.0, SL=0.6)
 DRAGGING, LOOSE_DRAGGING = replace(UNEVEN, **_DRAG), replace(LAW, **_DRAG)
 
 
@@ -276,7 +283,7 @@ def test_plc_form_sends_the_torque_of_the_reference(tmp_path: Path, law: LawPara
     law_install.install_law(bench.link, bench.context, 1)
     law_upload.upload_law(bench.link, bench.context, law)
     law_arming.arm(bench.link, bench.context)
-    commanded, (_, torque) = stepped_motion(bench, 7109, 7124)
+    commanded, (_, torque) = stepped_motion(bench, 7122, 7124)
     expected, other = (
         evaluate(one, commanded, clamp_ct=60.0, latency_cycles=1).torque_dac
         for one in (law, replace(law, NR=-law.NR))
@@ -327,6 +334,36 @@ def test_the_table_s_friction_fades_at_rest_as_its_bank_says(tmp_path: Path, for
         assert states[last] == pytest.approx(states[last - 40] * (1.0 - fade) ** 40, rel=1e-6)
         assert 0.1 < states[-1] < 0.999 * max(states)
     assert used == {0, 1}
+
+
+@pytest.mark.parametrize("form", ["law", "servo"])
+def test_after_a_hard_end_the_correction_lets_go_and_after_a_soft_one_it_stays(
+    tmp_path: Path, form: str
+) -> None:
+    if form == "servo":
+        bench, correction, work = make_servo_bench(tmp_path), 7139, Index.WORK_SERVO
+    else:
+        bench, correction, work = make_plc_bench(tmp_path), 7122, Index.WORK_PLC
+        law_install.install_law(bench.link, bench.context, 1)
+    law = replace(NO_BED, GH=0.0, GW=0.0, GB=0.0, GL=1.0, TG=0.0, UF=0.02, JL=1.0)
+    law_upload.upload_law(bench.link, bench.context, law)
+    law_arming.arm(bench.link, bench.context)
+    left = []
+    for acceleration_ms in (20, 2000):
+        bench.link.command(f"I120={acceleration_ms}I121={acceleration_ms // 2}")
+        bench.link.command("#1J^6000")
+        commanded, sent, states = [], [], []
+        for _ in range(12_000):
+            bench.card.run_cycles(1)
+            commanded.append(bench.card.variables.read("M", 161) / UNIT)
+            sent.append(bench.p(correction))
+            states.append(bench.p(7000 + work + WorkIndex.STATE))
+        assert len(set(commanded[-300:])) == 1
+        expected = evaluate(law, np.array(commanded), clamp_ct=60.0).correction_ct
+        assert sent[-200:] == pytest.approx(expected[-200:], abs=0.03)
+        left.append(states[-1] / max(states))
+    assert left[0] < 0.3
+    assert left[1] > 0.8
 
 
 @pytest.mark.parametrize("form", ["law", "law, every second cycle", "servo"])
@@ -465,15 +502,19 @@ def test_the_old_law_ends_the_ramp_where_the_new_bank_is_not_sealed(tmp_path: Pa
     bench = make_plc_bench(tmp_path)
     law_install.install_law(bench.link, bench.context, 1)
     run_with_law(bench, LAW)
-    sent = [bench.p(7109)]
+
+    def sent_ct() -> float:
+        return bench.p(7003) * bench.p(7122)
+
+    sent = [sent_ct()]
     assert abs(sent[0]) > 0.2
     bench.link.command("P7001=1-P7001")
     for _ in range(600):
         bench.card.run_cycles(1)
         assert bench.p(7168) == pytest.approx(1.0 / LAW.S_INV)
         assert bench.p(7175) == pytest.approx(1.0 / LAW.T_INV)
-        sent.append(bench.p(7109))
-    assert bench.p(7113) == -1.0
+        sent.append(sent_ct())
+    assert bench.p(7120) == -2.0
     assert abs(sent[-1]) < abs(sent[0])
     assert np.max(np.abs(np.diff(sent))) < 0.05
 
@@ -593,7 +634,7 @@ def test_cost_of_the_open_servo_is_what_the_card_takes(
     bench = make_servo_bench(tmp_path)
     zero = {
         "gap": {"GH": 0.0, "GW": 0.0, "GB": 0.0, "GL": 1.0, "TG": 0.0},
-        "bed": {"BS": 0.0},
+        "bed": {"BS": 0.0, "BT": 0.0},
         "stribeck": {"SS": 0.0},
     }
     lacking = {*(zero.keys() - parts), "uneven", "ripple", "wobble"}

@@ -20,26 +20,28 @@ Block (first variable ``P7000`` unless the bench says otherwise), offsets from t
     70..77  manifest of the last upload     78..83  lease, guard, number of the last change
             (``manifest`` and ``lease`` have the meaning)
     84..91  rest of bank 0   92..99  rest of bank 1
-    100..129  working variables of the PLC 0 form, 130..144 and 150..157 of the open servo; of those
+    100..129  working variables of the PLC 0 form, 130..147 and 150..157 of the open servo; of those
               the other form uses what it lacks: PLC 0 131..133 (bed that swings: b, its speed and
               place), 134..157 but 150 (jerk, look-ahead, ripple, copy of the bank's rest), the open
               servo 113..129 but 116 (115 jerk, 127..129 bed)
     106, 148, 149  last values of bank 0   116, 158, 159  of bank 1: of the working variables what
               no form uses
     160..189  working copy of the bank in use (PLC 0 form); 160..174 the open servo's (ripple,
-              friction that turns over, hand-over registers)
+              rests, friction that turns over, hand-over registers)
     190..199  parameters of the motion and homing programs, no part of the law
 
 The law, all quantities in counts and servo cycles (SC), r = commanded position of the motor
 (register D:$88, before any compensation)::
 
     v = dr                                                (differences over dn cycles; steps of
-                                                          1.5/3072 and less are a rest)
+                                                          6/3072 and less are a rest, before
+                                                          which less than 24/3072 is none)
     j = limit(dv - a, JL)         a += j                  acceleration with its jerk limited
     k = j, 0 where |dv - a| > 2 JL                        a step of it: the torque answers no jerk
     d = (v + L1 (a + (L1 + dn) j / 2)) dn                 way of a cycle L1 cycles later
     h = |v| dn S_INV                                      way of the command
     u = d S_INV          s = (s + u) / (1 + |u|)          friction state, follows distance
+    m = SL m + (1 - SL) s                                 the same with a lag
     w = d T_INV          t = (t + w) / (1 + |w|)          the same for the torque
     x = (w - |w| t) / dn                                  by how much it turns over
     y = BS a + BD y1 + BO y2                              bed that swings: its acceleration, speed
@@ -50,7 +52,7 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
     b = (BD d - BS b) / (|d| - BS)                      follows distance as the friction states
     z = (SS d)^2         w = 1/(1 + z + z^2/2)            what speed leaves of Stribeck friction,
                                                           or lacks where friction sets in with it
-    e = A0 a + V0 v + VU |v| + (S0 + SX w) s + b         VU, TU: only with a GH of zero
+    e = A0 a + V0 v + VU |v| + (S0 + SX w) m + b         VU, TU: only with a GH of zero
     f = GB + e + L1 A0 j                                  with a constant load, L1 cycles later
     g = f / max(GW, |f|), at rest as it was               flank: goes with the force
     l = l + GL (g - l)                                    flank as the motor changes it
@@ -67,12 +69,15 @@ The law, all quantities in counts and servo cycles (SC), r = commanded position 
 The friction state is the implicit Euler form of ds/dx = (sign - s) S_INV: it needs no direction
 logic, holds its value at standstill and never overshoots. It looks L1 cycles ahead, so that the
 step at a reversal arrives with the axis in spite of latency, delay and current loop. Over the first
-100 cycles of a rest t fades by RF and s by UF a cycle; PLC 0 and the open servo look at what the
+100 cycles of a rest t fades by RF and s by UF h / (h + R) a cycle, with h how hard the motion ended
+(the mean of |a|, each pass of a motion a tenth of the way to it) and R = 0.3 (S0 + SX) / A0, or 0
+with a bed; PLC 0 and the open servo look at what the
 output holds over a longer rest and begin the next motion from there; what they then send against
 the integrator gives way in the 100 cycles after those where it pushes as t does
 (``feedforward_law.plc0``).
 """
 
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -100,14 +105,20 @@ DEFAULT_FIRST: Final = 7000
 MASTER_WORD_ADDRESS: Final = 0x10F8  # one of the 16 open registers (Reference Manual p. 503)
 MASTER_SCALE_IXX07: Final = 3  # with Ixx08 = 96 one unit of the master word is 1/1024 count
 REST_CYCLES: Final = 100  # of a rest, in which the friction states fade
+# How hard a motion ends: of the way to the present acceleration in a cycle, and of the acceleration
+# that loads the nut as friction does.
+_HARDNESS_SHARE: Final = 0.1
+_SOFT_FRAC: Final = 0.3
+_NO_ACCELERATION: Final = 1e-9  # counts/SC^2
 _WOBBLE_LEAD_deg: Final = 45.0  # of the torque against the wobble of the lead, in the way it goes
 STEP: Final = 2.0  # of the jerk limit: beyond, it is a step of the acceleration
 # Of a bank: the checksum begins with it, so that another layout's does not fit, nor that of a law
 # whose flank follows the force over a way.
-_LAYOUT: Final = 15
+_LAYOUT: Final = 16
 # Of a servo cycle, of the commanded position: its register has steps of 1/3072 (Ixx08 = 96), by
-# single ones of which it creeps after a move.
-_STILL_ct: Final = 1.5 / 3072
+# single ones of which it creeps after a move, and which the look-ahead makes more of.
+_STILL_ct: Final = 6.0 / 3072
+_SOFT_ct: Final = 24.0 / 3072  # an end from less is no step of the speed
 # In one place each: of a gap or, without one, uneven friction and ripple; beside one ripple or bed.
 _OF_GAP, _UNEVEN = ("TG", "GB", "GL", "GW"), ("TU", "VU")
 _RIPPLE, _OF_BED = ("RS", "RT"), ("BD", "BO")
@@ -137,6 +148,8 @@ class Index(IntEnum):
     STEP_SERVO = 114  # largest acceleration of the command that is a motion, counts/SC^2; where
     STEP_PLC = 152  # the other form works, as no place is left that neither uses
     MOTIONS = 190  # homing and other motion programs
+    IN_USE_PLC = 120  # bank in use, -1 loop open, -2 not sealed
+    CORRECTION_PLC = 122  # before the gain, counts
     TORQUE_PLC = 124  # before the gain, DAC units; what is sent stands in Ixx29
     BED_SERVO = 127
     WORK_SERVO = 130
@@ -157,11 +170,11 @@ class WorkIndex(IntEnum):
     JERK = 6  # open servo: the jerk two cycles ago; PLC 0 keeps a bank's last value there
     FLANK = 7  # g
     ANSWERS_JERK = 8  # open servo: whether the torque answers the jerk
-    CORRECTION = 9  # what was sent, counts
+    CORRECTION = 9  # open servo: what was sent, counts
     TORQUE = 10  # open servo: what was sent, DAC units
     CLAMPED = 11  # passes in which the clamp acted
     ELAPSED = 12  # open servo: dn
-    LIVE = 13  # 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed
+    LIVE = 13  # open servo: 0 loop open, 1 or 2: bank 0 or 1 is in use, -1: bank not sealed
 
 
 class BankIndex(IntEnum):
@@ -208,6 +221,7 @@ class BankIndex(IntEnum):
     BD = 31  # 1/pass, damping of the bed; with a BS below zero counts, the size of what drags
     BO = 32  # 1/pass^2, stiffness of the bed
     BT = 33  # DAC units per count, torque of the table's mass or of what drags
+    SL = 33  # without either (BO's beside what drags): what a pass leaves of the way to a new s
     SX = 34  # counts, friction at rest beyond S0; -S0 where friction sets in with speed
     TX = 35  # DAC units, friction torque at rest beyond TC; -TC there
     SS = 36  # passes per count, inverse of the Stribeck speed; 0: no Stribeck friction
@@ -280,15 +294,18 @@ def bank_seal(values: Sequence[float]) -> int:
 def _absent(clearance: float, bed: float, share: float) -> tuple[str, ...]:
     """Coefficients whose place others have: a law with a clearance has its own there."""
     by_turn = "RV" if share == 0.0 else "TR"
+    of_bed = ("SL",) if bed > 0.0 else ("BO",) if bed < 0.0 else ("BT",)
     if clearance <= 0.0:
-        return (by_turn, *_OF_GAP)
-    return (by_turn, *_UNEVEN, *(_RIPPLE if bed != 0.0 else _OF_BED))
+        return (by_turn, *of_bed, *_OF_GAP)
+    return (by_turn, *of_bed, *_UNEVEN, *(_RIPPLE if bed != 0.0 else _OF_BED))
 
 
-def _place(name: str, clearance: float) -> BankIndex:
+def _place(name: str, clearance: float, bed: float) -> BankIndex:
     """Place of a coefficient: beside a clearance torque that ripples has those of a bed."""
     if clearance > 0.0 and name in _RIPPLE:
         return BankIndex[_OF_BED[_RIPPLE.index(name)]]
+    if name == "SL" and bed < 0.0:
+        return BankIndex.BO
     return BankIndex[name]
 
 
@@ -345,6 +362,7 @@ class LawParameters:
     TP: float = 0.0
     TF: float = 0.0
     TL: float = 0.0
+    SL: float = 0.0
 
     def __post_init__(self) -> None:
         values = finite_array("law parameters", [getattr(self, f.name) for f in fields(self)])
@@ -387,6 +405,11 @@ class LawParameters:
                 f"RF = {self.RF} or UF = {self.UF} is not a share of friction from 0 to 1.",
                 code="PC-LAW-008",
             )
+        if not 0.0 <= self.SL < 1.0:
+            raise ConfigError(
+                f"SL = {self.SL} is no share of the way to a new friction state from 0 to below 1.",
+                code="PC-LAW-013",
+            )
         if not 0.0 < self.GL <= 1.0:
             raise ConfigError(
                 f"GL = {self.GL} is not a share of the way to the new flank above 0 and up to 1.",
@@ -412,7 +435,7 @@ class LawParameters:
         """All values of a bank, with its seal unless ``sealed`` is False."""
         bank = [0.0] * BANK_VALUES
         for name in self._names(self.GH, self.BS, self.RS):
-            bank[_place(name, self.GH)] = getattr(self, name)
+            bank[_place(name, self.GH, self.BS)] = getattr(self, name)
         if sealed:
             bank[BankIndex.SEALED] = bank_seal(bank)
         return tuple(bank)
@@ -443,9 +466,9 @@ class LawParameters:
             )
         try:
             gap, bed = values[BankIndex.GH], values[BankIndex.BS]
-            share = 0.0 if gap > 0.0 and bed != 0.0 else values[_place("RS", gap)]
+            share = 0.0 if gap > 0.0 and bed != 0.0 else values[_place("RS", gap, bed)]
             names = cls._names(gap, bed, share)
-            return cls(**{name: values[_place(name, gap)] for name in names})
+            return cls(**{name: values[_place(name, gap, bed)] for name in names})
         except ConfigError as error:
             raise VerifyMismatch(
                 f"The bank is sealed but holds no law of this version: {error.message}",
@@ -511,12 +534,16 @@ def evaluate(
     v = np.diff(r, prepend=r[0])
     rests = np.abs(v) <= _STILL_ct
     v[rests] = 0.0
-    a, j, answered = _jerk_limited(np.diff(v, prepend=0.0), p.JL)
+    before = _a_pass_ago(v)
+    soft_ends = rests & (before != 0.0) & (np.abs(before) < _SOFT_ct)
+    a, j, answered = _jerk_limited(np.diff(v, prepend=0.0), p.JL, soft_ends)
     start = dict(start_state or {})
     way = v + p.L1 * (a + 0.5 * (p.L1 + 1.0) * j)
-    s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), p.UF)
+    unwinds = p.UF * _unwinding(p, a, rests)
+    s = _fading_state(way * p.S_INV, rests, start.get("s", 0.0), unwinds)
     w = way * p.T_INV
-    t = _fading_state(w, rests, start.get("t", 0.0), p.RF)
+    m = _towards(s, np.full_like(s, 1.0 - p.SL), start.get("s", 0.0))
+    t = _fading_state(w, rests, start.get("t", 0.0), np.full_like(w, p.RF))
     angle = r + p.L1 * v
     slowness = (way * p.SS) ** 2
     slow = 1.0 / (1.0 + slowness * (1.0 + 0.5 * slowness)) if p.SS > 0.0 else np.zeros_like(way)
@@ -535,7 +562,7 @@ def evaluate(
     q = q + p.BT * felt
     q = q + (q + p.RT * a + p.RV * v) * p.RS * np.sin(np.radians(p.NR * angle + p.PR))
     q = q + cogging + p.TU * np.abs(v)
-    elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * s + felt
+    elastic = p.A0 * a + p.V0 * v + p.VU * np.abs(v) + (p.S0 + p.SX * slow) * m + felt
     c = (1.0 + p.C1 * r) * elastic
     if p.GH > 0.0:
         foreseen = p.GB + elastic + p.L1 * p.A0 * j
@@ -590,12 +617,15 @@ def _dragged(p: LawParameters, way: FloatArray) -> FloatArray:
 
 
 def _jerk_limited(
-    acceleration: FloatArray, limit: float
+    acceleration: FloatArray, limit: float, soft_ends: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Acceleration that follows no faster than a limit per cycle, its jerk, the motion's own."""
-    followed, jerk, own = (np.empty_like(acceleration) for _ in range(3))
+    followed, jerk, own = (np.zeros_like(acceleration) for _ in range(3))
     value = 0.0
     for k, wanted in enumerate(acceleration.tolist()):
+        if soft_ends[k] and abs(value) < _SOFT_ct:
+            value = 0.0
+            continue
         jerk[k] = min(max(wanted - value, -limit), limit)
         own[k] = jerk[k] if abs(wanted - value) <= STEP * limit else 0.0
         value += jerk[k]
@@ -603,8 +633,16 @@ def _jerk_limited(
     return followed, jerk, own
 
 
+def _unwinding(p: LawParameters, acceleration: FloatArray, rests: BoolArray) -> FloatArray:
+    """Share of what may unwind at a rest that does, by how hard the motion before it ended."""
+    soft = (p.S0 + p.SX) / p.A0 if p.A0 > 0.0 else math.inf
+    soft = _NO_ACCELERATION + (0.0 if p.BS > 0.0 else _SOFT_FRAC * soft)
+    hard = _towards(np.abs(_a_pass_ago(acceleration)), np.where(rests, 0.0, _HARDNESS_SHARE), 0.0)
+    return hard / (hard + soft)
+
+
 def _fading_state(
-    u: FloatArray, rests: BoolArray, start: float, fade_per_cycle: float
+    u: FloatArray, rests: BoolArray, start: float, fade_per_cycle: FloatArray
 ) -> FloatArray:
     """Friction state that fades over the first cycles of a rest."""
     state = np.empty_like(u)
@@ -612,7 +650,7 @@ def _fading_state(
     for k, (step, still) in enumerate(zip(u.tolist(), rests.tolist(), strict=True)):
         rested = rested + 1 if still else 0
         if 0 < rested < REST_CYCLES:
-            value *= 1.0 - fade_per_cycle
+            value *= 1.0 - fade_per_cycle[k]
         value = (value + step) / (1.0 + abs(step))
         state[k] = value
     return state

@@ -14,7 +14,7 @@ _OF_MHz: Final = 80.0
 
 # What a law may lack, and the test by which a pass then leaves it out.
 _PARTS = {
-    "friction_per_turn": "IF(P7187>0)",
+    "friction_per_turn": "IF(P7188>2)",
     "wobble": "IF(P7178<0)",
     "cogging": "IF(P7183!=0)",
     "place": "IF(P7147!=0)",
@@ -44,6 +44,8 @@ def operation_count(lacks: Collection[str] = ()) -> int:
     skipped |= {test for test, parts in _SHARED.items() if set(lacks) >= parts}
     if "gap" not in lacks:
         skipped.add(_WITHOUT_GAP)
+    if "ripple" in lacks or not set(lacks) >= _SHARED["IF(P7153>1)"]:
+        skipped.add(_RIPPLES_ALONE)
     lines = law_program(LawBlock(), 1).lines
     _require_tests(lines, _TESTS)
     passes = (_pass(lines, skipped | {_RESTS}), _pass(lines, skipped | {_BEGINS_TO_REST}))
@@ -52,26 +54,27 @@ def operation_count(lacks: Collection[str] = ()) -> int:
 
 _RESTS, _BEGINS_TO_REST = "IF(ABS(P7115)!>P7156)", "IF(P7127<200)"
 _SHARED = {  # tests of several parts
-    "IF(P7153>0)": {"place", "ripple", "bed", "drag"},
     "IF(P7153>1)": {"place", "bed", "drag"},
     "IF(P7188>0)": {"friction_per_turn", "wobble", "cogging", "uneven"},
-    "IF(P7178!=0)": {"friction_per_turn", "wobble"},
+    "IF(P7188>1)": {"friction_per_turn", "wobble"},
 }
-_WITHOUT_GAP = "IF(P7186=0)"  # within the second one
+_WITHOUT_GAP = "IF(P7186=0)"  # within that of several by the turn
+_RIPPLES_ALONE = "IF(P7153=1)"
 _SKIPPED = (
     "IF(M7003=1)",
     "IF(M7000-P7100!=P7154)",
     "IF(P7120!=P7001)",
     "IF(P7127>0)",
     "IF(ABS(P7118)>P7174)",
-    "IF(ABS(P7131+P7121)>P7112)",
+    "IF(ABS(P7131+P7121)>P7122)",
     "IF(ABS(P7122)>P7004)",
     "IF(ABS(P7124)>P7181)",
     "IF(P7005!<0)",
     "IF(P7003!=P7002)",
     "IF(P7108>0)",
 )
-_TESTS = {*_SKIPPED, *_PARTS.values(), *_SHARED, _WITHOUT_GAP, _RESTS, _BEGINS_TO_REST}
+_TESTS = {*_SKIPPED, *_PARTS.values(), *_SHARED, _WITHOUT_GAP, _RIPPLES_ALONE}
+_TESTS |= {_RESTS, _BEGINS_TO_REST}
 
 
 def _require_tests(lines: Sequence[str], tests: Collection[str]) -> None:
@@ -139,7 +142,7 @@ _SERVO_SKIPPED = (
     "IF(P7003<P7002)",
     "IF(P7003>P7002)",
     "IF(ABS(P7153)>P7114)",
-    "IF(ABS(P7152)*P7163<1.5)",
+    "IF(ABS(P7152)*P7163<6)",
     "IF(P7120>99 AND P7119>0)",
     "IF(ABS(P7154)>2*P(P7144+14))",
     "IF(P7154>P(P7144+14))",

@@ -21,7 +21,7 @@ from pmac_comp.machine.wire.numbers import read_number
 
 SIGN_OF_LIFE_CYCLES: Final = 400
 GAIN_TOLERANCE: Final = 1e-6
-_HEAD_LINES: Final = 10 + 14 + 14 + 2  # answers to the question for a head
+_HEAD_LINES: Final = 10 + 14 + 14 + 4  # answers to the question for a head
 
 
 class LawForm(Enum):
@@ -95,17 +95,20 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
     """Head and outputs in one question."""
     first, work = block.p(0), block.p(Index.WORK_PLC)
     servo, bed = block.p(Index.WORK_SERVO), block.p(Index.BED_SERVO)
-    torque = block.p(Index.TORQUE_PLC)
+    more = (Index.IN_USE_PLC, Index.CORRECTION_PLC, Index.TORQUE_PLC)
+    of_plc = "".join(f"P{block.p(offset)}" for offset in more)
     lines = answers(
         link,
-        f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}P{torque}P{bed}",
+        f"P{first}..{first + 9}P{work}..{work + 13}P{servo}..{servo + 13}{of_plc}P{bed}",
         _HEAD_LINES,
     )
     values = [float(read_number(v)) for v in lines]
     head, plc, own = values[:10], values[10:24], values[24:38]
+    in_use, correction_ct, torque_dac, bed_ct = values[38:]
     in_servo = int(head[0]) == SIGNATURE_SERVO
     running = own if in_servo else plc
-    live = int(running[WorkIndex.LIVE])
+    forms = {SIGNATURE_SERVO: int(own[WorkIndex.LIVE]), SIGNATURE_PLC: int(in_use) + 1}
+    live = forms.get(int(head[Index.SIGNATURE]), 0)
     return LawHead(
         signature=int(head[Index.SIGNATURE]),
         bank=int(head[Index.BANK]),
@@ -115,14 +118,14 @@ def read_law_head(link: Link, block: LawBlock) -> LawHead:
         heartbeat=head[Index.HEARTBEAT],
         slew=head[Index.SLEW],
         motor=int(head[Index.MOTOR]),
-        correction_ct=running[WorkIndex.CORRECTION],
-        torque_dac=own[WorkIndex.TORQUE] if in_servo else head[Index.GAIN] * values[-2],
+        correction_ct=own[WorkIndex.CORRECTION] if in_servo else head[Index.GAIN] * correction_ct,
+        torque_dac=own[WorkIndex.TORQUE] if in_servo else head[Index.GAIN] * torque_dac,
         n_clamped=int(running[WorkIndex.CLAMPED]),
         bank_in_use=live - 1 if live > 0 else None,
         position_ct=running[WorkIndex.POSITION],
         friction_state=running[WorkIndex.STATE],
         flank_state=running[WorkIndex.FLANK],
-        bed_state=values[-1] if in_servo else own[Index.BED_PLC - Index.WORK_SERVO],
+        bed_state=bed_ct if in_servo else own[Index.BED_PLC - Index.WORK_SERVO],
     )
 
 
