@@ -73,8 +73,8 @@ The drive needs time for that step too: however soon it is asked for, the nut is
 way by no more torque than is sent, and the table is stuck until it is. A correction that turns over
 with the command is there a few milliseconds before the error that it undoes, and rings the mode
 more. So its friction ``z`` follows ``s`` with a lag MS of one to three milliseconds, fitted in the
-loop. In models it takes 0.03 to 0.18 off the worst share of the aim that slow sinusoids leave, with
-2 to 4 um of play 0.12 to 0.25.
+loop. In models it takes 0.01 to 0.18 off the worst share of the aim that slow sinusoids leave (none
+where the nut slides before it grips), with 2 to 4 um of play 0.12 to 0.25.
 
 Friction may also set in with speed, as grease and seals shear: with SS = -S0 and TS = -TC, 1 - w
 stands for tanh(p' / v_c), at most 0.16 off where VS is 0.8 v_c. Such friction holds nothing.
@@ -92,7 +92,7 @@ where nothing else is known. Where it ends softly nothing shakes it, and all of 
 h how hard the command accelerated as it ended (in motion each pass goes a tenth of the way to |a|)
 ``s`` loses UF h / (h + R), with R = 0.3 (S0 + SS) / A0, three tenths of the acceleration that loads
 the nut as friction does. In closed-loop simulation of five drives, with Coulomb friction and
-presliding at guide, nut or both, 0.3 to 0.8 of the lag are left after moves of 1.5 to 5 m/s2 and
+presliding at guide, nut or both, 0.2 to 0.9 of the lag are left after moves of 1.5 to 5 m/s2 and
 0.85 to 1 after slow sinusoids, which this tells within 0.02 to 0.15; with one mean for all the
 sinusoids were missed by 0.2 to 0.4. With play it is chance. Beside a bed, whose places on a
 controller this has, h counts as hard.

@@ -12,7 +12,7 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.base.errors import NonFinite
 from pmac_comp.files.bench import Bench, load_bench
 from pmac_comp.physics.compensate import design
-from pmac_comp.physics.compensate.delay import nominal_delay_s
+from pmac_comp.physics.compensate.delay import drive_delay_s, nominal_delay_s
 from pmac_comp.physics.compensate.design import (
     NutGap,
     SmoothFriction,
@@ -221,6 +221,28 @@ def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
         new, old = (promise(law, loop, motion, latency_cycles=0) for law in (searched, without))
         assert new.e_r_after_um < 1.1 * old.e_r_after_um
         assert new.total_after_um < 0.75 * old.total_after_um
+
+
+def test_the_offset_by_friction_follows_as_late_as_the_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A drive that makes its torque late turns over late, however soon it is asked for."""
+    late = DriveModel.base(BENCH).with_parameters({"chain.actuator_delay_s": 650e-6})
+    loop = model_loop(late)
+    monkeypatch.setattr(design, "_MOST_ROUNDS", 10)
+
+    def found() -> CompensationLaw:
+        return design_law(BENCH, loop, delay_s=drive_delay_s(late), latency_cycles=0)
+
+    def worst_um(law: CompensationLaw) -> float:
+        motions = (a_sine(0.010, f, 3.0) for f in (0.5, 1.0, 2.0))
+        return max(promise(law, loop, m, latency_cycles=0).e_r_after_um for m in motions)
+
+    law = found()
+    assert 0.2e-3 < law.coulomb_lag_s < 5e-3
+    monkeypatch.setattr(design, "_LAG_SCALES", {})
+    monkeypatch.setattr(design, "_START_LAG_s", 0.0)
+    assert worst_um(law) < 0.9 * worst_um(found())
 
 
 def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(

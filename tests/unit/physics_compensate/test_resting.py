@@ -13,7 +13,7 @@ from pmac_comp.physics.compensate.motions import design_motions, resting_moves
 from pmac_comp.physics.compensate.resting import with_unwinding
 from pmac_comp.physics.model.drive import DriveModel
 from pmac_comp.physics.signals.rests import moving_of, rests_of
-from pmac_comp.physics.signals.trajectory import Trajectory
+from pmac_comp.physics.signals.trajectory import Trajectory, sinusoid
 from pmac_comp.workflow.law.dynamic_law import nut_gap
 from pmac_comp.workflow.motion.campaigns import verification_motions
 
@@ -62,6 +62,29 @@ def test_other_moves_rest_nearer_to_their_command(effect: str | None) -> None:
     own_um = left_um(law)
     for other_per_s in (0.0, 3.0 * law.rest_unwind_per_s):
         assert own_um < 0.8 * left_um(law.with_values(rest_unwind_per_s=other_per_s))
+
+
+@pytest.mark.parametrize("effect", [None, "presliding@rotary"])
+def test_after_a_soft_end_the_table_rests_where_the_command_does(effect: str | None) -> None:
+    model = model_of(effect)
+    loop = model_loop(model)
+    fitted = design_law(BENCH, loop, motions=design_motions(BENCH)[3:9])
+    law = with_unwinding(fitted, loop, BENCH, 1)
+    moves = [m.trajectory for m in verification_motions(BENCH, 11, n_sine=1, n_move=8)[1:]]
+    slow = sinusoid(
+        period_s=BENCH.servo_period_s,
+        amplitude_m=0.01,
+        frequency_Hz=0.5,
+        cycles=2.0,
+        centre_m=BENCH.mid_travel_m,
+        dwell_s=0.2,
+    )
+    friction_um = 1e6 * law.coulomb_m
+    # What hard ends leave on average would be wrong by a quarter of the friction here.
+    hard_um = friction_um * (1.0 - (1.0 - law.rest_unwind_per_s * BENCH.servo_period_s) ** 99)
+    assert hard_um > 0.2 * friction_um
+    assert np.max(np.abs(errors_at_rest_um(law, model, [slow]))) < 0.6 * hard_um
+    assert np.mean(np.abs(errors_at_rest_um(law, model, moves))) < hard_um
 
 
 def test_a_drive_without_friction_has_no_lag_at_rest() -> None:
