@@ -336,7 +336,9 @@ def design_law(
         errors = _errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
         best = min(candidates, key=lambda law: _judged(errors(law)))
         best = replace(best, coulomb_lag_s=_START_LAG_s if bed is None else 0.0)
-        return _polished(best, errors, progress)
+        # More than the model's friction pushes a drive loose as it comes to rest.
+        most_Nm = start.torque_coulomb_Nm / _START_FRICTION_FRAC
+        return _polished(best, errors, progress, most_Nm=most_Nm)
 
 
 def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, ...]:
@@ -385,6 +387,8 @@ def _polished(
     law: CompensationLaw,
     errors: Callable[[CompensationLaw], list[FloatArray]],
     progress: Progress | None,
+    *,
+    most_Nm: float = math.inf,
 ) -> CompensationLaw:
     """The law with the coefficients that are judged best, found by search from its own.
 
@@ -403,10 +407,12 @@ def _polished(
         lowest["gap_width_m"] *= _SHARPENED_FRAC
     names = list(sizes)
     lower = np.array([lowest.get(name, -np.inf) for name in names])
+    highest = {"torque_coulomb_Nm": max(most_Nm, law.torque_coulomb_Nm)}
+    upper = np.array([highest.get(name, np.inf) for name in names])
     tell = progress or untold
 
     def at(point: FloatArray) -> CompensationLaw:
-        return _with_values(law, names, np.maximum(point, lower))
+        return _with_values(law, names, np.clip(point, lower, upper))
 
     best = point = np.array([getattr(law, name) for name in names])
     left = errors(law)
@@ -415,7 +421,7 @@ def _polished(
         steps = np.array([_slope_step(name, sizes, at(point)) for name in names])
         before = _judged(left)
         for change in _changes(errors, at, point, steps, left):
-            there = np.maximum(point + change, lower)
+            there = np.clip(point + change, lower, upper)
             try:
                 found = errors(at(there))
             except NonFinite:

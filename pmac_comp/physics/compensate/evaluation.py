@@ -190,7 +190,7 @@ def _faded(
 @njit(cache=True, nogil=True)
 def _soft(bed_share: float, most: float) -> float:
     """Hardness of a motion's end after which half unwinds; with a bed none, all does always."""
-    return _NO_ACCELERATION + (0.0 if bed_share > 0.0 else _SOFT_FRAC * most)
+    return max(_NO_ACCELERATION, 0.0 if bed_share > 0.0 else _SOFT_FRAC * most)
 
 
 @njit(cache=True, nogil=True)

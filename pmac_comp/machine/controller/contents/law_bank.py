@@ -636,7 +636,7 @@ def _jerk_limited(
 def _unwinding(p: LawParameters, acceleration: FloatArray, rests: BoolArray) -> FloatArray:
     """Share of what may unwind at a rest that does, by how hard the motion before it ended."""
     soft = (p.S0 + p.SX) / p.A0 if p.A0 > 0.0 else math.inf
-    soft = _NO_ACCELERATION + (0.0 if p.BS > 0.0 else _SOFT_FRAC * soft)
+    soft = max(_NO_ACCELERATION, 0.0 if p.BS > 0.0 else _SOFT_FRAC * soft)
     hard = _towards(np.abs(_a_pass_ago(acceleration)), np.where(rests, 0.0, _HARDNESS_SHARE), 0.0)
     return hard / (hard + soft)
 
