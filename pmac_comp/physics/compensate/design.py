@@ -457,6 +457,8 @@ def _changes(
     slopes = np.stack([weighed(errors(at(point + d))) - now for d in np.diag(steps)], axis=1)
     curvature, gradient = slopes.T @ slopes, slopes.T @ now
     own = np.diag(curvature)
+    if not own.any():
+        return []  # nothing that a coefficient has a say in is left
     own = np.diag(own + _NEGLIGIBLE * own.sum())
     full = [-np.linalg.solve(curvature + damping * own, gradient) * steps for damping in _DAMPINGS]
     return [stride * change for change in full for stride in _STRIDES]

@@ -266,6 +266,17 @@ def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
     assert searched.torque_breakaway_m >= 0.2e-6
 
 
+def test_the_search_gives_a_law_no_more_friction_torque_than_there_is() -> None:
+    def errors(law: CompensationLaw) -> list[FloatArray]:
+        return [np.array([0.6 - law.torque_coulomb_Nm, 0.1])]  # motions that would like 0.6 N m
+
+    law = CompensationLaw(torque_coulomb_Nm=0.4, torque_limit_Nm=10.0)
+    assert design._polished(law, errors, None).torque_coulomb_Nm == pytest.approx(0.6, abs=0.02)
+    assert design._polished(law, errors, None, most_Nm=0.5).torque_coulomb_Nm == 0.5
+    # What the fit found before the search is not taken back.
+    assert design._polished(law, errors, None, most_Nm=0.3).torque_coulomb_Nm == 0.4
+
+
 def test_a_step_at_which_the_model_runs_away_is_not_taken() -> None:
     def errors(law: CompensationLaw) -> list[FloatArray]:
         if law.inertia_s2 < 1.5e-6:
