@@ -72,7 +72,7 @@ worst e_r of slow sinusoids in models of five drives (0.14 where the current loo
 The drive needs time for that step too: however soon it is asked for, the nut is loaded the other
 way by no more torque than is sent, and the table is stuck until it is. A correction that turns over
 with the command is there a few milliseconds before the error that it undoes, and rings the mode
-more. So its friction ``z`` follows ``s`` with a lag MS of one to three milliseconds, fitted in the
+more. So its friction ``z`` follows ``s`` with a lag MS of one to seven milliseconds, fitted in the
 loop. In models it takes 0.01 to 0.18 off the worst share of the aim that slow sinusoids leave (none
 where the nut slides before it grips), with 2 to 4 um of play 0.12 to 0.25.
 
