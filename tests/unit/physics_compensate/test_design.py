@@ -267,8 +267,8 @@ def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
 
 
 def test_the_search_gives_a_law_no_more_friction_torque_than_there_is() -> None:
-    def errors(law: CompensationLaw) -> list[FloatArray]:
-        return [np.array([0.6 - law.torque_coulomb_Nm, 0.1])]  # motions that would like 0.6 N m
+    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
+        return [(np.array([0.6 - law.torque_coulomb_Nm, 0.1]),)]  # motions that would like 0.6 N m
 
     law = CompensationLaw(torque_coulomb_Nm=0.4, torque_limit_Nm=10.0)
     assert design._polished(law, errors, None).torque_coulomb_Nm == pytest.approx(0.6, abs=0.02)
@@ -277,11 +277,24 @@ def test_the_search_gives_a_law_no_more_friction_torque_than_there_is() -> None:
     assert design._polished(law, errors, None, most_Nm=0.3).torque_coulomb_Nm == 0.4
 
 
+def test_where_no_law_reaches_one_aim_the_other_is_not_given_away_for_a_little_less_of_it() -> None:
+    """What would take a tenth off 3.5 of one aim takes the other, which is reached, beyond its."""
+
+    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
+        more = law.torque_inertia_Nm_s2_per_m
+        return [(np.array([3.5 - more]),), (np.array([0.5 + 5.0 * more]),)]
+
+    found = design._polished(CompensationLaw(torque_limit_Nm=10.0), errors, None)
+    mechanical, total = (float(kind[0][0]) for kind in errors(found))
+    assert mechanical < 3.5
+    assert total < 0.6
+
+
 def test_a_step_at_which_the_model_runs_away_is_not_taken() -> None:
-    def errors(law: CompensationLaw) -> list[FloatArray]:
+    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
         if law.inertia_s2 < 1.5e-6:
             raise NonFinite("desired_position_m holds nan", code="PC-ARR-003")
-        return [np.array([law.inertia_s2 / 1e-6])]
+        return [(np.array([law.inertia_s2 / 1e-6]),)]
 
     found = design._polished(CompensationLaw(inertia_s2=2e-6), errors, None)
     assert 1.5e-6 <= found.inertia_s2 < 1.75e-6
@@ -290,8 +303,8 @@ def test_a_step_at_which_the_model_runs_away_is_not_taken() -> None:
 def test_the_search_leaves_the_torque_of_a_constant_load_alone() -> None:
     """Rests tell it apart from friction, motions hardly do."""
 
-    def errors(law: CompensationLaw) -> list[FloatArray]:
-        return [np.array([law.inertia_s2 / 1e-6, law.torque_constant_Nm - 1.0])]
+    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
+        return [(np.array([law.inertia_s2 / 1e-6, law.torque_constant_Nm - 1.0]),)]
 
     law = CompensationLaw(inertia_s2=2e-6, torque_constant_Nm=0.24, torque_limit_Nm=10.0)
     found = design._polished(law, errors, None)
