@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from pmac_comp.physics.compensate import design
+from pmac_comp.physics.compensate import search
 from pmac_comp.workflow.capture import axis_setup
 from tests.fault_table import (  # noqa: F401 - hooks and a fixture that pytest finds by name
     count_places,
@@ -74,23 +74,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(skip)
 
 
-_WHOLE_SEARCH = design._MOST_ROUNDS
+_WHOLE_SEARCH = {name: getattr(search, name) for name in ("_MOST_ROUNDS", "_COMPASS_ROUNDS")}
 
 
 @pytest.fixture
 def whole_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """Laws are searched as users get them."""
-    monkeypatch.setattr(design, "_MOST_ROUNDS", _WHOLE_SEARCH)
+    for name, rounds in _WHOLE_SEARCH.items():
+        monkeypatch.setattr(search, name, rounds)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def laws_are_searched_shortly() -> Iterator[None]:
     """The search of a law takes seconds, with play most of a minute: tests of others go without.
 
-    ``test_design`` tests the search; the commands that the system tests start do all of it.
+    ``test_search`` and ``test_design`` test the search; the commands that the system tests start do
+    all of it.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "_MOST_ROUNDS", 1)
+        patch.setattr(search, "_MOST_ROUNDS", 1)
+        patch.setattr(search, "_COMPASS_ROUNDS", 0)
         yield
 
 

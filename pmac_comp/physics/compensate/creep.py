@@ -22,8 +22,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.capture import Capture
-from pmac_comp.physics.compensate.design import FASTEST_FADE_per_s
 from pmac_comp.physics.compensate.evaluation import REST_CYCLES, friction_state
+from pmac_comp.physics.compensate.free import FASTEST_FADE_per_s
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap
 from pmac_comp.physics.signals.rests import (

@@ -2,8 +2,8 @@
 
 What lives here: the start from the closed forms (regression of the simulated mechanical error on
 acceleration, velocity and direction), the refinement of all coefficients through the closed loop
-of the model (``loop``), and the search for what leaves least of the worst motions. What may not:
-captures, counts. Imports ``physics.signals``, ``files`` and ``base``.
+of the model (``loop``). What may not: captures, counts, the search from there for what leaves least
+of the worst motions (``search``). Imports ``physics.signals``, ``files`` and ``base``.
 
 The refinement is what makes the law right with the loop around it: latency of the door, current
 loop, delay and the controller's own feed-forward all act in the simulation, so the coefficients
@@ -15,25 +15,29 @@ law leaves of the model's errors by a few per cent), and friction that a drive r
 a third worse with what was fitted so.
 """
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pmac_comp.base.arrays import BoolArray, FloatArray
-from pmac_comp.base.errors import NonFinite
 from pmac_comp.base.progress import Progress, untold
 from pmac_comp.base.threads import working
 from pmac_comp.base.units import UM_PER_M
 from pmac_comp.files.bench import Bench
 from pmac_comp.physics.compensate.constant import LEAST_LOAD_FRAC
 from pmac_comp.physics.compensate.delay import nominal_delay_s
-from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.free import (
+    LAG_SCALES,
+    TURNING_SCALES,
+    LEAST_COULOMB_m,
+    START_LAG_s,
+    free_coefficients,
+    with_free,
+)
+from pmac_comp.physics.compensate.judgement import aims, errors_of, errors_on, judged
 from pmac_comp.physics.compensate.law import REST_STEPS, CompensationLaw
 from pmac_comp.physics.compensate.loop import LoopRunner
 from pmac_comp.physics.compensate.motions import (
@@ -41,39 +45,16 @@ from pmac_comp.physics.compensate.motions import (
     design_motions,
     judging_motions,
 )
+from pmac_comp.physics.compensate.search import polished
 from pmac_comp.physics.signals.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-# What a good law leaves: a tenth of the mechanical error or this much, a fifth of the total error.
-# Residuals count as shares of that, so that slow motions are not drowned by fast ones.
-_MECHANICAL_FRAC = 0.1
-_TOTAL_FRAC = 0.2
-_LEAST_MECHANICAL_m = 0.15e-6
-_LEAST_TOTAL_m = 1e-6
-LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
-# A model knows when the force turns to the sample, a drive's friction does not: narrower, down to
-# where the model likes it best, leaves a tenth more of plants. On a light axis friction winds up
-# less than this, and a flank that it cannot fill would never be reached.
-_LEAST_WIDTH_m = 0.3e-6
-_LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 # Once it is fitted: blurred it hedges between the motions, but force crosses a gap at once, and on
 # plants slow sinusoids are up to a third better with it sharp. Other motions pay 0-3 % for it, with
 # Stribeck friction or a small load beside the play up to 15 %.
 _SHARPENED_FRAC = 0.4
-# Power of the shares of the aims that are taken together where laws are judged.
-_WORST_FOREMOST = 6
-# The search that betters the judgement: its rounds, when it ends, the steps of its slopes in the
-# usual changes or, where friction turns over, as a share of the way, and what it tries in a round.
-_MOST_ROUNDS, _LEAST_GAIN_FRAC = 10, 0.01
-_SLOPE_STEP, _SLOPE_SHARE = 0.02, 0.01
-_DAMPINGS, _STRIDES = (1e-3, 1e-2, 1e-1, 1.0), (1.0, 0.3)
-_NEGLIGIBLE = 1e-12  # of the curvature in all: that of a coefficient that changes nothing
-# What the motions that judge tell little of. A constant torque that is not the load's passes for
-# friction at the next rest: with 150 N on the nut totals rose by half.
-_TOLD_BY_RESTS = ("rest_fade_per_s", "torque_constant_Nm")
-_TURNS_OVER_WITHIN = ("breakaway_m", "torque_breakaway_m")
 # How friction turns over, which a fit by squares settles on large motions.
 _FRICTION = (
     "coulomb_m",
@@ -85,9 +66,6 @@ _FRICTION = (
     "stribeck_speed_m_per_s",
 )
 _SHARP = ("gap_width_m", "breakaway_m", "torque_breakaway_m")  # with play, which no fit finds
-# The search is judged on small slow motions too, which a fit by squares hardly feels: friction may
-# turn over sooner than a fit is let.
-_LEAST_BREAKAWAY_JUDGED_m = 0.2e-6
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
@@ -109,52 +87,7 @@ _JERK_ROOM = 1.02
 _MOST_STEPS = 20
 _FEW_STEPS = 4  # from a start that is nearly right
 _USUAL_STEPS = 8.0
-_DECIMATION = 4  # residual samples per servo cycle that enter the fit
-
-# Free coefficients with the size of a typical change.
-_OFFSET_SCALES = {
-    "inertia_s2": 2e-6,
-    "viscous_s": 4e-6,
-    "coulomb_m": 1e-6,
-    "compliance_slope_per_m": 1.0,
-    "jerk_s3": 1e-9,
-    "breakaway_m": 1e-5,
-}
-_TORQUE_SCALES = {
-    "torque_inertia_Nm_s2_per_m": 0.02,
-    "torque_jerk_Nm_s3_per_m": 5e-4,
-    "torque_impulse_Nm_s3_per_m": 1e-3,
-    "torque_viscous_Nm_s_per_m": 0.2,
-    "torque_coulomb_Nm": 0.2,
-    "torque_load_Nm_s2_per_m": 0.02,
-    "torque_breakaway_m": 1e-5,
-    "torque_constant_Nm": 0.02,
-    "rest_fade_per_s": 5.0,
-}
-# Left to the search: a fit by squares would give away how fast friction fades at a rest for these.
-_TURNING_SCALES = {"torque_turning_Nm_s": 2e-5, "torque_turned_Nm_s": 2e-5}
-_LAG_SCALES, _START_LAG_s = {"coulomb_lag_s": 1e-4}, 1e-3
-_GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
-_GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
-_GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}
-_STRIBECK_SCALES = {"stribeck_m": 0.5e-6, "stribeck_speed_m_per_s": 5e-3}
-_STRIBECK_TORQUE_SCALES = {"torque_stribeck_Nm": 0.05}
-_SMOOTH_SCALES, _SLOWEST_SMOOTH = {"stribeck_speed_m_per_s": 1e-3}, 5e-5
 _SMOOTH_FRAC = 0.8  # of v_c: where the law's curve is nearest to the hyperbolic tangent
-_BED_TORQUE_SCALES = {"torque_bed_Nm_s2_per_m": 0.02}
-_LOWEST = {
-    "breakaway_m": 0.5e-6,
-    "torque_breakaway_m": 0.5e-6,
-    "rest_fade_per_s": 4.5,  # 0.82 are left: with all of it the motor creeps on
-    "gap_half_m": 0.0,
-    "gap_lag_s": 0.0,
-    "coulomb_lag_s": 0.0,
-    "stribeck_m": 0.0,
-    "torque_stribeck_Nm": 0.0,
-    "stribeck_speed_m_per_s": 1e-3,
-}
-# Gone in ten servo cycles; a pass that takes away more than there is would swing.
-FASTEST_FADE_per_s = 400.0
 
 
 @dataclass(frozen=True)
@@ -329,17 +262,17 @@ def design_law(
         first = _sharpened(law)
         again = [replace(first, rest_fade_per_s=start.rest_fade_per_s)]
         if faster is not None:
-            values = {name: getattr(faster, name) for name in _free(start)[0]}
+            values = {name: getattr(faster, name) for name in free_coefficients(start)[0]}
             again.append(replace(start, **values))
         candidates = [first, *(_sharpened(fitted(a)) for a in again)]
     judging = motions or judging_motions(bench, thresholds_m_per_s2=thresholds_m_per_s2)
     with working() as threads:
-        errors = _errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
-        best = min(candidates, key=lambda law: _judged(errors(law)))
-        best = replace(best, coulomb_lag_s=_START_LAG_s if bed is None else 0.0)
+        errors = errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
+        best = min(candidates, key=lambda law: judged(errors(law)))
+        best = replace(best, coulomb_lag_s=START_LAG_s if bed is None else 0.0)
         # More than the model's friction pushes a drive loose as it comes to rest.
         most_Nm = start.torque_coulomb_Nm / _START_FRICTION_FRAC
-        return _polished(best, errors, progress, most_Nm=most_Nm)
+        return polished(best, errors, progress, most_Nm=most_Nm)
 
 
 def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, ...]:
@@ -350,134 +283,6 @@ def _changes_flank_m_per_s2(gap: NutGap, law: CompensationLaw) -> tuple[float, .
 
 def _sharpened(law: CompensationLaw) -> CompensationLaw:
     return replace(law, gap_width_m=_SHARPENED_FRAC * law.gap_width_m)
-
-
-def _errors_on(
-    loop: LoopRunner,
-    motions: Sequence[Trajectory],
-    latency_cycles: int,
-    threads: Executor,
-    *,
-    with_torque: bool,
-) -> Callable[[CompensationLaw], list[tuple[FloatArray, ...]]]:
-    """What laws leave of the errors of motions (``_errors``).
-
-    A law without torque is judged by the mechanical error alone, as it has no say in the other.
-    """
-    wanted = [aims(loop, motion) for motion in motions]
-    n_kinds = 2 if with_torque else 1
-
-    def of(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
-        one = partial(_errors, law, loop, latency_cycles)
-        return list(zip(*threads.map(one, motions, wanted), strict=True))[:n_kinds]
-
-    return of
-
-
-def _judged(errors: Sequence[Sequence[FloatArray]]) -> float:
-    """How much errors of each kind are beyond their aims, the worst foremost.
-
-    Which of two fits errs less on what they were fitted on says little of other motions: one of
-    four fifths of the cost was found to leave twice as much of some. What of a kind is beyond its
-    aims counts by its logarithm: where no law reaches one of them (a nut in its play beside
-    Stribeck friction, 3.5 of the mechanical one), the total error was given away for a little less
-    of that (0.4 of before).
-    """
-    means = [_worst_foremost(kind) for kind in errors]
-    return sum(mean if mean <= 1.0 else 1.0 + math.log(mean) for mean in means)
-
-
-def _worst_foremost(errors: Sequence[FloatArray]) -> float:
-    """Mean of a power of errors as shares of their aims."""
-    with np.errstate(over="ignore"):
-        return float(np.mean([np.linalg.norm(error) ** _WORST_FOREMOST for error in errors]))
-
-
-def _polished(
-    law: CompensationLaw,
-    errors: Callable[[CompensationLaw], list[tuple[FloatArray, ...]]],
-    progress: Progress | None,
-    *,
-    most_Nm: float = math.inf,
-) -> CompensationLaw:
-    """The law with the coefficients that are judged best, found by search from its own.
-
-    The sums of squares of a fit weigh what is far within its aim as much as what is beyond it. Here
-    each error weighs as much as makes its square the power by which it is judged (iteratively
-    reweighted least squares), and of Levenberg's and Marquardt's steps the one is taken that is
-    judged best. A tenth to two fifths less is left of the worst of motions that it never saw: with
-    play of moves, without of small slow sinusoids. Slopes are taken over steps that a nut's
-    crossings of its gap and friction that turns over within a sample do not blur.
-    """
-    sizes, lowest = _free(law)
-    for name in _TOLD_BY_RESTS:
-        sizes.pop(name, None)
-    lowest |= dict.fromkeys(_TURNS_OVER_WITHIN, _LEAST_BREAKAWAY_JUDGED_m)
-    if law.gap_half_m > 0.0:
-        lowest["gap_width_m"] *= _SHARPENED_FRAC
-    names = list(sizes)
-    lower = np.array([lowest.get(name, -np.inf) for name in names])
-    highest = {"torque_coulomb_Nm": max(most_Nm, law.torque_coulomb_Nm)}
-    upper = np.array([highest.get(name, np.inf) for name in names])
-    tell = progress or untold
-
-    def at(point: FloatArray) -> CompensationLaw:
-        return _with_values(law, names, np.clip(point, lower, upper))
-
-    best = point = np.array([getattr(law, name) for name in names])
-    left = errors(law)
-    for k in range(_MOST_ROUNDS):
-        tell("polishing the law", (k + 1) / (_MOST_ROUNDS + 1))
-        steps = np.array([_slope_step(name, sizes, at(point)) for name in names])
-        before = _judged(left)
-        for change in _changes(errors, at, point, steps, left):
-            there = np.clip(point + change, lower, upper)
-            try:
-                found = errors(at(there))
-            except NonFinite:
-                continue  # a step too far: the loop of the model ran away
-            if _judged(found) < _judged(left):
-                best, left = there, found
-        if before - _judged(left) < _LEAST_GAIN_FRAC * min(before, 1.0):
-            break
-        point = best
-    return at(best)
-
-
-def _slope_step(name: str, sizes: Mapping[str, float], law: CompensationLaw) -> float:
-    if name in _TURNS_OVER_WITHIN:
-        return float(_SLOPE_SHARE * getattr(law, name))
-    return _SLOPE_STEP * sizes[name]
-
-
-def _changes(
-    errors: Callable[[CompensationLaw], list[tuple[FloatArray, ...]]],
-    at: Callable[[FloatArray], CompensationLaw],
-    point: FloatArray,
-    steps: FloatArray,
-    left: Sequence[Sequence[FloatArray]],
-) -> list[FloatArray]:
-    """Steps of Levenberg and Marquardt from a point, of several dampings and lengths."""
-    weights = [
-        np.linalg.norm(error) ** (_WORST_FOREMOST // 2 - 1) / math.sqrt(max(1.0, mean))
-        for kind in left
-        for mean in [_worst_foremost(kind)]
-        for error in kind
-    ]
-
-    def weighed(parts: Sequence[Sequence[FloatArray]]) -> FloatArray:
-        pairs = zip(weights, chain(*parts), strict=True)
-        return np.concatenate([weight * part for weight, part in pairs])
-
-    now = weighed(left)
-    slopes = np.stack([weighed(errors(at(point + d))) - now for d in np.diag(steps)], axis=1)
-    curvature, gradient = slopes.T @ slopes, slopes.T @ now
-    own = np.diag(curvature)
-    if not own.any():
-        return []  # nothing that a coefficient has a say in is left
-    own = np.diag(own + _NEGLIGIBLE * own.sum())
-    full = [-np.linalg.solve(curvature + damping * own, gradient) * steps for damping in _DAMPINGS]
-    return [stride * change for change in full for stride in _STRIDES]
 
 
 def _taking_up(gap: NutGap, law: CompensationLaw) -> CompensationLaw:
@@ -641,8 +446,8 @@ def _refined(
     """The law whose free coefficients, but those held, leave the least of motions' errors."""
     from scipy.optimize import least_squares
 
-    sizes, lowest = _free(start)
-    for name in (*held, *_TURNING_SCALES, *_LAG_SCALES):
+    sizes, lowest = free_coefficients(start)
+    for name in (*held, *TURNING_SCALES, *LAG_SCALES):
         sizes.pop(name, None)
     names, size = list(sizes), np.array(list(sizes.values()))
     first = np.array([getattr(start, name) for name in names]) / size
@@ -651,8 +456,8 @@ def _refined(
     wanted = [(motion, aims(loop, motion), n) for motion, n in zip(motions, counts, strict=True)]
 
     def residual(point: FloatArray) -> FloatArray:
-        law = _with_values(start, names, point * size)
-        left = ((_errors(law, loop, latency_cycles, m, aim), n) for m, aim, n in wanted)
+        law = with_free(start, names, point * size)
+        left = ((errors_of(law, loop, latency_cycles, m, aim), n) for m, aim, n in wanted)
         return np.concatenate([n * error for both, n in left for error in both])
 
     tell = progress or untold
@@ -673,82 +478,7 @@ def _refined(
             workers=threads.map,
             callback=stepped,
         )
-    return _with_values(start, names, solved.x * size)
-
-
-def _free(start: CompensationLaw) -> tuple[dict[str, float], dict[str, float]]:
-    """Coefficients of a law that are fitted, with the size of a typical change, and their bounds.
-
-    Of a term that the law begins without, none is free.
-    """
-    has_torque = start.torque_limit_Nm > 0.0
-    sizes = {**_OFFSET_SCALES, **(_TORQUE_SCALES | _TURNING_SCALES if has_torque else {})}
-    if start.torque_constant_Nm == 0.0:
-        # A drive without load is the same both ways: a constant would fit the motions, not it.
-        sizes.pop("torque_constant_Nm", None)
-    lowest = dict(_LOWEST)
-    if start.gap_half_m > 0.0:
-        sizes |= _GAP_SCALES | (_GAP_TORQUE_SCALES if has_torque else {})
-        sizes |= _GAP_LOAD_SCALES if start.gap_load_m != 0.0 else {}
-        lowest["coulomb_m"] = LEAST_COULOMB_m
-        lowest["gap_width_m"] = min(_LEAST_WIDTH_m, _LEAST_WIDTH_FRAC * start.coulomb_m)
-    if start.bed_share > 0.0:
-        sizes |= _BED_TORQUE_SCALES if has_torque else {}
-    else:
-        sizes |= _LAG_SCALES
-    if start.is_smooth:
-        sizes |= _SMOOTH_SCALES
-        sizes.pop("rest_fade_per_s", None)  # there is nothing at rest
-        lowest["stribeck_speed_m_per_s"] = _SLOWEST_SMOOTH
-    elif start.has_stribeck:
-        sizes |= _STRIBECK_SCALES | (_STRIBECK_TORQUE_SCALES if has_torque else {})
-    return sizes, lowest
-
-
-def _with_values(law: CompensationLaw, names: Sequence[str], values: FloatArray) -> CompensationLaw:
-    """The law with fitted coefficients."""
-    given = dict(zip(names, values.tolist(), strict=True))
-    # A limit here and none of the fit: near one that is not even reached it ends elsewhere.
-    fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), FASTEST_FADE_per_s)
-    return law.with_values(**given | {"rest_fade_per_s": fade})
-
-
-def aims(loop: LoopRunner, motion: Trajectory) -> tuple[float, float]:
-    """Mechanical and total error in m that would be a good result for a motion."""
-    before = loop(motion.position_m, None, None)
-    mechanical = float(np.std(before.table_position_m - before.motor_position_m))
-    total = float(np.std(before.table_position_m - motion.position_m))
-    return (
-        max(_MECHANICAL_FRAC * mechanical, _LEAST_MECHANICAL_m),
-        max(_TOTAL_FRAC * total, _LEAST_TOTAL_m),
-    )
-
-
-def _errors(
-    law: CompensationLaw,
-    loop: LoopRunner,
-    latency_cycles: int,
-    motion: Trajectory,
-    aim: tuple[float, float],
-) -> tuple[FloatArray, FloatArray]:
-    """Residual mechanical error and total error of a motion; the norms are shares of their aims."""
-    residual_m, total_m = _left(law, loop, motion, latency_cycles)
-    # Where the nut stood before the run began, or where the load let it, is no error of the law.
-    residual_m = residual_m - residual_m.mean()
-    both = (residual_m / aim[0])[::_DECIMATION], ((total_m - total_m[0]) / aim[1])[::_DECIMATION]
-    return both[0] / math.sqrt(both[0].size), both[1] / math.sqrt(both[1].size)
-
-
-def _left(
-    law: CompensationLaw, loop: LoopRunner, motion: Trajectory, latency_cycles: int
-) -> tuple[FloatArray, FloatArray]:
-    """Residual mechanical and total error in m of one motion with a law."""
-    sent = evaluate_law(
-        law, motion.position_m, motion.sample_period_s, latency_cycles=latency_cycles
-    )
-    signals = loop(motion.position_m, motion.position_m + sent.correction_m, sent.torque_Nm)
-    residual_m = signals.table_position_m - signals.motor_position_m + sent.correction_m
-    return residual_m, signals.table_position_m - motion.position_m
+    return with_free(start, names, solved.x * size)
 
 
 def _has_steps(motion: Trajectory) -> bool:

@@ -17,8 +17,8 @@ import numpy as np
 from pmac_comp.base.arrays import BoolArray, FloatArray
 from pmac_comp.files.capture import Capture
 from pmac_comp.physics.compensate.clearance import settled
-from pmac_comp.physics.compensate.design import LEAST_COULOMB_m
 from pmac_comp.physics.compensate.evaluation import friction_levels, friction_state
+from pmac_comp.physics.compensate.free import LEAST_COULOMB_m
 from pmac_comp.physics.compensate.grip import DISTANCES_m, gripping_torque
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadMap

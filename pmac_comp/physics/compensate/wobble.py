@@ -26,8 +26,8 @@ import numpy as np
 
 from pmac_comp.base.arrays import FloatArray
 from pmac_comp.files.bench import Bench
-from pmac_comp.physics.compensate.design import aims
 from pmac_comp.physics.compensate.evaluation import evaluate_law
+from pmac_comp.physics.compensate.judgement import aims
 from pmac_comp.physics.compensate.law import CompensationLaw
 from pmac_comp.physics.compensate.lead import LeadWave
 from pmac_comp.physics.compensate.loop import LoopRunner

@@ -9,9 +9,8 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from pmac_comp.base.arrays import FloatArray
-from pmac_comp.base.errors import NonFinite
 from pmac_comp.files.bench import Bench, load_bench
-from pmac_comp.physics.compensate import design
+from pmac_comp.physics.compensate import design, free, search
 from pmac_comp.physics.compensate.delay import drive_delay_s, nominal_delay_s
 from pmac_comp.physics.compensate.design import (
     NutGap,
@@ -200,7 +199,7 @@ def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
     friction = Stribeck(15.0 / 45.0, 15.0 * BENCH.lead_m_per_rad, 0.005)
 
     def found(n_rounds: int) -> CompensationLaw:
-        monkeypatch.setattr(design, "_MOST_ROUNDS", n_rounds)
+        monkeypatch.setattr(search, "_MOST_ROUNDS", n_rounds)
         return design_law(BENCH, loop, latency_cycles=0, stribeck=friction)
 
     def left_um(law: CompensationLaw, motion: Trajectory) -> float:
@@ -215,7 +214,7 @@ def test_a_law_without_play_is_searched_for_small_slow_sinusoids(
     assert searched.rest_fade_per_s == fitted.rest_fade_per_s  # which motions hardly tell
     # Without torque as friction turns over the first mode rings more; e_r is half its aim as it is.
     assert searched.torque_turning_Nm_s != 0.0 != searched.torque_turned_Nm_s
-    monkeypatch.setattr(design, "_TURNING_SCALES", {})
+    monkeypatch.setattr(free, "TURNING_SCALES", {})
     without = found(10)
     for motion in small:
         new, old = (promise(law, loop, motion, latency_cycles=0) for law in (searched, without))
@@ -229,7 +228,7 @@ def test_the_offset_by_friction_follows_as_late_as_the_drive(
     """A drive that makes its torque late turns over late, however soon it is asked for."""
     late = DriveModel.base(BENCH).with_parameters({"chain.actuator_delay_s": 650e-6})
     loop = model_loop(late)
-    monkeypatch.setattr(design, "_MOST_ROUNDS", 10)
+    monkeypatch.setattr(search, "_MOST_ROUNDS", 10)
 
     def found() -> CompensationLaw:
         return design_law(BENCH, loop, delay_s=drive_delay_s(late), latency_cycles=0)
@@ -240,8 +239,8 @@ def test_the_offset_by_friction_follows_as_late_as_the_drive(
 
     law = found()
     assert 0.2e-3 < law.coulomb_lag_s < 5e-3
-    monkeypatch.setattr(design, "_LAG_SCALES", {})
-    monkeypatch.setattr(design, "_START_LAG_s", 0.0)
+    monkeypatch.setattr(free, "LAG_SCALES", {})
+    monkeypatch.setattr(design, "START_LAG_s", 0.0)
     assert worst_um(law) < 0.9 * worst_um(found())
 
 
@@ -257,59 +256,13 @@ def test_the_law_of_a_gap_is_searched_for_the_worst_of_its_motions(
         return max(run.e_r_after_um / run.e_before_um for run in runs)
 
     def found(n_rounds: int) -> CompensationLaw:
-        monkeypatch.setattr(design, "_MOST_ROUNDS", n_rounds)
+        monkeypatch.setattr(search, "_MOST_ROUNDS", n_rounds)
         return design_law(BENCH, model_loop(model), gap=gap, latency_cycles=0, motions=motions)
 
     searched = found(10)
     assert worst(searched) < min(0.95 * worst(found(0)), 0.07)
     assert searched.breakaway_m >= 0.2e-6  # never sharper than a drive turns over
     assert searched.torque_breakaway_m >= 0.2e-6
-
-
-def test_the_search_gives_a_law_no_more_friction_torque_than_there_is() -> None:
-    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
-        return [(np.array([0.6 - law.torque_coulomb_Nm, 0.1]),)]  # motions that would like 0.6 N m
-
-    law = CompensationLaw(torque_coulomb_Nm=0.4, torque_limit_Nm=10.0)
-    assert design._polished(law, errors, None).torque_coulomb_Nm == pytest.approx(0.6, abs=0.02)
-    assert design._polished(law, errors, None, most_Nm=0.5).torque_coulomb_Nm == 0.5
-    # What the fit found before the search is not taken back.
-    assert design._polished(law, errors, None, most_Nm=0.3).torque_coulomb_Nm == 0.4
-
-
-def test_where_no_law_reaches_one_aim_the_other_is_not_given_away_for_a_little_less_of_it() -> None:
-    """What would take a tenth off 3.5 of one aim takes the other, which is reached, beyond its."""
-
-    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
-        more = law.torque_inertia_Nm_s2_per_m
-        return [(np.array([3.5 - more]),), (np.array([0.5 + 5.0 * more]),)]
-
-    found = design._polished(CompensationLaw(torque_limit_Nm=10.0), errors, None)
-    mechanical, total = (float(kind[0][0]) for kind in errors(found))
-    assert mechanical < 3.5
-    assert total < 0.6
-
-
-def test_a_step_at_which_the_model_runs_away_is_not_taken() -> None:
-    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
-        if law.inertia_s2 < 1.5e-6:
-            raise NonFinite("desired_position_m holds nan", code="PC-ARR-003")
-        return [(np.array([law.inertia_s2 / 1e-6]),)]
-
-    found = design._polished(CompensationLaw(inertia_s2=2e-6), errors, None)
-    assert 1.5e-6 <= found.inertia_s2 < 1.75e-6
-
-
-def test_the_search_leaves_the_torque_of_a_constant_load_alone() -> None:
-    """Rests tell it apart from friction, motions hardly do."""
-
-    def errors(law: CompensationLaw) -> list[tuple[FloatArray, ...]]:
-        return [(np.array([law.inertia_s2 / 1e-6, law.torque_constant_Nm - 1.0]),)]
-
-    law = CompensationLaw(inertia_s2=2e-6, torque_constant_Nm=0.24, torque_limit_Nm=10.0)
-    found = design._polished(law, errors, None)
-    assert found.inertia_s2 < law.inertia_s2
-    assert found.torque_constant_Nm == law.torque_constant_Nm
 
 
 def test_a_law_with_a_gap_and_no_torque_is_judged_by_what_it_has_a_say_in() -> None:
