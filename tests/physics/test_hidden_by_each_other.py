@@ -92,6 +92,24 @@ def test_friction_that_grips_behind_play_is_found_beside_torque_of_the_turn() ->
 
 
 @pytest.mark.slow
+def test_a_soft_nut_is_told_from_play_beside_friction_that_grips() -> None:
+    """Beside friction that was not known yet it came out as play of half its lost motion."""
+    friction: PlantEffects = {
+        "presliding": {"distance_um": 27.0, "place": "guide"},
+        "stribeck": {"excess_N": 11.5, "excess_Nm": 0.0, "speed_m_per_s": 0.0106},
+        "payload": {"mass_kg": 18.0},
+    }
+    soft = {"half_width_um": 0.94, "stiffness_ratio": 0.38}
+    found = shown({**friction, "preload_loss": soft})
+    assert "backlash" not in found.model.effects
+    assert found.noted["clearance"]["values"]["preload_loss.half_width_m"] > 0.0
+    values = found.model.parameters
+    assert values["preload_loss.half_width_m"] == pytest.approx(0.94e-6, rel=0.1)
+    assert values["preload_loss.stiffness_ratio"] == pytest.approx(0.38, rel=0.1)
+    assert values["stribeck.excess_N"] == pytest.approx(11.5, rel=0.2)
+
+
+@pytest.mark.slow
 def test_a_fit_that_made_up_for_play_is_begun_anew() -> None:
     """Found as friction it took the table for 71 kg of 123 and the screw for a fifteenth."""
     friction: PlantEffects = {

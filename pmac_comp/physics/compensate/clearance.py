@@ -105,18 +105,26 @@ class Clearance:
         """Whether it is a soft zone and no play."""
         return _ZONE in self.values
 
+    @property
+    def effect(self) -> str:
+        """The effect of a model that stands for it."""
+        return _effect(self.values)
+
 
 def given_m(half_width_m: float, stiffness_ratio: float) -> float:
     """What a soft zone of the nut gives at its edge beyond the stiff spring, m, on one flank."""
     return (1.0 - stiffness_ratio) * half_width_m
 
 
+def _effect(values: Mapping[str, float]) -> str:
+    return "backlash" if _GAP in values else "preload_loss"
+
+
 def with_clearance(model: "DriveModel", values: Mapping[str, float]) -> "DriveModel":
     """Model with the gap of the nut and the parameters beside it (``Clearance.values``)."""
     own = {name: value for name, value in values.items() if name in {_GAP, _ZONE, _RATIO}}
     others = {name: value for name, value in values.items() if name not in {*own, _LOAD}}
-    effect = "backlash" if _GAP in own else "preload_loss"
-    loose = model.with_parameters(others).with_effect(effect, own)
+    loose = model.with_parameters(others).with_effect(_effect(values), own)
     return loose.with_effect("bias_force", {_LOAD: values[_LOAD]}) if _LOAD in values else loose
 
 
