@@ -10,9 +10,10 @@ from pmac_comp.base.arrays import FloatArray
 from pmac_comp.physics.compensate.law import CompensationLaw
 
 LEAST_COULOMB_m = 0.05e-6  # of a law with a gap: it tells the flank
-# A model knows when the force turns to the sample, a drive's friction does not: narrower, down to
-# where the model likes it best, leaves a tenth more of plants. On a light axis friction winds up
-# less than this, and a flank that it cannot fill would never be reached.
+# Of a fit by squares: a model knows when the force turns to the sample, a drive's friction does
+# not, and where the model likes it best a tenth more of plants was left. The search that follows
+# goes further. On a light axis friction winds up less than this, and a flank that it cannot fill
+# would never be reached.
 _LEAST_WIDTH_m = 0.3e-6
 _LEAST_WIDTH_FRAC = 0.3  # of what friction winds up
 

@@ -18,9 +18,9 @@ from pmac_comp.physics.compensate.free import free_coefficients, with_free
 from pmac_comp.physics.compensate.judgement import WORST_FOREMOST, judged, worst_foremost
 from pmac_comp.physics.compensate.law import CompensationLaw
 
-# Of the least width of a gap that a fit is let, beside which a crossing has no lag: on a plant with
-# 4 um of play 0.1 um left 1.0 of the aim of a slow sinusoid, 0.05 um 0.7 and 0.025 um 0.6, but that
-# 0.9 in place of 0.7 of one that just overcomes friction.
+# Of the least width of a crossing that a fit by squares is let. On a plant with 4 um of play 0.1 um
+# left 1.0 of the aim of a slow sinusoid, 0.05 um 0.7 and 0.025 um 0.6, but then 0.9 in place of 0.7
+# of one that just overcomes friction.
 _SHARPEST_FRAC = 0.15
 # The search that betters the judgement: its rounds, when it ends, the steps of its slopes in the
 # usual changes or, where friction turns over, as a share of the way, and what it tries in a round.
