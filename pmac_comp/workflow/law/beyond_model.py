@@ -206,10 +206,10 @@ def _beside_gap(bench: Bench, shown: Shown, gap: Clearance, progress: Progress |
         progress("fitting the drive beside the gap", 0.0)
     anew = fitted_anew(shown.captures, bench, loose)
     if anew is not None:
-        anew, gap = _of_its_kind(bench, shown, anew, gap, progress)
+        anew, told = _of_its_kind(bench, shown, anew, gap, progress)
         anew = _in_its_valley(bench, anew, shown.captures, progress)
-        moved = _moved(gap, anew.model, anew.left_um)
-        if _LEAST_KEPT * gap.gap_m < moved.gap_m < _MOST_KEPT * gap.gap_m:
+        moved = _moved(told, anew.model, anew.left_um)
+        if _LEAST_KEPT * told.gap_m < moved.gap_m < _MOST_KEPT * told.gap_m:
             loose, gap = anew.model, moved
     found = _timed_and_still(bench, replace(shown, model=loose), progress)
     gap = _moved(gap, found.model, gap.with_um)

@@ -93,7 +93,7 @@ def _flank_by_speed(law: CompensationLaw) -> list[str]:
     """Where friction that is higher near standstill moves the flank with the speed.
 
     In simulation with 3 and 5 um of play, with and without a load, sinusoids of 10 to 25 mm with
-    such peaks kept 2.0 to 3.7 times the aim, also in the model that the law was made with.
+    such peaks kept 1.8 to 3.5 times the aim, also in the model that the law was made with.
     """
     if law.stribeck_m <= 0.0:
         return []
