@@ -92,7 +92,7 @@ def free_coefficients(start: CompensationLaw) -> tuple[dict[str, float], dict[st
 
 
 def with_free(law: CompensationLaw, names: Sequence[str], values: FloatArray) -> CompensationLaw:
-    """The law with fitted coefficients."""
+    """The law with the named coefficients of these values, shape (n,)."""
     given = dict(zip(names, values.tolist(), strict=True))
     # A limit here and none of the fit: near one that is not even reached it ends elsewhere.
     fade = min(given.get("rest_fade_per_s", law.rest_fade_per_s), FASTEST_FADE_per_s)

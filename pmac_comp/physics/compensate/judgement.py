@@ -36,9 +36,10 @@ def errors_on(
     *,
     with_torque: bool,
 ) -> Callable[[CompensationLaw], list[tuple[FloatArray, ...]]]:
-    """What laws leave of the errors of motions (``errors_of``).
+    """What laws leave of the errors of motions (``errors_of``), each of shape (n,).
 
-    A law without torque is judged by the mechanical error alone, as it has no say in the other.
+    Of each kind of error, the mechanical and the total one, an array for every motion. A law
+    without torque is judged by the mechanical error alone, as it has no say in the other.
     """
     wanted = [aims(loop, motion) for motion in motions]
     n_kinds = 2 if with_torque else 1
@@ -51,7 +52,7 @@ def errors_on(
 
 
 def judged(errors: Sequence[Sequence[FloatArray]]) -> float:
-    """How much errors of each kind are beyond their aims, the worst foremost.
+    """How much errors of each kind, shape (n,) each, are beyond their aims, the worst foremost.
 
     Which of two fits errs less on what they were fitted on says little of other motions: one of
     four fifths of the cost was found to leave twice as much of some. What of a kind is beyond its
@@ -64,7 +65,7 @@ def judged(errors: Sequence[Sequence[FloatArray]]) -> float:
 
 
 def worst_foremost(errors: Sequence[FloatArray]) -> float:
-    """Mean of a power of errors as shares of their aims."""
+    """Mean of a power of the norms of errors, shape (n,) each, which are shares of their aims."""
     with np.errstate(over="ignore"):
         return float(np.mean([np.linalg.norm(error) ** WORST_FOREMOST for error in errors]))
 
@@ -87,7 +88,10 @@ def errors_of(
     motion: Trajectory,
     aim: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual mechanical error and total error of a motion; the norms are shares of their aims."""
+    """Residual mechanical and total error of a motion, shape (n,) each.
+
+    Their norms are shares of their aims.
+    """
     residual_m, total_m = left_by(law, loop, motion, latency_cycles)
     # Where the nut stood before the run began, or where the load let it, is no error of the law.
     residual_m = residual_m - residual_m.mean()
@@ -98,7 +102,7 @@ def errors_of(
 def left_by(
     law: CompensationLaw, loop: LoopRunner, motion: Trajectory, latency_cycles: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Residual mechanical and total error in m of one motion with a law."""
+    """Residual mechanical and total error in m of one motion with a law, shape (n,) each."""
     sent = evaluate_law(
         law, motion.position_m, motion.sample_period_s, latency_cycles=latency_cycles
     )

@@ -58,6 +58,17 @@ def polished(
     each coefficient is tried by itself, up and down (compass search). In models with 2 and 4 um of
     play the worst of slow sinusoids that it never saw went from 0.88 and 1.10 of their aim to 0.73
     and 0.65. Without play it finds nothing more.
+
+    Parameters
+    ----------
+    law : CompensationLaw
+        Where the search begins.
+    errors : callable
+        What a law leaves, by kind and motion, shape (n,) each (``judgement.errors_on``).
+    progress : callable or None
+        Called with a step and a fraction.
+    most_Nm : float
+        Friction torque that the law gets at most, unless it begins with more.
     """
     search = _search_from(law, most_Nm)
     tell = progress or untold
