@@ -33,7 +33,6 @@ from pmac_comp.physics.compensate.free import (
     LAG_SCALES,
     TURNING_SCALES,
     LEAST_COULOMB_m,
-    START_LAG_s,
     free_coefficients,
     with_free,
 )
@@ -69,6 +68,7 @@ _SHARP = ("gap_width_m", "breakaway_m", "torque_breakaway_m")  # with play, whic
 _FLANK_FRAC = 0.8  # of what friction winds up: where the fit begins
 _CROSSING_FRAC = 0.2  # of friction's torque is held back in a crossing: where the fit begins
 _START_BREAKAWAY_m = 1.2e-6
+_START_LAG_s = 1e-3  # where the search begins
 _START_FRICTION_FRAC = 0.9  # of the friction torque that the model has in motion
 _TORQUE_FRAC = 0.9  # of the drive's limit: the rest is left to the loop
 # Of the regression of the start: friction turns over within this speed, and has all its level
@@ -269,7 +269,7 @@ def design_law(
     with working() as threads:
         errors = errors_on(loop, judging, latency_cycles, threads, with_torque=with_torque)
         best = min(candidates, key=lambda law: judged(errors(law)))
-        best = replace(best, coulomb_lag_s=START_LAG_s if bed is None else 0.0)
+        best = replace(best, coulomb_lag_s=_START_LAG_s if bed is None else 0.0)
         # More than the model's friction pushes a drive loose as it comes to rest.
         most_Nm = start.torque_coulomb_Nm / _START_FRICTION_FRAC
         return polished(best, errors, progress, most_Nm=most_Nm)

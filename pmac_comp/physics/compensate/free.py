@@ -39,7 +39,7 @@ _TORQUE_SCALES = {
 }
 # Left to the search: a fit by squares would give away how fast friction fades at a rest for these.
 TURNING_SCALES = {"torque_turning_Nm_s": 2e-5, "torque_turned_Nm_s": 2e-5}
-LAG_SCALES, START_LAG_s = {"coulomb_lag_s": 1e-4}, 1e-3
+LAG_SCALES = {"coulomb_lag_s": 1e-4}
 _GAP_SCALES = {"gap_half_m": 1e-6, "gap_width_m": 0.5e-6, "gap_lag_s": 1e-3}
 _GAP_TORQUE_SCALES = {"gap_torque_Nm": 0.1}
 _GAP_LOAD_SCALES = {"gap_load_m": 0.5e-6}

@@ -80,10 +80,11 @@ def polished(
         except NonFinite:
             return math.inf  # a step too far: the loop of the model ran away
 
-    best = point = search.first
+    best = search.first
+    least = cost(best)
     for k in range(_MOST_ROUNDS):
         tell("polishing the law", (k + 1) / (n_rounds + 1))
-        before = least = cost(point)
+        point, before = best, least
         for change in _changes(errors, search, point):
             there = search.within(point + change)
             found = cost(there)
@@ -91,11 +92,10 @@ def polished(
                 best, least = there, found
         if before - least < _LEAST_GAIN_FRAC * min(before, 1.0):
             break
-        point = best
     steps = _COMPASS_STEP * search.sizes
     for k in range(_MOST_ROUNDS, n_rounds):
         tell("polishing the law", (k + 1) / (n_rounds + 1))
-        best, steps = _compass_round(cost, search, best, steps)
+        best, least, steps = _compass_round(cost, search, best, least, steps)
     return search.law_at(best)
 
 
@@ -157,13 +157,18 @@ def _search_from(law: CompensationLaw, most_Nm: float) -> _Search:
 
 
 def _compass_round(
-    cost: Callable[[FloatArray], float], search: _Search, point: FloatArray, steps: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """A point judged better, by a step along each coordinate, and steps for the next round.
+    cost: Callable[[FloatArray], float],
+    search: _Search,
+    point: FloatArray,
+    least: float,
+    steps: FloatArray,
+) -> tuple[FloatArray, float, FloatArray]:
+    """A point judged better than one of cost ``least``, its cost, and steps for the next round.
 
-    A step that betters is twice as long the next time, one that does not either way is half.
+    A step along a coordinate that betters is twice as long the next time, one that does not either
+    way is half.
     """
-    least, steps = cost(point), steps.copy()
+    steps = steps.copy()
     for k, step in enumerate(steps):
         for change in (step, -step):
             there = point.copy()
@@ -175,7 +180,7 @@ def _compass_round(
                 break
         else:
             steps[k] = 0.5 * step
-    return point, steps
+    return point, least, steps
 
 
 def _changes(

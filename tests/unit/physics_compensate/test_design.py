@@ -240,7 +240,7 @@ def test_the_offset_by_friction_follows_as_late_as_the_drive(
     law = found()
     assert 0.2e-3 < law.coulomb_lag_s < 5e-3
     monkeypatch.setattr(free, "LAG_SCALES", {})
-    monkeypatch.setattr(design, "START_LAG_s", 0.0)
+    monkeypatch.setattr(design, "_START_LAG_s", 0.0)
     assert worst_um(law) < 0.9 * worst_um(found())
 
 
